@@ -1,0 +1,1 @@
+"""Discrete-time optimal control with constraints in time and in frequency, with a certificate for every answer."""

@@ -1,0 +1,63 @@
+"""Everything the package raises on purpose, and the one warning it gives about frequency bands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class LinFreqOCPError(Exception):
+    """Base of all errors of this package."""
+
+
+class ProblemError(LinFreqOCPError, ValueError):
+    """A description that is not a problem: says which field, what was got, what was expected and what to do.
+
+    Parameters
+    ----------
+    field : str
+        Where the fault is, as the user wrote it (``"control_set.lower"``).
+    got, expected : str
+        What was found there, and what would be right.
+    advice : str, optional
+        What to do about it.
+    """
+
+    def __init__(self, field: str, got: str, expected: str, advice: str = ""):
+        self.field, self.got, self.expected, self.advice = field, got, expected, advice
+        super().__init__(f"{field}: got {got}; expected {expected}." + (f" {advice}" if advice else ""))
+
+
+class UnsupportedError(LinFreqOCPError):
+    """A valid problem that the chosen method cannot take; the message says why and what can."""
+
+
+class MissingExtraError(LinFreqOCPError, ImportError):
+    """An optional package is not installed; the message names it and how to get it."""
+
+
+class SolveError(LinFreqOCPError):
+    """A solve that ended without an optimum; ``result`` holds all that was found."""
+
+    def __init__(self, message: str, result: Any = None):
+        self.result = result
+        super().__init__(message)
+
+
+class InfeasibleError(SolveError):
+    """No trajectory satisfies all constraints; proven by a ray that the judge has verified."""
+
+
+class UnboundedError(SolveError):
+    """The cost has no lower bound on the feasible set."""
+
+
+class NumericalError(SolveError):
+    """The solver stopped at a point whose residuals, computed by us, are too large to call it a solution."""
+
+
+class LimitError(SolveError):
+    """A time or iteration limit was reached first; the result holds the best point, if there is one."""
+
+
+class BandWarning(UserWarning):
+    """A frequency band that, on this horizon, removes nothing or everything."""

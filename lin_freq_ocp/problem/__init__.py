@@ -1,0 +1,1 @@
+"""DESCRIBE: frozen descriptions of a problem and of its solutions, validated once, at construction."""

@@ -1,0 +1,102 @@
+"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lin_freq_ocp.errors import ProblemError
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+Bound = ArrayLike | Sequence[float | None] | None
+"""What a user may give as a bound: numbers, with None where there is none."""
+
+
+def assign(instance: object, **fields: Any) -> None:
+    """Set the fields of a frozen dataclass from within its own ``__init__``."""
+    for name, value in fields.items():
+        object.__setattr__(instance, name, value)
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array itself if nobody can write to it any more, else a read-only copy."""
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def real_array(field: str, value: Any, allow_infinite: bool = False) -> Array:
+    """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
+    try:
+        array = np.asarray(value)
+        if np.iscomplexobj(array):
+            raise ProblemError(field, "complex numbers", "real numbers")
+        array = np.array(array, dtype=np.float64)
+    except ProblemError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
+    bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
+    if bad.any():
+        where = "".join(f"[{i}]" for i in np.argwhere(bad)[0]) if array.ndim else ""
+        raise ProblemError(
+            f"{field}{where}", f"{array[bad].flat[0]}", "a finite number" if not allow_infinite else "a number"
+        )
+    return frozen(array)
+
+
+def shaped(field: str, value: Any, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:
+    """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
+    array = real_array(field, value)
+    if array.shape == shape or (times is not None and array.shape == (times, *shape)):
+        return array
+    expected = f"shape {shape}" + (f" ({per})" if per else "")
+    if times is not None:
+        expected += f", or {(times, *shape)} with one per time"
+    raise ProblemError(field, f"shape {array.shape}", expected)
+
+
+def times_vectors(matrix: Any, vectors: Array) -> Array:
+    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
+    matrix = np.asarray(matrix)
+    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
+
+
+def positive_integer(field: str, value: Any) -> int:
+    """Require a whole number of at least 1."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ProblemError(field, brief(value), "a whole number of at least 1")
+    return int(value)
+
+
+def positive_number(field: str, value: Any) -> float:
+    """Require a finite number above zero."""
+    number = real_array(field, value)
+    if number.ndim or number <= 0:
+        raise ProblemError(field, brief(value), "one number above zero")
+    return float(number)
+
+
+def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+    """Require ``count`` different names; without any, ``x_0 ...``."""
+    if given is None:
+        return tuple(f"{letter}_{i}" for i in range(count))
+    if isinstance(given, str) or not all(isinstance(name, str) and name.strip() for name in given):
+        raise ProblemError(field, brief(given), f"a list of {count} names")
+    if len(given) != count or len(set(given)) != count:
+        raise ProblemError(
+            field, brief(list(given)), f"{count} different names", 'One per component, such as "position [m]".'
+        )
+    return tuple(given)
+
+
+def brief(value: Any, length: int = 80) -> str:
+    """Return a value as an error message shows it."""
+    text = repr(value).replace("\n", " ")
+    return text if len(text) <= length else text[: length - 3] + "..."

@@ -1,0 +1,159 @@
+"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, assign, real_array, shaped, times_vectors
+
+SYMMETRY_TOLERANCE = 1e-12
+"""Relative asymmetry of Q, R or P that is rounding and not a mistake."""
+
+CONVEXITY_TOLERANCE = 1e-12
+"""Negative eigenvalue, relative to the largest, that is rounding of a positive semidefinite matrix."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class QuadraticCost:
+    """sum_{t<T} 1/2 a'Q a + 1/2 b'R b + a'S b + q'x_t + r'u_t, plus 1/2 a'P a + p'x_T at T.
+
+    Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per time (T of them); x_ref per time has T+1 rows.
+
+    Parameters
+    ----------
+    Q : float or (n, n), R : float or (m, m), S : (n, m)
+        Stage Hessian; a number stands for that multiple of the identity. Symmetric.
+    q : (n,), r : (m,)
+        Linear terms; they act on x_t and u_t, not on the deviations from the references.
+    P : float or (n, n), p : (n,)
+        Terminal terms.
+    x_ref : (n,) or (T+1, n), u_ref : (m,) or (T, m)
+        References.
+
+    Raises
+    ------
+    ProblemError
+        When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
+    """
+
+    Q: Array
+    R: Array
+    S: Array
+    q: Array
+    r: Array
+    P: Array
+    p: Array
+    x_ref: Array
+    u_ref: Array
+
+    def __init__(
+        self,
+        Q: ArrayLike = 0.0,
+        R: ArrayLike = 0.0,
+        S: ArrayLike = 0.0,
+        q: ArrayLike = 0.0,
+        r: ArrayLike = 0.0,
+        P: ArrayLike = 0.0,
+        p: ArrayLike = 0.0,
+        x_ref: ArrayLike = 0.0,
+        u_ref: ArrayLike = 0.0,
+    ):
+        given = {"Q": Q, "R": R, "S": S, "q": q, "r": r, "P": P, "p": p, "x_ref": x_ref, "u_ref": u_ref}
+        assign(self, **{field: real_array(f"cost.{field}", value) for field, value in given.items()})
+
+    def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
+        """Return the same cost with every term an array of the right shape, checked."""
+        T = horizon
+
+        def square(field: str, size: int, times: int | None) -> Array:
+            value: Array = getattr(self, field)
+            value = shaped(f"cost.{field}", value * np.eye(size) if value.ndim == 0 else value, (size, size), times)
+            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max()
+            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
+                raise ProblemError(
+                    f"cost.{field}",
+                    f"a matrix that differs from its transpose by {asymmetry:g}",
+                    "a symmetric matrix",
+                    f"Only the symmetric part counts: pass ({field} + {field}')/2.",
+                )
+            return value
+
+        def vector(field: str, shape: tuple[int, ...], times: int | None) -> Array:
+            value: Array = getattr(self, field)
+            if value.ndim == 0 and value == 0:
+                value = np.zeros(shape)
+            return shaped(f"cost.{field}", value, shape, times)
+
+        return QuadraticCost(
+            Q=square("Q", n, T),
+            R=square("R", m, T),
+            S=vector("S", (n, m), T),
+            q=vector("q", (n,), T),
+            r=vector("r", (m,), T),
+            P=square("P", n, None),
+            p=vector("p", (n,), None),
+            x_ref=vector("x_ref", (n,), T + 1),
+            u_ref=vector("u_ref", (m,), T),
+        )
+
+    def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""
+        return x - self.x_ref, u - self.u_ref
+
+    def stage_values(self, x: Array, u: Array) -> Array:
+        """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
+        a, b = self.deviations(x, u)
+        Qa, Rb, Sb = times_vectors(self.Q, a[:-1]), times_vectors(self.R, b), times_vectors(self.S, b)
+        stage = (a[:-1] * (0.5 * Qa + Sb) + x[:-1] * self.q).sum(1) + (0.5 * b * Rb + u * self.r).sum(1)
+        return np.append(stage, 0.5 * a[-1] @ self.P @ a[-1] + self.p @ x[-1])
+
+    def value(self, x: Array, u: Array) -> float:
+        """Return the total cost."""
+        return float(self.stage_values(x, u).sum())
+
+    def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
+        a, b = self.deviations(x, u)
+        in_x = np.empty_like(x)
+        in_x[:-1] = times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b) + self.q
+        in_x[-1] = self.P @ a[-1] + self.p
+        in_u = times_vectors(self.R, b) + times_vectors(np.swapaxes(self.S, -1, -2), a[:-1]) + self.r
+        return in_x, in_u
+
+    def magnitudes(self) -> QuadraticCost:
+        """Return the cost of the absolute values of all data but without references: see ``gradient_magnitudes``."""
+        return QuadraticCost(**{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
+
+    def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
+        plain = self.magnitudes()
+        return plain.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
+
+    def stage_hessians(self) -> Array:
+        """Return [[Q, S], [S', R]], shape (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
+        Q, R, S = (_per_time(part) for part in (self.Q, self.R, self.S))
+        times = max(len(Q), len(R), len(S))
+        n, m = S.shape[1:]
+        hessian = np.empty((times, n + m, n + m))
+        hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
+        hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
+        return hessian
+
+    def nonconvexity(self) -> tuple[int, float] | None:
+        """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
+        stage = np.linalg.eigvalsh(self.stage_hessians())
+        terminal = np.linalg.eigvalsh(self.P)
+        worst = int(np.argmin(stage[:, 0]))
+        candidates = [(worst, stage[worst]), (-1, terminal)]
+        for t, eigenvalues in candidates:
+            if eigenvalues[0] < -CONVEXITY_TOLERANCE * np.abs(eigenvalues).max():
+                return t, float(eigenvalues[0])
+        return None
+
+
+def _per_time(matrix: Array) -> Array:
+    return matrix[None] if matrix.ndim == 2 else matrix

@@ -1,0 +1,199 @@
+"""Linear dynamics x_{t+1} = A_t x_t + B_t u_t + d_t (paper, eq. (sys_dynamics))."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, assign, brief, names, positive_number, real_array, times_vectors
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class LinearDynamics:
+    """x_{t+1} = A_t x_t + B_t u_t + d_t, for t = 0 .. T-1.
+
+    Parameters
+    ----------
+    A : (n, n) or (T, n, n)
+        State matrix, or one per time.
+    B : (n, m) or (T, n, m)
+        Control matrix, or one per time.
+    offset : (n,) or (T, n), optional
+        The known term d_t.
+    sampling_time : float, optional
+        Seconds per step. Needed wherever a frequency is given in Hz.
+    state_names, control_names : sequences of str, optional
+        One name per component, with its unit in brackets: ``"position [m]"``.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, entries are not finite, or names are repeated.
+    """
+
+    A: Array
+    B: Array
+    offset: Array
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        offset: ArrayLike | None = None,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ):
+        matrix_A, matrix_B = real_array("dynamics.A", A), real_array("dynamics.B", B)
+        if matrix_A.ndim not in (2, 3) or matrix_A.shape[-1] != matrix_A.shape[-2] or matrix_A.shape[-1] == 0:
+            raise ProblemError(
+                "dynamics.A", f"shape {matrix_A.shape}", "a square matrix (n, n), or (T, n, n) with one per time"
+            )
+        n = matrix_A.shape[-1]
+        if matrix_B.ndim not in (2, 3) or matrix_B.shape[-2] != n or matrix_B.shape[-1] == 0:
+            raise ProblemError(
+                "dynamics.B",
+                f"shape {matrix_B.shape}",
+                f"a matrix ({n}, m), or (T, {n}, m) with one per time",
+                "A single control is a matrix with one column: [[b_1], [b_2], ...].",
+            )
+        drift = real_array("dynamics.offset", np.zeros(n) if offset is None else offset)
+        if drift.ndim not in (1, 2) or drift.shape[-1] != n:
+            raise ProblemError(
+                "dynamics.offset", f"shape {drift.shape}", f"shape ({n},), or (T, {n}) with one per time"
+            )
+        step = None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time)
+        assign(
+            self,
+            A=matrix_A,
+            B=matrix_B,
+            offset=drift,
+            sampling_time=step,
+            state_names=names("dynamics.state_names", state_names, n, "x"),
+            control_names=names("dynamics.control_names", control_names, matrix_B.shape[-1], "u"),
+        )
+
+    @classmethod
+    def from_continuous(
+        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Any
+    ) -> LinearDynamics:
+        """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
+
+        Parameters
+        ----------
+        A, B, offset : (n, n), (n, m), (n,)
+            The continuous model.
+        sampling_time : float
+            Seconds per step.
+        named
+            ``state_names`` and ``control_names``.
+        """
+        Ac, Bc = real_array("A", A), real_array("B", B)
+        step = positive_number("sampling_time", sampling_time)
+        if Ac.ndim != 2 or Bc.ndim != 2 or Ac.shape != (Bc.shape[0], Bc.shape[0]):
+            raise ProblemError("A, B", f"shapes {Ac.shape} and {Bc.shape}", "shapes (n, n) and (n, m)")
+        n, m = Bc.shape
+        drift = np.zeros(n) if offset is None else real_array("offset", offset)
+        if drift.shape != (n,):
+            raise ProblemError("offset", f"shape {drift.shape}", f"shape ({n},)")
+        generator = np.zeros((n + m + 1, n + m + 1))
+        generator[:n] = np.hstack([Ac, Bc, drift[:, None]])
+        sampled = expm(generator * step)
+        return cls(sampled[:n, :n], sampled[:n, n : n + m], sampled[:n, -1], sampling_time=step, **named)
+
+    @classmethod
+    def from_statespace(
+        cls,
+        plant: Any,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> LinearDynamics:
+        """Take the state equation of a ``control.StateSpace`` (its outputs are not used).
+
+        Parameters
+        ----------
+        plant : control.StateSpace
+            Continuous (sampled here by a zero-order hold) or discrete.
+        sampling_time : float, optional
+            Seconds per step; required for a continuous plant, and must agree with a discrete one's own.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the plant.
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(plant, control.StateSpace):
+            raise ProblemError(
+                "plant", type(plant).__name__, "a control.StateSpace", "Convert it with control.ss(plant)."
+            )
+        labels: dict[str, Any] = {
+            "state_names": state_names or plant.state_labels,
+            "control_names": control_names or plant.input_labels,
+        }
+        if plant.dt is None:
+            raise ProblemError("plant.dt", "None (unspecified)", "0 (continuous) or a sampling time", "Set plant.dt.")
+        if plant.dt == 0 and plant.dt is not False:
+            if sampling_time is None:
+                raise ProblemError("sampling_time", "None", "seconds per step", "The plant is continuous.")
+            return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), sampling_time, **labels)
+        own = None if plant.dt is True else float(plant.dt)
+        if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12):
+            raise ProblemError(
+                "sampling_time",
+                brief(sampling_time),
+                f"{own}, the sampling time of the discrete plant",
+                "Leave it out, or resample the plant first.",
+            )
+        return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=own or sampling_time, **labels)
+
+    @property
+    def state_dim(self) -> int:
+        """Return n."""
+        return self.A.shape[-1]
+
+    @property
+    def control_dim(self) -> int:
+        """Return m."""
+        return self.B.shape[-1]
+
+    @property
+    def time_varying(self) -> bool:
+        """Whether A or B depends on time."""
+        return self.A.ndim == 3 or self.B.ndim == 3
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        for field, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
+            if array.ndim > constant_ndim and len(array) != horizon:
+                raise ProblemError(
+                    f"dynamics.{field}", f"{len(array)} times", f"one for each of the {horizon} steps of the horizon"
+                )
+
+    def at(self, t: int) -> tuple[Array, Array, Array]:
+        """Return A_t (n, n), B_t (n, m) and d_t (n,)."""
+        return (
+            self.A if self.A.ndim == 2 else self.A[t],
+            self.B if self.B.ndim == 2 else self.B[t],
+            self.offset if self.offset.ndim == 1 else self.offset[t],
+        )
+
+    def successors(self, x: Array, u: Array) -> Array:
+        """Return f_t(x_t, u_t) for all t < T; x is (T+1, n) or (T, n), u is (T, m)."""
+        return times_vectors(self.A, x[: len(u)]) + times_vectors(self.B, u) + self.offset
+
+    def pull_back(self, eta: Array) -> tuple[Array, Array]:
+        """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
+        return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
+
+    def magnitudes(self) -> LinearDynamics:
+        """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
+        return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))

@@ -1,0 +1,130 @@
+"""Figures of a trajectory, each measured in one place: bounds, ends, bands, and how far a replay can be trusted."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import stacked
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+ZERO_PADDING = 16
+"""Length of the zero-padded DFT over that of the signal: 16 samples of the spectrum between neighbouring bins."""
+
+REPLAY_LIMIT = 1e-3
+"""Machine precision times the open-loop growth above which a replay shows amplified rounding and nothing else."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What a comparison shows of one trajectory; None where the problem has nothing to measure.
+
+    Attributes
+    ----------
+    cost : float
+        J of the trajectory.
+    max_control : float
+        Largest |u| over times and components.
+    control_violation, state_violation : float
+        Largest distance beyond a bound, over times and components, in the units of the component.
+    terminal_error : float or None
+        Largest distance of a component of x_T from the terminal set; None where the end is free.
+    stopband_energy, state_stopband_energy : float or None
+        Sum of |DFT|^2 over the stopped bins 0 .. Nyquist of the controls, of the states.
+    stopband_peak, state_stopband_peak : float or None
+        Largest magnitude of the zero-padded spectrum between the first and last bin of each stopped run.
+    amplification : float
+        Spectral norm of A_{T-1} ... A_0.
+    """
+
+    cost: float
+    max_control: float
+    control_violation: float
+    state_violation: float
+    terminal_error: float | None
+    stopband_energy: float | None
+    stopband_peak: float | None
+    state_stopband_energy: float | None
+    state_stopband_peak: float | None
+    amplification: float
+
+
+def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
+    """Measure a trajectory of the problem's shape."""
+    problem.require(trajectory)
+    x, u = trajectory.x, trajectory.u
+    terminal = problem.terminal_state
+    bounds = stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)  # the ends apart
+    has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
+    return Measures(
+        cost=problem.cost.value(x, u),
+        max_control=float(np.abs(u).max()),
+        control_violation=float(problem.control_tube.violation(u).max()),
+        state_violation=float(bounds.violation(x).max()),
+        terminal_error=float(terminal.violation(x[-1]).max()) if has_end else None,
+        stopband_energy=stopband_energy(u, problem.control_stop),
+        stopband_peak=stopband_peak(u, problem.control_stop),
+        state_stopband_energy=stopband_energy(x, problem.state_stop),
+        state_stopband_peak=stopband_peak(x, problem.state_stop),
+        amplification=amplification(problem),
+    )
+
+
+def stopband_energy(signal: Array, stopped: Mask) -> float | None:
+    """Return sum |DFT_k|^2 over the stopped bins 0 .. Nyquist; signal (N, components), stopped (N//2+1, components)."""
+    if not stopped.any():
+        return None
+    return float((np.abs(np.fft.rfft(signal, axis=0)) ** 2)[stopped].sum())
+
+
+def padded_spectrum(signal: Array) -> tuple[Array, Array]:
+    """Return frequencies in rad/sample, (points,), and magnitudes, (points, components), of the zero-padded DFT."""
+    points = ZERO_PADDING * len(signal)
+    magnitude = np.abs(np.fft.rfft(signal, n=points, axis=0))
+    return 2 * np.pi * np.arange(len(magnitude)) / points, magnitude
+
+
+def stopped_runs(stopped: Mask) -> list[tuple[int, int]]:
+    """Return (first, last) of every run of neighbouring stopped bins of one component, stopped (bins,)."""
+    edges = np.flatnonzero(np.diff(np.r_[False, stopped, False].astype(int)))
+    return [(int(first), int(after) - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def stopband_peak(signal: Array, stopped: Mask) -> float | None:
+    """Return the largest zero-padded spectrum magnitude within the stopped runs: it is not zero between the bins."""
+    if not stopped.any():
+        return None
+    magnitude = padded_spectrum(signal)[1]
+    return max(
+        float(magnitude[ZERO_PADDING * first : ZERO_PADDING * last + 1, j].max())
+        for j in range(stopped.shape[1])
+        for first, last in stopped_runs(stopped[:, j])
+    )
+
+
+def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return x_{t+1} - f_t(x_t, u_t), shape (T, n): meaningful however unstable the dynamics are."""
+    return trajectory.x[1:] - problem.dynamics.successors(trajectory.x, trajectory.u)
+
+
+def amplification(problem: OptimalControlProblem) -> float:
+    """Return the spectral norm of A_{T-1} ... A_0, at most the largest float."""
+    logarithm, product = 0.0, np.eye(problem.state_dim)
+    for t in range(problem.horizon):
+        product = problem.dynamics.at(t)[0] @ product
+        size = float(np.abs(product).max())
+        if size == 0:
+            return 0.0
+        if not 1e-100 < size < 1e100:
+            logarithm, product = logarithm + np.log(size), product / size
+    logarithm += float(np.log(np.linalg.norm(product, 2)))
+    return float(np.exp(logarithm)) if logarithm < np.log(sys.float_info.max) else sys.float_info.max
+
+
+def replay_is_meaningful(growth: float) -> bool:
+    """Whether an open-loop replay of dynamics with this amplification shows more than rounding errors."""
+    return bool(np.finfo(float).eps * growth <= REPLAY_LIMIT)

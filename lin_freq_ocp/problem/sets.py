@@ -1,0 +1,175 @@
+"""Pointwise constraint sets. A set bound of two dimensions, (times, n), is one set per time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, real_array
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Box:
+    """The set of all v with lower <= v <= upper, componentwise.
+
+    Parameters
+    ----------
+    lower, upper : float, (n,) or (times, n)
+        Bounds; None, or -inf and inf, where there is none. A single number holds for every component.
+
+    Raises
+    ------
+    ProblemError
+        If a bound is not a number, or a lower bound is above its upper bound.
+    """
+
+    lower: Array
+    upper: Array
+
+    def __init__(self, lower: Bound, upper: Bound):
+        low, high = _bound("lower", lower, -np.inf), _bound("upper", upper, np.inf)
+        try:
+            low, high = np.broadcast_arrays(low, high)
+        except ValueError:
+            raise ProblemError(
+                "Box", f"lower of shape {low.shape}, upper of shape {high.shape}", "the same shape"
+            ) from None
+        wrong = low > high
+        if wrong.any():
+            i = tuple(int(k) for k in np.argwhere(wrong)[0])
+            place = "".join(f"[{k}]" for k in i)
+            raise ProblemError(
+                f"Box.lower{place}", f"{low[i]:g} above upper{place} = {high[i]:g}", "lower <= upper", "Exchange them?"
+            )
+        assign(self, lower=frozen(low), upper=frozen(high))
+
+    def at_dimension(self, dimension: int, field: str) -> Box:
+        """Return the box with bounds of shape (dimension,) or (times, dimension)."""
+        if self.lower.ndim == 0:
+            return Box(np.full(dimension, self.lower), np.full(dimension, self.upper))
+        if self.lower.shape[-1] != dimension:
+            raise ProblemError(field, f"bounds for {self.lower.shape[-1]} components", f"bounds for {dimension}")
+        return self
+
+    def intersection(self, other: Box, field: str) -> Box:
+        """Return the box of points in both; ProblemError where there is none."""
+        lower, upper = np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper)
+        if (lower > upper).any():
+            i = int(np.argmax(lower > upper))
+            raise ProblemError(
+                field,
+                f"[{self.lower[i]:g}, {self.upper[i]:g}] in component {i}",
+                f"a point within the bounds [{other.lower[i]:g}, {other.upper[i]:g}] of that time",
+                "Widen the bounds or move the point.",
+            )
+        return Box(lower, upper)
+
+    @property
+    def fixed(self) -> Mask:
+        """Where the box leaves no freedom: lower == upper."""
+        return self.lower == self.upper
+
+    def violation(self, v: Array) -> Array:
+        """Return by how much v lies outside, per component (0 inside); same shape as v."""
+        return np.maximum(np.maximum(self.lower - v, v - self.upper), 0.0)
+
+    def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
+        """Whether each v (..., n) lies within ``tolerance`` of the box in every component."""
+        return np.asarray((self.violation(v) <= tolerance).all(axis=-1))
+
+    def project(self, v: Array) -> Array:
+        """Return the nearest point of the box."""
+        return np.clip(v, self.lower, self.upper)
+
+    def support_terms(self, y: Array) -> Array:
+        """Return the terms y_i * (upper_i if y_i > 0 else lower_i) of the support function; inf where unbounded."""
+        bound = np.where(y > 0, self.upper, self.lower)
+        return np.where(y == 0, 0.0, y * np.where(y == 0, 0.0, bound))
+
+    def support(self, y: Array) -> Array:
+        """Return sigma(y) = max over the box of <y, v>, for y (..., n)."""
+        return self.support_terms(y).sum(axis=-1)
+
+    def normal_gap_terms(self, v: Array, y: Array) -> Array:
+        """Return per component sigma_i(y_i) - y_i v_i, computed as y_i (bound - v_i): zero iff y_i is normal at v_i."""
+        distance = np.where(y > 0, self.upper - v, v - self.lower)
+        return np.where(y == 0, 0.0, np.abs(y) * np.where(y == 0, 0.0, distance))
+
+    def normal_gap(self, v: Array, y: Array) -> Array:
+        """Return sigma(y) - <y, v>: zero iff y lies in the normal cone of the box at v (v in the box)."""
+        return self.normal_gap_terms(v, y).sum(axis=-1)
+
+
+class Point(Box):
+    """The set {value}; its normal cone is the whole space.
+
+    Parameters
+    ----------
+    value : (n,)
+        The point.
+    """
+
+    def __init__(self, value: ArrayLike):
+        point = real_array("Point", value)
+        if point.ndim != 1:
+            raise ProblemError("Point", f"shape {point.shape}", "one number per component")
+        super().__init__(point, point)
+
+    @property
+    def value(self) -> Array:
+        """Return the point, shape (n,)."""
+        return self.lower
+
+
+class Everything(Box):
+    """No constraint at all."""
+
+    def __init__(self):
+        super().__init__(None, None)
+
+
+def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
+    """Return one box per time: bounds of shape (times, dimension), from one set, a sequence of sets, or None."""
+    if given is None:
+        given = Everything()
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        if len(given) != times or not all(isinstance(one, Box) for one in given):
+            raise ProblemError(
+                field, f"a sequence of {len(given)}", f"one set, or a sequence of {times} sets, one per time"
+            )
+        boxes = [one.at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
+        return Box(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
+    if not isinstance(given, Box):
+        raise ProblemError(field, brief(given), "a Box, a Point, Everything(), or a sequence with one per time")
+    box = given.at_dimension(dimension, field)
+    if box.lower.ndim == 2 and len(box.lower) != times:
+        raise ProblemError(field, f"bounds for {len(box.lower)} times", f"bounds for {times} times")
+    return Box(np.broadcast_to(box.lower, (times, dimension)), np.broadcast_to(box.upper, (times, dimension)))
+
+
+def end_set(field: str, given: Any, dimension: int) -> Box:
+    """Return the set of an end of the horizon, from a point, a set, or None."""
+    if given is None:
+        given = Everything()
+    if not isinstance(given, Box):
+        given = Point(real_array(field, given))
+    box = given.at_dimension(dimension, field)
+    if box.lower.ndim != 1:
+        raise ProblemError(field, "one set per time", "a point or a single set")
+    return box
+
+
+def _bound(side: str, value: Bound, absent: float) -> Array:
+    if value is None:
+        value = absent
+    elif isinstance(value, (list, tuple)):
+        value = cast("ArrayLike", [absent if entry is None else entry for entry in value])
+    bound = real_array(f"Box.{side}", value, allow_infinite=True)
+    if (bound == -absent).any():
+        raise ProblemError(f"Box.{side}", f"{-absent}", f"a number, or None or {absent} for no bound")
+    return bound

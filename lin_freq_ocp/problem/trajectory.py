@@ -1,0 +1,83 @@
+"""The objects of the theorem as plain data: a trajectory (x, u) and its multipliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, assign, frozen, real_array
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Trajectory:
+    """States and controls over the horizon; nothing says that they satisfy any dynamics.
+
+    Parameters
+    ----------
+    x : (T+1, n)
+        States x_0 .. x_T.
+    u : (T, m)
+        Controls u_0 .. u_{T-1}.
+    """
+
+    x: Array
+    u: Array
+
+    def __init__(self, x: ArrayLike, u: ArrayLike):
+        states, controls = real_array("trajectory.x", x), real_array("trajectory.u", u)
+        if states.ndim != 2 or controls.ndim != 2 or len(states) != len(controls) + 1:
+            raise ProblemError(
+                "trajectory",
+                f"x {states.shape} and u {controls.shape}",
+                "x of shape (T+1, n) and u of shape (T, m): time is axis 0",
+            )
+        assign(self, x=states, u=controls)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Multipliers:
+    """The multipliers of the maximum principle, with the signs of L = eta_C J + sum <eta_t, x_{t+1} - f_t> + ... .
+
+    Parameters
+    ----------
+    eta_C : float
+        1 for a normal extremal, 0 for an abnormal one.
+    eta : (T, n)
+        Adjoint (costate) of x_{t+1} = f_t(x_t, u_t).
+    mu : (T+1, n), nu : (T, m)
+        Normals to the state and control sets: positive at an active upper bound, negative at a lower one.
+    rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n)
+        Frequency multipliers per DFT bin, zero where a bin is free; -rho is the derivative of the optimal
+        cost with respect to that bin (its conjugate moving with it).
+    """
+
+    eta_C: float
+    eta: Array
+    mu: Array
+    nu: Array
+    rho_u: ComplexArray
+    rho_x: ComplexArray
+
+    def __init__(self, eta_C: float, eta: ArrayLike, mu: ArrayLike, nu: ArrayLike, rho_u: ArrayLike, rho_x: ArrayLike):
+        assign(self, eta_C=float(eta_C))
+        for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
+            assign(self, **{field: real_array(f"multipliers.{field}", value)})
+        for field, value in (("rho_u", rho_u), ("rho_x", rho_x)):
+            rho = np.asarray(value, dtype=np.complex128)
+            if not np.isfinite(rho).all():
+                raise ProblemError(f"multipliers.{field}", "NaN or infinity", "finite numbers")
+            assign(self, **{field: frozen(rho)})
+        T, n, m = len(self.eta), self.eta.shape[-1], self.nu.shape[-1]
+        expected = {
+            "eta": (T, n),
+            "mu": (T + 1, n),
+            "nu": (T, m),
+            "rho_u": (T // 2 + 1, m),
+            "rho_x": ((T + 1) // 2 + 1, n),
+        }
+        for field, shape in expected.items():
+            if getattr(self, field).shape != shape:
+                raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
