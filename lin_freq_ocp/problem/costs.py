@@ -21,7 +21,8 @@ CONVEXITY_TOLERANCE = 1e-12
 class QuadraticCost:
     """sum_{t<T} 1/2 a'Q a + 1/2 b'R b + a'S b + q'x_t + r'u_t, plus 1/2 a'P a + p'x_T at T.
 
-    Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per time (T of them); x_ref per time has T+1 rows.
+    Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per
+    time (T of them); x_ref per time has T+1 rows.
 
     Parameters
     ----------

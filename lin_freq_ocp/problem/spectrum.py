@@ -191,7 +191,7 @@ def stopped_bins(
 
 
 def time_signal(rho: ComplexArray, length: int) -> Array:
-    """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / length)) for multipliers per bin (length//2 + 1, components)."""
+    """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     k = np.arange(length // 2 + 1)
     weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
     return np.fft.irfft(length * weight[:, None] * rho, n=length, axis=0)

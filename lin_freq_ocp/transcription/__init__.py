@@ -1,0 +1,1 @@
+"""TRANSCRIBE: a problem becomes a convex program with named rows, and its duals become the theorem's multipliers."""

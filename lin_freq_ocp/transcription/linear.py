@@ -1,0 +1,162 @@
+"""Linear dynamics, boxes and stop bands as a sparse quadratic program in (x_0 .. x_T, u_0 .. u_{T-1}); nothing eliminated.
+
+    minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T
+    DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
+    STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
+    CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
+    STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
+    CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
+
+Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs: MATH, section 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.program import Block, Program
+from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTranscription:
+    """The program of a linear problem, with its own inverse for trajectories and multipliers."""
+
+    problem: OptimalControlProblem
+
+    @cached_property
+    def program(self) -> Program:
+        """Return the program in the problem's own units."""
+        problem, stack = self.problem, _RowStack()
+        states, controls = self._states, self._controls
+        stack.add(Block.DYNAMICS, *self._dynamics_rows())
+        stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
+        stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
+        for block, stop, length, first in (
+            (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
+            (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
+        ):
+            matrix = _spectrum_rows(stop, length, states + controls, first)
+            stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
+        zero = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+        q = np.concatenate([part.ravel() for part in problem.cost.gradient(*zero)])
+        return stack.program(self._hessian(), q, problem.cost.value(*zero))
+
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return (x, u) from a point of the program."""
+        x, u = np.split(z, [self._states])
+        return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
+
+    def point(self, trajectory: Trajectory) -> Array:
+        """Return the point of the program that is this trajectory."""
+        return np.concatenate([trajectory.x.ravel(), trajectory.u.ravel()])
+
+    def multipliers(self, y: Array, eta_C: float) -> Multipliers:
+        """Return the theorem's multipliers from the duals of all rows; eta_C = 0 for a Farkas ray."""
+        problem, rows = self.problem, self.program.rows
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        mu, nu = np.zeros((T + 1, n)), np.zeros((T, m))
+        mu[_bounded(problem.state_tube)] = y[rows[Block.STATE_SET]]
+        nu[_bounded(problem.control_tube)] = y[rows[Block.CONTROL_SET]]
+        return Multipliers(
+            eta_C=eta_C,
+            eta=y[rows[Block.DYNAMICS]].reshape(T, n),
+            mu=mu,
+            nu=nu,
+            rho_u=_split_bins(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
+            rho_x=_split_bins(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
+        )
+
+    def column_units(self, state_units: Array, control_units: Array) -> Array:
+        """Return one unit per variable from one per state component (n,) and control component (m,)."""
+        T = self.problem.horizon
+        return np.concatenate([np.tile(state_units, T + 1), np.tile(control_units, T)])
+
+    @property
+    def _states(self) -> int:
+        return (self.problem.horizon + 1) * self.problem.state_dim
+
+    @property
+    def _controls(self) -> int:
+        return self.problem.horizon * self.problem.control_dim
+
+    def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
+        dynamics, T, n = self.problem.dynamics, self.problem.horizon, self.problem.state_dim
+        successor = sp.eye_array(T * n, (T + 1) * n, k=n)
+        stay = sp.hstack([_block_diagonal(dynamics.A, T), sp.csc_array((T * n, n))])
+        offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
+        return sp.csc_array(sp.hstack([successor - stay, -_block_diagonal(dynamics.B, T)])), offset, offset
+
+    def _hessian(self) -> sp.csc_array:
+        cost, T = self.problem.cost, self.problem.horizon
+        Q = sp.block_diag([_block_diagonal(cost.Q, T), cost.P])
+        S = sp.vstack([_block_diagonal(cost.S, T), sp.csc_array((self.problem.state_dim, self._controls))])
+        return sp.csc_array(sp.block_array([[Q, S], [S.T, _block_diagonal(cost.R, T)]]))
+
+
+class _RowStack:
+    """Rows under their block's name, in the order they came."""
+
+    def __init__(self):
+        self._parts: list[tuple[sp.csc_array, Array, Array]] = []
+        self._rows: dict[Block, slice] = {}
+        self._count = 0
+
+    def add(self, block: Block, matrix: sp.csc_array, lower: Array, upper: Array) -> None:
+        self._parts.append((matrix, lower, upper))
+        self._rows[block] = slice(self._count, self._count + matrix.shape[0])
+        self._count += matrix.shape[0]
+
+    def program(self, P: sp.csc_array, q: Array, constant: float) -> Program:
+        matrices, lower, upper = zip(*self._parts, strict=True)
+        A = sp.csc_array(sp.vstack(matrices))
+        A.eliminate_zeros()
+        P.eliminate_zeros()
+        return Program(P, q, constant, A, np.concatenate(lower), np.concatenate(upper), self._rows)
+
+
+def _block_diagonal(matrices: Array, times: int) -> sp.csc_array:
+    """Return diag(M_0 .. M_{times-1}) from one matrix, or one per time."""
+    blocks = np.broadcast_to(matrices, (times, *matrices.shape[-2:]))
+    return sp.csc_array(sp.bsr_array((blocks, np.arange(times), np.arange(times + 1))))
+
+
+def _bounded(tube: Box) -> Mask:
+    return np.isfinite(tube.lower) | np.isfinite(tube.upper)
+
+
+def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
+    bounded = _bounded(tube)
+    chosen = np.flatnonzero(bounded.ravel())
+    matrix = sp.csc_array((np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns))
+    return matrix, tube.lower[bounded], tube.upper[bounded]
+
+
+def _spectrum_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
+    """Return the DFT rows of every component; component j of time t is variable first + t * components + j."""
+    components = stop.shape[1]
+    parts = [sp.csc_array((0, columns))]
+    for j in range(components):
+        rows = real_rows(length, stop[:, j])
+        place = first + np.arange(length) * components + j
+        row, time = np.nonzero(np.ones_like(rows, dtype=bool))
+        parts.append(sp.csc_array((rows.ravel(), (row, place[time])), shape=(len(rows), columns)))
+    return sp.csc_array(sp.vstack(parts))
+
+
+def _split_bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
+    result, first = np.zeros(stop.shape, dtype=np.complex128), 0
+    for j in range(stop.shape[1]):
+        k = np.flatnonzero(stop[:, j])
+        count = 2 * len(k) - int(np.isin([0, length / 2], k).sum())
+        result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
+        first += count
+    return result

@@ -1,0 +1,108 @@
+"""Typical magnitudes of a problem's states, controls and cost, so that a solver sees numbers near 1.
+
+Bounds say what is allowed, not what happens (30 rad/s allowed, 0.5 reached), so magnitudes come from the trajectory
+that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.transcription.program import Block, Program, Scaling
+
+HESSIAN_REGULARISATION = 1e-6
+"""Added to the Hessian, relative to its mean diagonal: directions without cost get the smallest trajectory."""
+
+ROW_REGULARISATION = 1e-10
+"""Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory."""
+
+NEGLIGIBLE = 1e-6
+"""A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
+
+
+def natural_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the change of units that makes states, controls and the cost gradient of order 1."""
+    program, problem = transcription.program, transcription.problem
+    guess = _stated_magnitudes(problem)
+    states, controls = _relaxed_magnitudes(transcription, guess)
+    columns = transcription.column_units(states, controls)
+    size = np.abs(program.P) @ columns + np.abs(program.q)
+    steepest = float((columns * size).max(initial=0.0))
+    cost = 1.0 / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+    return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
+
+
+def _row_units(program: Program, columns: Array, problem: OptimalControlProblem) -> Array:
+    """Return one factor per row: a dynamics or bound row is divided by its component's unit, a band row likewise."""
+    rows = np.empty(program.A.shape[0])
+    rows[program.rows[Block.DYNAMICS]] = np.tile(1.0 / columns[: problem.state_dim], problem.horizon)
+    for block in (Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL_SPECTRUM):
+        part = program.A[program.rows[block]] @ sp.diags_array(columns)
+        rows[program.rows[block]] = 1.0 / sp.linalg.norm(part, axis=1)
+    return rows
+
+
+def _stated_magnitudes(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return magnitudes of ends and references, else of bounds, else 1: a first guess, for the regularisation only."""
+    ends = np.stack([_finite(problem.initial_state).max(0), _finite(problem.terminal_state).max(0)])
+    states = np.maximum(ends.max(0), np.abs(problem.cost.x_ref).reshape(-1, problem.state_dim).max(0))
+    controls = np.abs(problem.cost.u_ref).reshape(-1, problem.control_dim).max(0)
+    return (
+        _first_positive(states, _finite(problem.state_tube).max((0, 1))),
+        _first_positive(controls, _finite(problem.control_tube).max((0, 1))),
+    )
+
+
+def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the largest |x_i| and |u_j| of the optimum without inequalities and bands, capped by the bounds."""
+    program, problem = transcription.program, transcription.problem
+    keep = np.flatnonzero(program.equality)
+    keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
+    columns = transcription.column_units(*guess)
+    D = sp.diags_array(columns)
+    P, A = sp.csc_array(D @ program.P @ D), sp.csc_array(program.A[keep] @ D)
+    E = sp.diags_array(1.0 / sp.linalg.norm(A, axis=1))
+    mean = float(P.diagonal().mean()) or 1.0
+    kkt = sp.block_array(
+        [
+            [P / mean + HESSIAN_REGULARISATION * sp.eye_array(len(columns)), (E @ A).T],
+            [E @ A, -ROW_REGULARISATION * sp.eye_array(len(keep))],
+        ]
+    )
+    right = np.concatenate([-columns * program.q / mean, E @ program.lower[keep]])
+    try:
+        z = splu(sp.csc_array(kkt), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right)
+    except RuntimeError:  # exactly singular
+        return guess
+    z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
+    x, u = np.split(np.abs(z), [(problem.horizon + 1) * problem.state_dim])
+    return (
+        _moderate(x.reshape(-1, problem.state_dim).max(0), problem.state_tube, guess[0]),
+        _moderate(u.reshape(-1, problem.control_dim).max(0), problem.control_tube, guess[1]),
+    )
+
+
+def _moderate(reached: Array, tube: Box, guess: Array) -> Array:
+    """Return what is reached, but not beyond the bounds, and the guess where nothing moves."""
+    widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
+    magnitude = np.minimum(reached, np.where(widest > 0, widest, np.inf))
+    return np.where(magnitude > NEGLIGIBLE * guess, magnitude, guess)
+
+
+def _finite(box: Box) -> Array:
+    """Return |lower| and |upper| stacked, with 0 where there is no bound."""
+    both = np.abs(np.stack([box.lower, box.upper]))
+    return np.where(np.isfinite(both), both, 0.0)
+
+
+def _first_positive(*choices: Array) -> Array:
+    result = np.ones_like(choices[0])
+    for choice in reversed(choices):
+        result = np.where(choice > 0, choice, result)
+    return result
