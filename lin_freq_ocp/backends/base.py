@@ -12,7 +12,7 @@ from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.transcription.program import Program
 
 DEFAULT_TOLERANCE = 1e-9
-"""Feasibility and gap asked of a backend, on a program scaled to order 1: ten times below what the judge needs at 1e-8."""
+"""Feasibility and gap asked of a backend, on a program scaled to order 1: far below the judge's 1e-6."""
 
 
 class Claim(Enum):
@@ -65,6 +65,8 @@ def backend(name: str) -> Solver:
     """
     family, _, member = name.partition(":")
     if family not in _MODULES or bool(member) != (family == "qpsolvers"):
-        raise UnsupportedError(f"backend: got {name!r}; expected 'clarabel', 'osqp' or 'qpsolvers:NAME' (such as 'qpsolvers:piqp').")
+        raise UnsupportedError(
+            f"backend: got {name!r}; expected 'clarabel', 'osqp' or 'qpsolvers:NAME' (such as 'qpsolvers:piqp')."
+        )
     module = import_module(f"lin_freq_ocp.backends.{_MODULES[family]}")
     return module.named(member) if member else module.solve

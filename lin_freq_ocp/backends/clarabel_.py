@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false, reportUnknownVariableType=false  (a compiled module without stubs)
 """Clarabel: an interior-point method for min 1/2 z'P z + q'z, A z + s = b, s in a cone; duals P z + q + A'y = 0."""
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.transcription.program import Program
 
 CLAIMS = {
@@ -33,7 +34,9 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     A = sp.csc_matrix(sp.vstack([program.A[equations], program.A[above], -program.A[below]]))
     b = np.concatenate([program.upper[equations], program.upper[above], -program.lower[below]])
     cones = [clarabel.ZeroConeT(len(equations)), clarabel.NonnegativeConeT(len(above) + len(below))]
-    solver = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, _settings(tolerance, time_limit))
+    solver = clarabel.DefaultSolver(
+        sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, _settings(tolerance, time_limit)
+    )
     answer = solver.solve()
     return _solution(answer, len(program.lower), equations, above, below)
 
@@ -48,7 +51,9 @@ def _settings(tolerance: float, time_limit: float | None) -> clarabel.DefaultSet
     return settings
 
 
-def _solution(answer: clarabel.DefaultSolution, rows: int, equations: Array, above: Array, below: Array) -> Solution:
+def _solution(
+    answer: clarabel.DefaultSolution, rows: int, equations: Indices, above: Indices, below: Indices
+) -> Solution:
     claim = CLAIMS.get(str(answer.status), Claim.FAILED)
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):

@@ -14,8 +14,8 @@ from lin_freq_ocp.errors import MissingExtraError
 from lin_freq_ocp.transcription.program import Program
 
 SETTINGS: dict[str, Any] = {
-    "clarabel": lambda tolerance: {"tol_feas": tolerance, "tol_gap_abs": tolerance, "tol_gap_rel": tolerance},
-    "piqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "eps_duality_gap_abs": tolerance},
+    "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
+    "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
     "proxqp": lambda tolerance: {"eps_abs": tolerance},
     "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
@@ -27,7 +27,8 @@ def named(member: str) -> Solver:
     """Return a solver function that calls qpsolvers with ``member``."""
     if member not in qpsolvers.available_solvers:
         raise MissingExtraError(
-            f"backend 'qpsolvers:{member}': not installed. Installed: {', '.join(sorted(qpsolvers.available_solvers))}. "
+            f"backend 'qpsolvers:{member}': not installed. "
+            f"Installed: {', '.join(sorted(qpsolvers.available_solvers))}. "
             f"Install it with: pip install 'qpsolvers[{member}]'."
         )
 

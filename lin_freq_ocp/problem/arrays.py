@@ -13,6 +13,7 @@ from lin_freq_ocp.errors import ProblemError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 Bound = ArrayLike | Sequence[float | None] | None
 """What a user may give as a bound: numbers, with None where there is none."""
 

@@ -1,4 +1,4 @@
-"""Linear dynamics, boxes and stop bands as a sparse quadratic program in (x_0 .. x_T, u_0 .. u_{T-1}); nothing eliminated.
+"""Linear dynamics, boxes and stop bands as a sparse quadratic program in all of x_0 .. x_T, u_0 .. u_{T-1}.
 
     minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T
     DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
@@ -136,7 +136,9 @@ def _bounded(tube: Box) -> Mask:
 def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
     bounded = _bounded(tube)
     chosen = np.flatnonzero(bounded.ravel())
-    matrix = sp.csc_array((np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns))
+    matrix = sp.csc_array(
+        (np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns)
+    )
     return matrix, tube.lower[bounded], tube.upper[bounded]
 
 

@@ -94,7 +94,7 @@ class Program:
         )
 
     def descent_ray_residual(self, z: Array) -> float:
-        """Return how far z is from a direction of unbounded descent: P z = 0, A z recedes, q'z = -1; inf if q'z >= 0."""
+        """Return how far z is from unbounded descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
         slope = float(self.q @ z)
         if slope >= 0:
             return np.inf

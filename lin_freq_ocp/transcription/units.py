@@ -6,6 +6,8 @@ that the costs and ends ask for when bounds and bands are forgotten; bounds only
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
@@ -32,7 +34,7 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
     guess = _stated_magnitudes(problem)
     states, controls = _relaxed_magnitudes(transcription, guess)
     columns = transcription.column_units(states, controls)
-    size = np.abs(program.P) @ columns + np.abs(program.q)
+    size = abs(program.P) @ columns + np.abs(program.q)
     steepest = float((columns * size).max(initial=0.0))
     cost = 1.0 / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
@@ -44,7 +46,7 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
     rows[program.rows[Block.DYNAMICS]] = np.tile(1.0 / columns[: problem.state_dim], problem.horizon)
     for block in (Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL_SPECTRUM):
         part = program.A[program.rows[block]] @ sp.diags_array(columns)
-        rows[program.rows[block]] = 1.0 / sp.linalg.norm(part, axis=1)
+        rows[program.rows[block]] = 1.0 / _row_norms(part)
     return rows
 
 
@@ -67,17 +69,18 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     columns = transcription.column_units(*guess)
     D = sp.diags_array(columns)
     P, A = sp.csc_array(D @ program.P @ D), sp.csc_array(program.A[keep] @ D)
-    E = sp.diags_array(1.0 / sp.linalg.norm(A, axis=1))
+    row_units = 1.0 / _row_norms(A)
+    A = sp.csc_array(sp.diags_array(row_units) @ A)
     mean = float(P.diagonal().mean()) or 1.0
     kkt = sp.block_array(
         [
-            [P / mean + HESSIAN_REGULARISATION * sp.eye_array(len(columns)), (E @ A).T],
-            [E @ A, -ROW_REGULARISATION * sp.eye_array(len(keep))],
+            [P / mean + HESSIAN_REGULARISATION * sp.eye_array(len(columns)), A.T],
+            [A, -ROW_REGULARISATION * sp.eye_array(len(keep))],
         ]
     )
-    right = np.concatenate([-columns * program.q / mean, E @ program.lower[keep]])
+    right = np.concatenate([-columns * program.q / mean, row_units * program.lower[keep]])
     try:
-        z = splu(sp.csc_array(kkt), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right)
+        z = splu(sp.csc_array(kkt)).solve(right)
     except RuntimeError:  # exactly singular
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
@@ -93,6 +96,10 @@ def _moderate(reached: Array, tube: Box, guess: Array) -> Array:
     widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
     magnitude = np.minimum(reached, np.where(widest > 0, widest, np.inf))
     return np.where(magnitude > NEGLIGIBLE * guess, magnitude, guess)
+
+
+def _row_norms(matrix: Any) -> Array:
+    return np.sqrt(np.asarray((matrix * matrix).sum(axis=1)).ravel())
 
 
 def _finite(box: Box) -> Array:

@@ -1,0 +1,1 @@
+"""JUDGE: sees the problem, a trajectory and multipliers, from any source; never how they were found."""

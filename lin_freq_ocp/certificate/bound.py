@@ -1,0 +1,195 @@
+"""The global lower bound D of a convex problem from any multipliers, as a sum over stages (MATH, section 4).
+
+l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x>,
+D = sum_t min l_t over X_t x U_t,
+J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>.
+
+Each minimum is bounded from below by the tangent of l_t at (x_t, u_t), plus a diagonal curvature that l_t has at least:
+exact for a diagonal Hessian. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
+without mu and nu, so nothing large cancels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.reach import Enclosure, Pair, implied_bounds, stated_bounds
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+EIGENVALUE_ERROR = 1e-12
+"""What a computed smallest eigenvalue of a correlation matrix may be too large by."""
+
+NUMERICAL_REACH = 10.0
+"""Where nothing bounds a component: how far, in multiples of its size, a merely numerical bound looks."""
+
+SMALLEST_REACH = 1e-9
+"""A component that rests at zero is looked for this far away, in multiples of the largest component."""
+
+BOUND_TOLERANCE = 1e-6
+"""Relative gap above which a rigorous bound over implied sets is too weak to be worth the name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A lower bound on the optimal cost, and where it is lost.
+
+    Attributes
+    ----------
+    value : float
+        D, with all rounding errors of its evaluation subtracted.
+    kind : str
+        "rigorous" (over sets that the optimum lies in) or "numerical" (over a box around the trajectory).
+    stage_gaps : (T+1,)
+        l_t(x_t, u_t) - min l_t.
+    dynamics_term, frequency_term : float
+        <eta, dynamics residual> and <rho, frequency residual>: how much of J - D is infeasibility.
+    rounding : float
+        Bound on the rounding errors, already in ``value``.
+    sets : str
+        What bounds the sets that the minima are taken over.
+    """
+
+    value: float
+    kind: str
+    stage_gaps: Array
+    dynamics_term: float
+    frequency_term: float
+    rounding: float
+    sets: str
+
+
+def diagonal_curvature(hessian: Array) -> Array | None:
+    """Return m >= 0 with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal if H is diagonal.
+
+    None if H is not positive semidefinite. With C = D^-1/2 H D^-1/2, D = diag(H): H >= lambda_min(C) D.
+    """
+    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    if (diagonal < 0).any():
+        return None
+    if np.array_equal(hessian, diagonal[..., None] * np.eye(hessian.shape[-1])):
+        return diagonal
+    root = np.sqrt(diagonal)
+    root = np.where(root > 0, root, np.inf)
+    correlation = hessian / (root[..., :, None] * root[..., None, :])
+    identity = np.eye(hessian.shape[-1], dtype=bool)
+    correlation = np.where(identity, 1.0, correlation)
+    smallest = np.linalg.eigvalsh(correlation)[..., 0] - EIGENVALUE_ERROR * hessian.shape[-1]
+    if (smallest < -2 * EIGENVALUE_ERROR * hessian.shape[-1]).any():
+        return None
+    return np.maximum(smallest, 0.0)[..., None] * diagonal
+
+
+def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+    """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        free = np.where(curvature > 0, -slope / np.where(curvature > 0, curvature, 1.0), -np.sign(slope) * np.inf)
+        v = np.clip(np.where(slope == 0, 0.0, free), lower, upper)
+        return np.where(np.isinf(v), -np.inf, slope * v + 0.5 * curvature * np.where(np.isinf(v), 0.0, v) ** 2)
+
+
+def lower_bound(lift: Lift) -> Bound | None:
+    """Return D for normal multipliers, or None if the cost is not convex."""
+    curvatures = _stage_curvatures(lift)
+    if curvatures is None:
+        return None
+    cost = lift.problem.cost.value(lift.trajectory.x, lift.trajectory.u)
+    allowed = BOUND_TOLERANCE * max(1.0, abs(cost))
+    proven = _evaluate(lift, curvatures, _enclosure(lift.problem, curvatures, cost), cost, "rigorous")
+    if cost - proven.value <= allowed:
+        return proven
+    near = _cut(lift.problem, curvatures, _around(lift), f"{NUMERICAL_REACH:g} times the trajectory")
+    numerical = _evaluate(lift, curvatures, near, cost, "numerical")
+    return numerical if numerical.value - proven.value > allowed else proven
+
+
+def ray_bound(lift: Lift, largest: Pair) -> Bound:
+    """Return D for eta_C = 0: above 0, it proves that no trajectory satisfies all constraints.
+
+    Parameters
+    ----------
+    lift : Lift
+        Its trajectory is any point to evaluate at.
+    largest : (n,), (m,)
+        Where neither the stated nor implied sets bound a component, a "numerical" bound excludes only trajectories
+        whose components stay below these.
+    """
+    uncurved = np.zeros_like(lift.in_x), np.zeros_like(lift.in_u)
+    proven = _evaluate(lift, uncurved, _enclosure(lift.problem, uncurved, None), 0.0, "rigorous")
+    if proven.value > 0:
+        return proven
+    return _evaluate(lift, uncurved, _cut(lift.problem, uncurved, largest, "what is practical"), 0.0, "numerical")
+
+
+def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> Bound:
+    trajectory, multipliers = lift.trajectory, lift.multipliers
+    slopes = lift.eta_before - lift.in_x, -lift.in_u
+    terms = np.abs(lift.eta_before) + lift.in_x_terms, lift.in_u_terms
+    unit = _unit_rounding(lift)
+    stage_gaps, certain = np.zeros(len(trajectory.x)), 0.0
+    for signal, slope, size, curvature, (lower, upper) in zip(
+        (trajectory.x, trajectory.u), slopes, terms, curvatures, (box.x, box.u), strict=True
+    ):
+        low, high = lower - signal, upper - signal
+        stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
+        pessimistic = [box_minimum(slope + sign * unit * size, curvature, low, high) for sign in (-1, 1)]
+        certain -= float(np.minimum(*pessimistic).sum())
+    dynamics_terms = multipliers.eta * one_step_residual(lift.problem, trajectory)
+    frequency_terms = np.hstack(
+        [(lift.control_signal * trajectory.u).ravel(), (lift.state_signal * trajectory.x).ravel()]
+    )
+    dynamics_term, frequency_term = float(dynamics_terms.sum()), float(frequency_terms.sum())
+    summed = float(np.abs(dynamics_terms).sum() + np.abs(frequency_terms).sum() + abs(cost))
+    gap = float(stage_gaps.sum())
+    finite = bool(np.isfinite(certain))
+    rounding = certain - gap + unit * summed if finite else np.inf
+    value = min(cost - gap + dynamics_term + frequency_term - rounding, box.level) if finite else -np.inf
+    return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, rounding, box.follows_from)
+
+
+def _unit_rounding(lift: Lift) -> float:
+    """Return a bound on rounding errors of the lift, relative to the sum of the absolute values of its terms."""
+    problem = lift.problem
+    operations = problem.state_dim + problem.control_dim + 5 * np.log2(problem.horizon + 2) + 10
+    return float(operations * np.finfo(float).eps)
+
+
+def _stage_curvatures(lift: Lift) -> Pair | None:
+    """Return curvatures for the states (T+1, n) and controls (T, m), or None if the cost is not convex."""
+    problem, n = lift.problem, lift.problem.state_dim
+    stage = diagonal_curvature(lift.multipliers.eta_C * problem.cost.stage_hessians())
+    terminal = diagonal_curvature(lift.multipliers.eta_C * problem.cost.P)
+    if stage is None or terminal is None:
+        return None
+    stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
+    return np.vstack([stage[:, :n], terminal]), stage[:, n:]
+
+
+def _enclosure(problem: OptimalControlProblem, curvatures: Pair, cost: float | None) -> Enclosure:
+    """Return the stated sets; where an uncurved component is unbounded, what the data imply of it."""
+    stated = stated_bounds(problem)
+    endless = any(
+        ((np.isinf(lower) | np.isinf(upper)) & (curvature == 0)).any()
+        for (lower, upper), curvature in zip((stated.x, stated.u), curvatures, strict=True)
+    )
+    return implied_bounds(problem, curvatures[1], cost) if endless else stated
+
+
+def _around(lift: Lift) -> Pair:
+    """Return how far to look around the trajectory, per state and control component."""
+    sizes = [np.abs(signal).max(0) for signal in (lift.trajectory.x, lift.trajectory.u)]
+    x, u = (NUMERICAL_REACH * np.maximum(size, SMALLEST_REACH * size.max()) for size in sizes)
+    return x, u
+
+
+def _cut(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:
+    """Return the stated sets, cut at ``largest`` in components that nothing else bounds."""
+    stated, pairs = stated_bounds(problem), list[Pair]()
+    for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
+        low, high = np.isinf(lower) & (curvature == 0), np.isinf(upper) & (curvature == 0)
+        pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
+    return Enclosure(pairs[0], pairs[1], np.inf, follows_from)

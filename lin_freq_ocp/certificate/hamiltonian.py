@@ -1,0 +1,83 @@
+"""The Hamiltonian's first derivatives along a trajectory, and the size of the terms they are summed from.
+
+H_t(eta, x, u) = <eta, f_t(x, u)> - eta_C c_t(x, u) - <eta_xhat, phi_t(x)> - <eta_uhat, psi_t(u)>   (e:hamiltonian)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """A trajectory with its multipliers, and everything that several conditions need of them.
+
+    Attributes
+    ----------
+    problem, trajectory, multipliers
+        What is judged.
+    state_signal : (T+1, n), control_signal : (T, m)
+        The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
+    in_x : (T+1, n)
+        D_x H_t for t < T; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
+    in_u : (T, m)
+        D_u H_t.
+    in_x_terms, in_u_terms
+        The sums of the absolute values of the terms of in_x and in_u: what their rounding errors are relative to.
+    """
+
+    problem: OptimalControlProblem
+    trajectory: Trajectory
+    multipliers: Multipliers
+    state_signal: Array
+    control_signal: Array
+    in_x: Array
+    in_u: Array
+    in_x_terms: Array
+    in_u_terms: Array
+
+    @property
+    def eta_before(self) -> Array:
+        """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0, where there is none."""
+        return np.vstack([np.zeros(self.problem.state_dim), self.multipliers.eta])
+
+
+def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Lift:
+    """Evaluate the Hamiltonian's derivatives; ProblemError if shapes do not fit or a free bin has a multiplier."""
+    problem.require(trajectory)
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    if multipliers.eta.shape != (T, n) or multipliers.nu.shape != (T, m):
+        got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
+        raise ProblemError("multipliers", got, f"eta {(T, n)}, nu {(T, m)}")
+    _require_only_at_stopped("rho_u", multipliers.rho_u, problem.control_stop)
+    _require_only_at_stopped("rho_x", multipliers.rho_x, problem.state_stop)
+    x, u, eta, eta_C = trajectory.x, trajectory.u, multipliers.eta, multipliers.eta_C
+    state_signal, control_signal = time_signal(multipliers.rho_x, T + 1), time_signal(multipliers.rho_u, T)
+    cost_x, cost_u = problem.cost.gradient(x, u)
+    in_x, in_u = -eta_C * cost_x - state_signal, -eta_C * cost_u - control_signal
+    cost_x_terms, cost_u_terms = problem.cost.gradient_magnitudes(x, u)
+    in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
+    in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
+    for part_x, part_u, dynamics, adjoint in (
+        (in_x, in_u, problem.dynamics, eta),
+        (in_x_terms, in_u_terms, problem.dynamics.magnitudes(), np.abs(eta)),
+    ):
+        pulled_x, pulled_u = dynamics.pull_back(adjoint)
+        part_x[:-1] += pulled_x
+        part_u += pulled_u
+    return Lift(problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms)
+
+
+def _require_only_at_stopped(field: str, rho: ComplexArray, stopped: Mask) -> None:
+    free = (rho != 0) & ~stopped
+    if free.any():
+        k, component = (int(i) for i in np.argwhere(free)[0])
+        raise ProblemError(f"multipliers.{field}[{k}, {component}]", f"{rho[k, component]:g}", "0", f"Bin {k} is free.")

@@ -1,0 +1,100 @@
+"""Transcribe to a scaled sparse program, hand it to a backend, measure the answer, and map it back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
+from lin_freq_ocp.transcription.units import natural_scaling
+
+SOLVED_TOLERANCE = 1e-6
+"""Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
+
+UNBOUNDED_TOLERANCE = 1e-6
+"""Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What a method found, measured but not judged.
+
+    Attributes
+    ----------
+    status : str
+        "optimal", "infeasible" (claimed: ``ray`` is to be proven), "unbounded", "limit" or "numerical_error".
+    trajectory, multipliers : or None
+        The point, where there is one, however inaccurate.
+    ray : Multipliers or None
+        A claimed Farkas ray.
+    residuals : Residuals or None
+        Of the scaled program, computed by us.
+    words : str
+        The backend's own status.
+    """
+
+    status: str
+    trajectory: Trajectory | None
+    multipliers: Multipliers | None
+    ray: Multipliers | None
+    residuals: Residuals | None
+    words: str
+
+
+def solve_convex(
+    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
+) -> Candidate:
+    """Solve a problem with linear dynamics and a convex quadratic cost.
+
+    Raises
+    ------
+    UnsupportedError
+        If the cost is not convex, or there is no such backend.
+    """
+    solver = backend(backend_name)
+    transcription, scaling, program = scaled_program(problem)
+    solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
+    return _candidate(transcription, scaling, program, solution)
+
+
+def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
+    """Return the transcription, its natural units, and the program in them; UnsupportedError if it is not convex."""
+    worst = problem.cost.nonconvexity()
+    if worst is not None:
+        where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
+        raise UnsupportedError(
+            f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
+            "certify() judges trajectories of nonconvex problems too."
+        )
+    transcription = LinearTranscription(problem)
+    scaling = natural_scaling(transcription)
+    return transcription, scaling, scaling.apply(transcription.program)
+
+
+def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution) -> Candidate:
+    z, y, claim = solution.z, solution.y, solution.claim
+    if claim is Claim.INFEASIBLE:
+        ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
+        return Candidate("infeasible", None, None, ray, None, solution.words)
+    if claim is Claim.UNBOUNDED:
+        proven = z is not None and program.descent_ray_residual(z) <= UNBOUNDED_TOLERANCE
+        return Candidate("unbounded" if proven else "numerical_error", None, None, None, None, solution.words)
+    if z is None or y is None:
+        return Candidate("numerical_error", None, None, None, None, solution.words)
+    residuals = program.residuals(z, y)
+    if claim in (Claim.LIMIT, Claim.INTERRUPTED):
+        status = "limit"
+    else:
+        status = "optimal" if residuals.worst <= SOLVED_TOLERANCE else "numerical_error"
+    return Candidate(
+        status,
+        transcription.trajectory(scaling.primal(z)),
+        transcription.multipliers(scaling.dual(y), 1.0),
+        None,
+        residuals,
+        solution.words,
+    )
