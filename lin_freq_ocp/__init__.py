@@ -1,1 +1,65 @@
-"""Discrete-time optimal control with constraints in time and in frequency, with a certificate for every answer."""
+"""Discrete-time optimal control with constraints in time and in frequency, with a certificate for every answer.
+
+Read in the order of the data: ``problem`` describes, ``transcription`` turns a problem into a program, ``backends`` and
+``methods`` solve it, ``certificate`` judges the answer without knowing how it was found, ``solve`` ties these together,
+``comparison`` sets it beside filtering, ``report`` shows it, and ``interchange`` carries it in and out of files.
+"""
+
+from lin_freq_ocp import library
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import Comparison, compare
+from lin_freq_ocp.errors import (
+    BandWarning,
+    InfeasibleError,
+    LimitError,
+    LinFreqOCPError,
+    MissingExtraError,
+    NumericalError,
+    ProblemError,
+    SolveError,
+    UnboundedError,
+    UnsupportedError,
+)
+from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solve import Result, certify, solve
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "BandWarning",
+    "Box",
+    "Certificate",
+    "Comparison",
+    "Everything",
+    "InfeasibleError",
+    "LimitError",
+    "LinFreqOCPError",
+    "LinearDynamics",
+    "MissingExtraError",
+    "Multipliers",
+    "NumericalError",
+    "OptimalControlProblem",
+    "Point",
+    "ProblemError",
+    "QuadraticCost",
+    "Result",
+    "SolveError",
+    "Trajectory",
+    "UnboundedError",
+    "UnsupportedError",
+    "band_pass",
+    "certify",
+    "compare",
+    "high_pass",
+    "library",
+    "low_pass",
+    "notch",
+    "simulate",
+    "solve",
+    "stop_band",
+]

@@ -55,14 +55,15 @@ def solve_convex(
     UnsupportedError
         If the cost is not convex, or there is no such backend.
     """
+    require_convex(problem)
     solver = backend(backend_name)
     transcription, scaling, program = scaled_program(problem)
     solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
     return _candidate(transcription, scaling, program, solution)
 
 
-def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
-    """Return the transcription, its natural units, and the program in them; UnsupportedError if it is not convex."""
+def require_convex(problem: OptimalControlProblem) -> None:
+    """Raise UnsupportedError, with the time and eigenvalue, unless the cost is convex."""
     worst = problem.cost.nonconvexity()
     if worst is not None:
         where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
@@ -70,6 +71,10 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription,
             f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
             "certify() judges trajectories of nonconvex problems too."
         )
+
+
+def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
+    """Return the transcription, its natural units, and the program in them."""
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     return transcription, scaling, scaling.apply(transcription.program)

@@ -21,18 +21,20 @@ REPLAY_LIMIT = 1e-3
 
 @dataclass(frozen=True)
 class Measures:
-    """What a comparison shows of one trajectory; None where the problem has nothing to measure.
+    """What a comparison shows of one trajectory; None where there is nothing to measure.
 
     Attributes
     ----------
-    cost : float
+    cost : float or None
         J of the trajectory.
     max_control : float
         Largest |u| over times and components.
-    control_violation, state_violation : float
+    control_violation, state_violation : float (the latter or None)
         Largest distance beyond a bound, over times and components, in the units of the component.
     terminal_error : float or None
         Largest distance of a component of x_T from the terminal set; None where the end is free.
+    terminal_errors : (n,) or None
+        That distance for every component.
     stopband_energy, state_stopband_energy : float or None
         Sum of |DFT|^2 over the stopped bins 0 .. Nyquist of the controls, of the states.
     stopband_peak, state_stopband_peak : float or None
@@ -41,11 +43,12 @@ class Measures:
         Spectral norm of A_{T-1} ... A_0.
     """
 
-    cost: float
+    cost: float | None
     max_control: float
     control_violation: float
-    state_violation: float
+    state_violation: float | None
     terminal_error: float | None
+    terminal_errors: tuple[float, ...] | None
     stopband_energy: float | None
     stopband_peak: float | None
     state_stopband_energy: float | None
@@ -60,12 +63,14 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
     terminal = problem.terminal_state
     bounds = stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)  # the ends apart
     has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
+    missed = terminal.violation(x[-1])
     return Measures(
         cost=problem.cost.value(x, u),
         max_control=float(np.abs(u).max()),
         control_violation=float(problem.control_tube.violation(u).max()),
         state_violation=float(bounds.violation(x).max()),
-        terminal_error=float(terminal.violation(x[-1]).max()) if has_end else None,
+        terminal_error=float(missed.max()) if has_end else None,
+        terminal_errors=tuple(float(miss) for miss in missed) if has_end else None,
         stopband_energy=stopband_energy(u, problem.control_stop),
         stopband_peak=stopband_peak(u, problem.control_stop),
         state_stopband_energy=stopband_energy(x, problem.state_stop),

@@ -1,0 +1,1 @@
+"""COMPARE: what filtering a control afterwards does, beside solving with the frequency constraint."""

@@ -1,0 +1,46 @@
+"""Feeding a control to the dynamics from the initial state, where that means anything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.measures import Measures, amplification, measure, one_step_residual, replay_is_meaningful
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What a control does.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The replayed one; where a replay means nothing, the planned states with this control.
+    meaningful : bool
+        Whether the states are a replay: false where rounding errors would be amplified beyond use.
+    measures : Measures
+        Without a replay, all that depends on the states is None.
+    one_step_residual : (n,)
+        Largest |x_{t+1} - f_t(x_t, u_t)| over time, per state: how far the control misses the planned states each step.
+    """
+
+    trajectory: Trajectory
+    meaningful: bool
+    measures: Measures
+    one_step_residual: Array
+
+
+def replay(problem: OptimalControlProblem, u: Array, planned: Trajectory) -> Replay:
+    """Replay u, shape (T, m), from the first state of the planned trajectory."""
+    with_plan = Trajectory(planned.x, u)
+    residual = np.abs(one_step_residual(problem, with_plan)).max(0)
+    if replay_is_meaningful(amplification(problem)):
+        trajectory = simulate(problem, u, planned.x[0])
+        return Replay(trajectory, True, measure(problem, trajectory), residual)
+    unknown = {"cost": None, "state_violation": None, "terminal_error": None, "terminal_errors": None}
+    of_states = {"state_stopband_energy": None, "state_stopband_peak": None}
+    return Replay(with_plan, False, replace(measure(problem, with_plan), **unknown, **of_states), residual)

@@ -1,0 +1,277 @@
+"""solve() and certify(): the two functions that know every stage, from a problem to a judged result."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from lin_freq_ocp.certificate.verdict import Certificate, Conflict, judge, prove_infeasible
+from lin_freq_ocp.errors import (
+    InfeasibleError,
+    LimitError,
+    NumericalError,
+    SolveError,
+    UnboundedError,
+    UnsupportedError,
+)
+from lin_freq_ocp.methods.convex import Candidate, solve_convex
+from lin_freq_ocp.methods.multipliers import fit_multipliers
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+PROVER = "clarabel"
+"""The backend that proves infeasibility and unboundedness, whichever backend met it."""
+
+ERRORS: dict[str, type[SolveError]] = {
+    "infeasible": InfeasibleError,
+    "unbounded": UnboundedError,
+    "limit": LimitError,
+    "numerical_error": NumericalError,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a solve ended with; everything that does not exist is None.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+    status : str
+        "optimal", "infeasible", "unbounded", "limit" or "numerical_error": why it stopped.
+    method, backend : str
+        What was used.
+    seconds : dict
+        Wall time of "solve" (transcription, scaling and solver) and "certify".
+    trajectory, multipliers, certificate : or None
+        The best point found, whatever the status, and what is proven of it.
+    conflict : tuple of Conflict or None
+        If infeasible: the blocks of constraints that the proof rests on.
+    ray : Multipliers or None
+        If infeasible: the verified multipliers with eta_C = 0.
+    message : str
+        In words, how it ended.
+    """
+
+    problem: OptimalControlProblem
+    status: str
+    method: str
+    backend: str
+    seconds: dict[str, float]
+    trajectory: Trajectory | None = None
+    multipliers: Multipliers | None = None
+    certificate: Certificate | None = None
+    conflict: tuple[Conflict, ...] | None = None
+    ray: Multipliers | None = field(default=None, repr=False)
+    message: str = ""
+
+    @property
+    def primal(self) -> bool:
+        """Whether there is a point that satisfies every constraint, within the judge's tolerance."""
+        return self.certificate is not None and self.certificate.feasible
+
+    @property
+    def dual(self) -> bool:
+        """Whether there is a proof: a lower bound on the cost, or a verified infeasibility ray."""
+        return self.ray is not None or self.lower_bound is not None
+
+    @property
+    def cost(self) -> float | None:
+        """Return J of the trajectory."""
+        return None if self.certificate is None else self.certificate.cost
+
+    @property
+    def lower_bound(self) -> float | None:
+        """Return the judge's bound on the optimal cost."""
+        return None if self.certificate is None else self.certificate.lower_bound
+
+    @property
+    def gap(self) -> float | None:
+        """Return (cost - lower_bound) / max(1, |cost|)."""
+        return None if self.certificate is None else self.certificate.gap
+
+    @property
+    def control(self) -> Array | None:
+        """Return u, shape (T, m)."""
+        return None if self.trajectory is None else self.trajectory.u
+
+    def __str__(self) -> str:
+        certificate = self.certificate
+        lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
+        if certificate is not None:
+            kind = "" if certificate.bound is None else f" ({certificate.bound.kind})"
+            worst, normal = certificate.worst, "normal" if certificate.normal else "abnormal"
+            lines += [
+                f"cost      {certificate.cost:.12g}",
+                f"bound     {_number(certificate.lower_bound)}{kind}",
+                f"gap       {_number(certificate.gap)}" + (" (global optimum)" if certificate.globally_optimal else ""),
+                f"theorem   {certificate.pmp}, {normal}",
+                f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
+            ]
+        lines.append(f"method    {self.method}, {self.backend}")
+        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
+        return "\n".join([str(self.problem), *lines])
+
+    def plot(self) -> Figure:
+        """Return a figure of controls, spectra and states."""
+        from lin_freq_ocp.report.figures import result_figure
+
+        return result_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write trajectory and multipliers to an .npz file."""
+        from lin_freq_ocp.interchange.results import save_result
+
+        save_result(self, path)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the trajectory as a table, one row per time."""
+        from lin_freq_ocp.interchange.results import save_csv
+
+        save_csv(path, self.problem, self._require_trajectory())
+
+    def _require_trajectory(self) -> Trajectory:
+        if self.trajectory is None:
+            raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)
+        return self.trajectory
+
+
+def solve(
+    problem: OptimalControlProblem,
+    method: str = "auto",
+    backend: str = "auto",
+    time_limit: float | None = None,
+    tolerance: float | None = None,
+    throw: bool = True,
+) -> Result:
+    """Solve a problem, and judge the answer.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    method : {"auto", "convex"}
+        "convex": one sparse quadratic program.
+    backend : str
+        "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME".
+    time_limit : float, optional
+        Seconds for the solver.
+    tolerance : float, optional
+        Relative residuals asked of the solver, on a program scaled to order 1.
+    throw : bool
+        Whether to raise if the status is not "optimal"; the error holds the result.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InfeasibleError, UnboundedError, LimitError, NumericalError
+        With ``throw``; a subclass of SolveError, with ``.result``.
+    UnsupportedError
+        If the method or backend does not exist or cannot take this problem.
+    """
+    if method not in ("auto", "convex"):
+        raise UnsupportedError(f"method: got {method!r}; expected 'auto' or 'convex'.")
+    _require_positive("time_limit", time_limit)
+    _require_positive("tolerance", tolerance)
+    backend_name = PROVER if backend == "auto" else backend
+    clock = time.perf_counter()
+    candidate = solve_convex(problem, backend_name, tolerance, time_limit)
+    if candidate.status not in ("optimal", "limit") and backend_name != PROVER:
+        candidate = _explained(problem, candidate, time_limit)
+    solved = time.perf_counter()
+    result = _judged(problem, candidate, backend_name, solved - clock, solved)
+    if throw and result.status != "optimal":
+        raise ERRORS[result.status](_complaint(result), result)
+    return result
+
+
+def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multipliers | None = None) -> Certificate:
+    """Judge any trajectory, from anywhere, against the maximum principle and the global bound.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    trajectory : Trajectory or (T, m)
+        A trajectory, or controls alone, which are then replayed from the initial state.
+    multipliers : Multipliers, optional
+        Without, those that fit the trajectory best are looked for first.
+
+    Raises
+    ------
+    ProblemError
+        If a shape does not fit the problem.
+    """
+    if not isinstance(trajectory, Trajectory):
+        trajectory = simulate(problem, trajectory)
+    problem.require(trajectory)
+    return judge(problem, trajectory, multipliers or fit_multipliers(problem, trajectory))
+
+
+def _explained(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
+    """Return the prover's account of a problem that another backend did not solve, if it has one."""
+    account = solve_convex(problem, PROVER, None, time_limit)
+    return account if account.status in ("infeasible", "unbounded") else candidate
+
+
+def _judged(
+    problem: OptimalControlProblem, candidate: Candidate, backend: str, solve_seconds: float, clock: float
+) -> Result:
+    status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
+    if candidate.trajectory is not None and candidate.multipliers is not None:
+        certificate = judge(problem, candidate.trajectory, candidate.multipliers)
+    if status == "infeasible":
+        proof = None if candidate.ray is None else prove_infeasible(problem, candidate.ray)
+        if proof is None:
+            status, words = "numerical_error", f"{words}, but its ray proves nothing"
+        else:
+            conflict, ray = proof.conflict, proof.multipliers
+            words = f"proven by a ray with bound {proof.bound.value:.3g} > 0 ({proof.bound.kind})"
+    return Result(
+        problem=problem,
+        status=status,
+        method="convex",
+        backend=backend,
+        seconds={"solve": solve_seconds, "certify": time.perf_counter() - clock},
+        trajectory=candidate.trajectory,
+        multipliers=candidate.multipliers,
+        certificate=certificate,
+        conflict=conflict,
+        ray=ray,
+        message="" if status == "optimal" else words,
+    )
+
+
+def _complaint(result: Result) -> str:
+    name = result.problem.name or "the problem"
+    if result.status == "infeasible":
+        blocks = "; ".join(str(one) for one in result.conflict or ())
+        return (
+            f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. "
+            "Relax one of these."
+        )
+    if result.status == "unbounded":
+        return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
+    if result.status == "limit":
+        return f"{name}: stopped before the answer was accurate ({result.message}); the best point is in .result."
+    return (
+        f"{name}: {result.backend} ended with '{result.message}', and its residuals are too large to call it a "
+        "solution; what it found is in .result. Try another backend."
+    )
+
+
+def _require_positive(name: str, value: float | None) -> None:
+    if value is not None and not value > 0:
+        raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.12g}"
