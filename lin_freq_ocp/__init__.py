@@ -20,6 +20,10 @@ from lin_freq_ocp.errors import (
     UnboundedError,
     UnsupportedError,
 )
+from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
+from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.results import SavedSolution
+from lin_freq_ocp.interchange.results import load_solution as load
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
@@ -48,6 +52,7 @@ __all__ = [
     "ProblemError",
     "QuadraticCost",
     "Result",
+    "SavedSolution",
     "SolveError",
     "Trajectory",
     "UnboundedError",
@@ -57,9 +62,13 @@ __all__ = [
     "compare",
     "high_pass",
     "library",
+    "load",
     "low_pass",
     "notch",
+    "read_problem",
     "simulate",
     "solve",
     "stop_band",
+    "to_cvxpy",
+    "write_problem",
 ]

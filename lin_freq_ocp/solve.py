@@ -49,7 +49,7 @@ class Result:
     method, backend : str
         What was used.
     seconds : dict
-        Wall time of "solve" (transcription, scaling and solver) and "certify".
+        Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
         The best point found, whatever the status, and what is proven of it.
     conflict : tuple of Conflict or None
@@ -58,6 +58,8 @@ class Result:
         If infeasible: the verified multipliers with eta_C = 0.
     message : str
         In words, how it ended.
+    interrupted : bool
+        Whether it was stopped by Ctrl-C; what was found until then is here.
     """
 
     problem: OptimalControlProblem
@@ -71,6 +73,7 @@ class Result:
     conflict: tuple[Conflict, ...] | None = None
     ray: Multipliers | None = field(default=None, repr=False)
     message: str = ""
+    interrupted: bool = False
 
     @property
     def primal(self) -> bool:
@@ -127,9 +130,10 @@ class Result:
 
     def save(self, path: str | Path) -> None:
         """Write trajectory and multipliers to an .npz file."""
-        from lin_freq_ocp.interchange.results import save_result
+        from lin_freq_ocp.interchange.results import save_solution
+        from lin_freq_ocp.interchange.summary import result_summary
 
-        save_result(self, path)
+        save_solution(path, self._require_trajectory(), self.multipliers, result_summary(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the trajectory as a table, one row per time."""
@@ -183,12 +187,10 @@ def solve(
     _require_positive("time_limit", time_limit)
     _require_positive("tolerance", tolerance)
     backend_name = PROVER if backend == "auto" else backend
-    clock = time.perf_counter()
     candidate = solve_convex(problem, backend_name, tolerance, time_limit)
     if candidate.status not in ("optimal", "limit") and backend_name != PROVER:
         candidate = _explained(problem, candidate, time_limit)
-    solved = time.perf_counter()
-    result = _judged(problem, candidate, backend_name, solved - clock, solved)
+    result = _judged(problem, candidate, backend_name)
     if throw and result.status != "optimal":
         raise ERRORS[result.status](_complaint(result), result)
     return result
@@ -222,9 +224,8 @@ def _explained(problem: OptimalControlProblem, candidate: Candidate, time_limit:
     return account if account.status in ("infeasible", "unbounded") else candidate
 
 
-def _judged(
-    problem: OptimalControlProblem, candidate: Candidate, backend: str, solve_seconds: float, clock: float
-) -> Result:
+def _judged(problem: OptimalControlProblem, candidate: Candidate, backend: str) -> Result:
+    clock = time.perf_counter()
     status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
@@ -240,13 +241,14 @@ def _judged(
         status=status,
         method="convex",
         backend=backend,
-        seconds={"solve": solve_seconds, "certify": time.perf_counter() - clock},
+        seconds={**candidate.seconds, "certify": time.perf_counter() - clock},
         trajectory=candidate.trajectory,
         multipliers=candidate.multipliers,
         certificate=certificate,
         conflict=conflict,
         ray=ray,
         message="" if status == "optimal" else words,
+        interrupted=candidate.interrupted,
     )
 
 

@@ -1,4 +1,4 @@
-# pyright: reportAttributeAccessIssue=false, reportUnknownVariableType=false  (a compiled module without stubs)
+# pyright: reportAttributeAccessIssue=false, reportUnknownLambdaType=false
 """Clarabel: an interior-point method for min 1/2 z'P z + q'z, A z + s = b, s in a cone; duals P z + q + A'y = 0."""
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.transcription.program import Program
 
@@ -37,7 +38,9 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     solver = clarabel.DefaultSolver(
         sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, _settings(tolerance, time_limit)
     )
-    answer = solver.solve()
+    with interrupts_noted() as noted:
+        solver.set_termination_callback(lambda info: noted.is_set())
+        answer = solver.solve()
     return _solution(answer, len(program.lower), equations, above, below)
 
 

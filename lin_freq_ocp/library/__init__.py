@@ -2,6 +2,57 @@
 
 from __future__ import annotations
 
-from lin_freq_ocp.library.pendulum import pendulum
+from collections.abc import Callable
+from difflib import get_close_matches
 
-__all__ = ["pendulum"]
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.library.double_integrator import double_integrator
+from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
+from lin_freq_ocp.library.flexible_satellite import flexible_satellite
+from lin_freq_ocp.library.mass_chain import mass_chain
+from lin_freq_ocp.library.pendulum import pendulum
+from lin_freq_ocp.library.quarter_car import quarter_car
+from lin_freq_ocp.library.scanner import scanner
+from lin_freq_ocp.library.two_mass_spring import two_mass_spring
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+__all__ = [
+    "PROBLEMS",
+    "by_name",
+    "double_integrator",
+    "elliptic_rendezvous",
+    "flexible_satellite",
+    "mass_chain",
+    "pendulum",
+    "quarter_car",
+    "scanner",
+    "two_mass_spring",
+]
+
+PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
+    "pendulum": pendulum,
+    "double_integrator": double_integrator,
+    "two_mass_spring": two_mass_spring,
+    "flexible_satellite": flexible_satellite,
+    "mass_chain": mass_chain,
+    "elliptic_rendezvous": elliptic_rendezvous,
+    "quarter_car": quarter_car,
+    "scanner": scanner,
+}
+"""Every problem by its name, simple ones first; the first line of each docstring says what it shows."""
+
+
+def by_name(name: str) -> Callable[..., OptimalControlProblem]:
+    """Return the function that makes the named problem.
+
+    Raises
+    ------
+    ProblemError
+        If there is no problem of that name; it lists those there are, and the nearest.
+    """
+    if name in PROBLEMS:
+        return PROBLEMS[name]
+    nearest = get_close_matches(name, PROBLEMS, n=1)
+    raise ProblemError(
+        "name", repr(name), f"one of {', '.join(PROBLEMS)}", f"Did you mean {nearest[0]!r}?" if nearest else ""
+    )

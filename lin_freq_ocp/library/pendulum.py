@@ -8,10 +8,10 @@ from math import pi
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.library.bounds import symmetric
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import low_pass
 
 CART_MASS, PENDULUM_MASS, HALF_LENGTH, GRAVITY = 2.5, 0.6, 0.25, 9.8  # kg, kg, m, m/s^2
@@ -27,7 +27,9 @@ def pendulum(
     state_bounds: Sequence[float | None] = (0.2, 20 * pi / 180, 15.0, 30.0),
     control_bound: float | None = 5.0,
 ) -> OptimalControlProblem:
-    """Return the paper's Example 1: move a cart with an inverted pendulum with the least sum of u_t^2 under a low pass.
+    """Move a cart with an inverted pendulum by a low-passed force: Example 1 of the paper.
+
+    Minimise the sum of u_t^2 (the paper's cost, without 1/2).
 
     Parameters
     ----------
@@ -48,8 +50,6 @@ def pendulum(
     control_bound : float or None
         Symmetric bound on the force [N].
     """
-    bounds = Box(_negated(state_bounds), list(state_bounds))
-    force = Box(None if control_bound is None else -control_bound, control_bound)
     return OptimalControlProblem(
         dynamics=LinearDynamics.from_continuous(
             *_continuous_model(parameters),
@@ -59,8 +59,8 @@ def pendulum(
         ),
         horizon=horizon,
         cost=QuadraticCost(R=2.0),  # sum of u_t^2: the paper's cost has no 1/2
-        control_set=force,
-        state_set=bounds,
+        control_set=symmetric(control_bound),
+        state_set=symmetric(state_bounds),
         initial_state=initial_state,
         terminal_state=terminal_state,
         control_spectrum=None if cutoff is None else low_pass(cutoff),
@@ -85,7 +85,3 @@ def _continuous_model(parameters: str) -> tuple[np.ndarray, np.ndarray]:
     B[2, 0] = 1 / mass
     B[3, 0] = -m * length / (pivot * mass)
     return A, B
-
-
-def _negated(bounds: Sequence[float | None]) -> list[float | None]:
-    return [None if bound is None else -bound for bound in bounds]

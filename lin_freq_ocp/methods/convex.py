@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field, replace
 
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.errors import UnsupportedError
@@ -35,6 +36,10 @@ class Candidate:
         Of the scaled program, computed by us.
     words : str
         The backend's own status.
+    seconds : dict
+        Wall time of "setup" (transcription and scaling) and "solve" (the backend).
+    interrupted : bool
+        Whether the limit was Ctrl-C.
     """
 
     status: str
@@ -43,6 +48,8 @@ class Candidate:
     ray: Multipliers | None
     residuals: Residuals | None
     words: str
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+    interrupted: bool = False
 
 
 def solve_convex(
@@ -57,9 +64,16 @@ def solve_convex(
     """
     require_convex(problem)
     solver = backend(backend_name)
+    clock = [time.perf_counter()]
     transcription, scaling, program = scaled_program(problem)
+    clock.append(time.perf_counter())
     solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
-    return _candidate(transcription, scaling, program, solution)
+    clock.append(time.perf_counter())
+    candidate = _candidate(transcription, scaling, program, solution)
+    interrupted = solution.claim is Claim.INTERRUPTED
+    return replace(
+        candidate, interrupted=interrupted, seconds={"setup": clock[1] - clock[0], "solve": clock[2] - clock[1]}
+    )
 
 
 def require_convex(problem: OptimalControlProblem) -> None:

@@ -36,12 +36,10 @@ def real_array(field: str, value: Any, allow_infinite: bool = False) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
     try:
         array = np.asarray(value)
-        if np.iscomplexobj(array):
-            raise ProblemError(field, "complex numbers", "real numbers")
+        if array.size and array.dtype.kind not in "iuf":
+            raise TypeError(f"entries of type {array.dtype}")
         array = np.array(array, dtype=np.float64)
-    except ProblemError:
-        raise
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
     bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
     if bad.any():
@@ -69,10 +67,14 @@ def times_vectors(matrix: Any, vectors: Array) -> Array:
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
+LARGEST = 10**8
+"""Longest horizon: its arrays would fill a large machine; anything above is a slip of the pen."""
+
+
 def positive_integer(field: str, value: Any) -> int:
     """Require a whole number of at least 1."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ProblemError(field, brief(value), "a whole number of at least 1")
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= LARGEST:
+        raise ProblemError(field, brief(value), f"a whole number from 1 to {LARGEST}")
     return int(value)
 
 
@@ -88,7 +90,11 @@ def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> t
     """Require ``count`` different names; without any, ``x_0 ...``."""
     if given is None:
         return tuple(f"{letter}_{i}" for i in range(count))
-    if isinstance(given, str) or not all(isinstance(name, str) and name.strip() for name in given):
+    if (
+        isinstance(given, str)
+        or not isinstance(given, Sequence)
+        or not all(isinstance(name, str) and name.strip() for name in given)
+    ):
         raise ProblemError(field, brief(given), f"a list of {count} names")
     if len(given) != count or len(set(given)) != count:
         raise ProblemError(

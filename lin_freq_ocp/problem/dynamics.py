@@ -97,17 +97,18 @@ class LinearDynamics:
         named
             ``state_names`` and ``control_names``.
         """
-        Ac, Bc = real_array("A", A), real_array("B", B)
-        step = positive_number("sampling_time", sampling_time)
+        Ac, Bc = real_array("dynamics.A", A), real_array("dynamics.B", B)
+        step = positive_number("dynamics.sampling_time", sampling_time)
         if Ac.ndim != 2 or Bc.ndim != 2 or Ac.shape != (Bc.shape[0], Bc.shape[0]):
-            raise ProblemError("A, B", f"shapes {Ac.shape} and {Bc.shape}", "shapes (n, n) and (n, m)")
+            raise ProblemError("dynamics.A, B", f"shapes {Ac.shape} and {Bc.shape}", "shapes (n, n) and (n, m)")
         n, m = Bc.shape
-        drift = np.zeros(n) if offset is None else real_array("offset", offset)
+        drift = np.zeros(n) if offset is None else real_array("dynamics.offset", offset)
         if drift.shape != (n,):
-            raise ProblemError("offset", f"shape {drift.shape}", f"shape ({n},)")
+            raise ProblemError("dynamics.offset", f"shape {drift.shape}", f"shape ({n},)")
         generator = np.zeros((n + m + 1, n + m + 1))
         generator[:n] = np.hstack([Ac, Bc, drift[:, None]])
-        sampled = expm(generator * step)
+        with np.errstate(over="ignore", invalid="ignore"):
+            sampled = expm(generator * step)
         return cls(sampled[:n, :n], sampled[:n, n : n + m], sampled[:n, -1], sampling_time=step, **named)
 
     @classmethod

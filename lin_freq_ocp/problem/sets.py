@@ -39,6 +39,8 @@ class Box:
             raise ProblemError(
                 "Box", f"lower of shape {low.shape}, upper of shape {high.shape}", "the same shape"
             ) from None
+        if low.ndim > 2:
+            raise ProblemError("Box", f"bounds with {low.ndim} dimensions", "one bound per component, or (times, n)")
         wrong = low > high
         if wrong.any():
             i = tuple(int(k) for k in np.argwhere(wrong)[0])

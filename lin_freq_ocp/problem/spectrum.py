@@ -28,7 +28,7 @@ class Band:
     kind : str
         The name of the function that made it.
     edges : tuple of float
-        Band edges in ``unit``; for a stop band given by bins, the bins.
+        Lower and upper edge in ``unit``; of a notch, centre and width; of a stop band given by bins, the bins.
     unit : {"rad/sample", "Hz", "bins"}
         Unit of the edges.
     component : int, str or None
@@ -40,12 +40,18 @@ class Band:
     unit: str
     component: int | str | None = None
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Return the lower and upper edge in ``unit``, of a band given by frequencies."""
+        first, second = self.edges
+        return (first - second / 2, first + second / 2) if self.kind == "notch" else (first, second)
+
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed, (length//2 + 1,)."""
         k = np.arange(length // 2 + 1)
         if self.unit == "bins":
             return self._listed(length, field)
-        low, high = (self._position(edge, length, sampling_time, field) for edge in self.edges)
+        low, high = (self._position(edge, length, sampling_time, field) for edge in self.limits)
         slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
         if self.kind == "notch":
             stopped = (k > low + slack_low) & (k < high - slack_high)
@@ -93,7 +99,7 @@ class Band:
         if self.unit == "bins":
             shown = brief([int(edge) for edge in self.edges], 40)
         else:
-            shown = " .. ".join(f"{edge:.6g}" for edge in self.edges if np.isfinite(edge)) + f" {self.unit}"
+            shown = " .. ".join(f"{edge:.6g}" for edge in self.limits if np.isfinite(edge)) + f" {self.unit}"
         return f"{self.kind}({shown})" + ("" if self.component is None else f" on {self.component!r}")
 
 
@@ -156,12 +162,12 @@ def notch(
         raise ProblemError("notch", f"centre in {unit}, width in {other}", "both in the same unit")
     if span == 0:
         raise ProblemError("notch.width", "0", "a width above zero")
-    return Band("notch", (middle - span / 2, middle + span / 2), unit, component)
+    return Band("notch", (middle, span), unit, component)
 
 
 def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Band:
     """Remove the listed DFT bins, 0-based mod N; the conjugate bin N-k of each goes with it."""
-    listed = list(bins)
+    listed = list(bins) if isinstance(bins, Iterable) else [bins]
     if not listed or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in listed):
         raise ProblemError(
             "stop_band.bins",

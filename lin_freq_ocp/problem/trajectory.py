@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, assign, frozen, real_array
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, assign, brief, frozen, real_array
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -62,14 +62,18 @@ class Multipliers:
     rho_x: ComplexArray
 
     def __init__(self, eta_C: float, eta: ArrayLike, mu: ArrayLike, nu: ArrayLike, rho_u: ArrayLike, rho_x: ArrayLike):
-        assign(self, eta_C=float(eta_C))
+        assign(self, eta_C=_number(eta_C))
         for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
             assign(self, **{field: real_array(f"multipliers.{field}", value)})
         for field, value in (("rho_u", rho_u), ("rho_x", rho_x)):
-            rho = np.asarray(value, dtype=np.complex128)
-            if not np.isfinite(rho).all():
-                raise ProblemError(f"multipliers.{field}", "NaN or infinity", "finite numbers")
+            rho = np.asarray(value)
+            if rho.dtype.kind not in "iufc" or not np.isfinite(rho).all():
+                raise ProblemError(f"multipliers.{field}", brief(value), "finite complex numbers")
+            rho = rho.astype(np.complex128)
             assign(self, **{field: frozen(rho)})
+        for field in ("eta", "nu"):
+            if getattr(self, field).ndim != 2:
+                raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", "two dimensions")
         T, n, m = len(self.eta), self.eta.shape[-1], self.nu.shape[-1]
         expected = {
             "eta": (T, n),
@@ -81,3 +85,10 @@ class Multipliers:
         for field, shape in expected.items():
             if getattr(self, field).shape != shape:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
+
+
+def _number(eta_C: float) -> float:
+    value = real_array("multipliers.eta_C", eta_C)
+    if value.ndim:
+        raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
+    return float(value)

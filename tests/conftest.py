@@ -1,0 +1,24 @@
+import pytest
+from reference import PENDULUM, reference_problem
+
+import lin_freq_ocp as lfo
+
+
+def judged_problem(name):
+    """The three problems on which every condition of the theorem is made to fail."""
+    if name == "velocity bound":
+        return reference_problem("pendulum_variant_velocity_bound", ulo=[-3.4], uhi=[3.4])
+    return lfo.library.pendulum(**PENDULUM[name][0])
+
+
+@pytest.fixture(scope="session")
+def solved():
+    """Solve each named problem once."""
+    results = {}
+
+    def solve(name):
+        if name not in results:
+            results[name] = lfo.solve(judged_problem(name))
+        return results[name]
+
+    return solve

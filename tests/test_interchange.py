@@ -1,0 +1,605 @@
+"""Problem files and solution files: what is written is read back to the last bit, what is wrong is named."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.array_references import INLINE_LIMIT
+from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.results import load_solution, save_csv, save_solution
+from lin_freq_ocp.interchange.template import init_problem_file, template
+from lin_freq_ocp.library import pendulum
+from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.spectrum import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+GOOD = """
+schema = 1
+name = "cart"
+horizon = 8
+initial_state = [0.0, 0.0]
+[dynamics]
+A = [[1.0, 0.1], [0.0, 1.0]]
+B = [[0.005], [0.1]]
+sampling_time = 0.1
+state_names = ["position [m]", "speed [m/s]"]
+control_names = ["force [N]"]
+[cost]
+R = 1.0
+[control_set]
+lower = -5.0
+upper = 5.0
+[[control_spectrum]]
+kind = "low_pass"
+cutoff_hz = 3.0
+component = "force"
+"""
+
+
+def file_with(folder: Path, text: str) -> Path:
+    path = folder / "cart.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def message(path: Path, overrides=None) -> str:
+    with pytest.raises(ProblemError) as caught:
+        read_problem(path, overrides)
+    return str(caught.value)
+
+
+def bands(given) -> list[Band]:
+    return [] if given is None else [given] if isinstance(given, Band) else list(given)
+
+
+def assert_same(one: OptimalControlProblem, other: OptimalControlProblem) -> None:
+    assert (one.name, one.horizon, one.sampling_time) == (other.name, other.horizon, other.sampling_time)
+    assert (one.state_names, one.control_names) == (other.state_names, other.control_names)
+    assert bands(one.control_spectrum) == bands(other.control_spectrum)
+    assert bands(one.state_spectrum) == bands(other.state_spectrum)
+    pairs = [
+        *((getattr(one.dynamics, field), getattr(other.dynamics, field)) for field in ("A", "B", "offset")),
+        *(
+            (getattr(one.cost, f), getattr(other.cost, f))
+            for f in ("Q", "R", "S", "q", "r", "P", "p", "x_ref", "u_ref")
+        ),
+        *(
+            (getattr(getattr(one, box), side), getattr(getattr(other, box), side))
+            for box in ("initial_state", "terminal_state", "state_tube", "control_tube")
+            for side in ("lower", "upper")
+        ),
+        (one.control_stop, other.control_stop),
+        (one.state_stop, other.state_stop),
+    ]
+    for a, b in pairs:
+        assert a.shape == b.shape
+        assert (a == b).all()
+
+
+def round_trip(problem: OptimalControlProblem, folder: Path) -> OptimalControlProblem:
+    write_problem(problem, folder / "problem.toml")
+    again = read_problem(folder / "problem.toml")
+    assert_same(problem, again)
+    return again
+
+
+# --- what is written is read back -----------------------------------------------------------------------------------
+
+
+def everything_at_once(horizon: int) -> OptimalControlProblem:
+    """Return a problem in which every field is given, per time where that is possible."""
+    T, n, m = horizon, 3, 2
+    rng = np.random.default_rng(7)
+    root = rng.normal(size=(T, n + m, n + m))
+    hessian = root @ np.swapaxes(root, 1, 2)
+    hessian = (hessian + np.swapaxes(hessian, 1, 2)) / 2
+    reach = rng.uniform(1, 2, size=(T + 1, n))
+    return OptimalControlProblem(
+        dynamics=LinearDynamics(
+            rng.normal(size=(T, n, n)),
+            rng.normal(size=(T, n, m)),
+            offset=rng.normal(size=(T, n)),
+            sampling_time=1 / 3,
+            state_names=["höhe [m]", 'a "quoted" [1]', "line\nbreak, [\n1,\n]"],
+            control_names=["u\\v", "w"],
+        ),
+        horizon=T,
+        cost=QuadraticCost(
+            Q=hessian[:, :n, :n],
+            R=hessian[:, n:, n:],
+            S=hessian[:, :n, n:],
+            q=rng.normal(size=(T, n)),
+            r=rng.normal(size=(T, m)),
+            P=hessian[0, :n, :n],
+            p=rng.normal(size=n),
+            x_ref=rng.normal(size=(T + 1, n)),
+            u_ref=np.zeros((T, m)),
+        ),
+        control_set=[Everything() if t % 2 else Box([-1, None], [None, t]) for t in range(T)],
+        state_set=Box(-reach, reach),
+        initial_state=[0.1, -0.2, 0.3],
+        terminal_state=Box([None, -0.5, 0.25], [0.5, None, 0.25]),
+        control_spectrum=[low_pass(cutoff=0.8 * np.pi), stop_band(bins=[2, -1], component="w")],
+        state_spectrum=[band_pass(lower_hz=0.1, upper_hz=1.4, component=1), high_pass(0.3, component="höhe")],
+        name="all of it",
+    )
+
+
+@pytest.mark.parametrize("horizon", [9, 60])
+def test_every_feature_survives_the_round_trip(tmp_path, horizon):
+    round_trip(everything_at_once(horizon), tmp_path)
+    assert (tmp_path / "problem.problem.npz").exists() == (horizon == 60)
+
+
+def test_the_pendulum_survives_the_round_trip(tmp_path):
+    round_trip(pendulum(), tmp_path)
+    assert os.listdir(tmp_path) == ["problem.toml"]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"control_set": Everything(), "state_set": Box(None, [1.0, 2.0])},
+        {"state_set": [Box([None, -1], [None, 1])] * 9, "control_set": Point([0.5])},
+        {"initial_state": Everything(), "terminal_state": Box([0, None], [None, None])},
+        {"initial_state": Point([1e-300, -0.0]), "control_spectrum": []},
+    ],
+)
+def test_sets_and_absent_sets_survive_the_round_trip(tmp_path, given):
+    dynamics = LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])
+    round_trip(OptimalControlProblem(dynamics=dynamics, horizon=8, cost=QuadraticCost(), **given), tmp_path)
+
+
+@pytest.mark.parametrize("unit", ["", "_hz"])
+def test_a_notch_survives_the_round_trip_bitwise(tmp_path, unit):
+    centres, widths = np.random.default_rng(11).uniform(0.5, 1.5, size=(2, 100)).tolist()
+    made = [notch(**{f"centre{unit}": c, f"width{unit}": w}) for c, w in zip(centres, widths, strict=True)]
+    dynamics = LinearDynamics([[1.0]], [[1.0]], sampling_time=0.1)
+    round_trip(
+        OptimalControlProblem(dynamics=dynamics, horizon=300, cost=QuadraticCost(R=1), state_spectrum=made), tmp_path
+    )
+
+
+@st.composite
+def problems(draw) -> OptimalControlProblem:
+    T, n, m = draw(st.integers(1, 5)), draw(st.integers(1, 3)), draw(st.integers(1, 2))
+    finite = st.floats(allow_nan=False, allow_infinity=False)
+    bound = st.one_of(st.just(np.inf), st.floats(0, allow_nan=False))
+
+    def matrix(*shape: int) -> np.ndarray:
+        return draw(arrays(np.float64, (T, *shape) if draw(st.booleans()) else shape, elements=finite))
+
+    def diagonal(size: int) -> np.ndarray:
+        return np.diag(draw(arrays(np.float64, size, elements=finite)))
+
+    def box(times: int, size: int) -> Box:
+        shape = draw(st.sampled_from([(), (size,), (times, size)]))
+        return Box(*(sign * draw(arrays(np.float64, shape, elements=bound)) for sign in (-1, 1)))
+
+    frequency = st.floats(0, np.pi)
+    band = st.one_of(
+        st.builds(low_pass, frequency),
+        st.builds(high_pass, cutoff_hz=st.floats(0, 2)),
+        st.builds(lambda edges: band_pass(*sorted(edges)), st.tuples(frequency, frequency)),
+        st.builds(lambda k: stop_band(bins=k, component=m - 1), st.lists(st.integers(-T, T), min_size=1)),
+    )
+    return OptimalControlProblem(
+        dynamics=LinearDynamics(matrix(n, n), matrix(n, m), matrix(n), sampling_time=draw(st.floats(1e-3, 0.25))),
+        horizon=T,
+        cost=QuadraticCost(diagonal(n), diagonal(m), matrix(n, m), matrix(n), matrix(m), P=diagonal(n)),
+        control_set=box(T, m),
+        state_set=box(T + 1, n),
+        initial_state=draw(st.sampled_from([None, np.zeros(n)])),
+        control_spectrum=draw(st.lists(band, max_size=3)),
+        name=draw(st.text()),
+    )
+
+
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@given(problem=problems())
+@settings(
+    derandomize=True,
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+def test_random_problems_survive_the_round_trip(tmp_path, problem):
+    round_trip(problem, tmp_path)
+
+
+def test_rows_of_a_matrix_stand_on_one_line(tmp_path):
+    write_problem(pendulum(), tmp_path / "p.toml")
+    lines = (tmp_path / "p.toml").read_text(encoding="utf-8").splitlines()
+    assert "lower = [-0.2, -0.3490658503988659, -15.0, -30.0]" in lines
+
+
+def test_only_large_arrays_leave_the_text(tmp_path):
+    n = 1 + int(np.sqrt(INLINE_LIMIT))
+    dynamics = LinearDynamics(np.eye(n), np.ones((n, 1)))
+    round_trip(OptimalControlProblem(dynamics=dynamics, horizon=2, cost=QuadraticCost()), tmp_path)
+    with np.load(tmp_path / "problem.problem.npz", allow_pickle=False) as beside:
+        assert beside.files == ["dynamics.A"]
+
+
+def test_a_solution_of_the_same_stem_leaves_the_problem_intact(tmp_path):
+    problem = everything_at_once(60)
+    write_problem(problem, tmp_path / "run.toml")
+    save_solution(tmp_path / "run.npz", Trajectory(np.zeros((61, 3)), np.zeros((60, 2))), None, {})
+    assert_same(problem, read_problem(tmp_path / "run.toml"))
+
+
+# --- what the reader understands ------------------------------------------------------------------------------------
+
+
+def test_a_continuous_model_is_sampled_with_a_zero_order_hold(tmp_path):
+    text = GOOD.replace("[[1.0, 0.1], [0.0, 1.0]]", "[[0, 1], [0, 0]]").replace("[[0.005], [0.1]]", "[[0], [1]]")
+    problem = read_problem(file_with(tmp_path, text.replace("[dynamics]", "[dynamics]\ncontinuous = true")))
+    np.testing.assert_allclose(problem.dynamics.A, [[1, 0.1], [0, 1]], rtol=1e-14)
+    np.testing.assert_allclose(problem.dynamics.B, [[0.005], [0.1]], rtol=1e-14)
+
+
+def test_arrays_come_from_an_npz_beside_the_file(tmp_path):
+    (tmp_path / "data").mkdir()
+    np.savez(tmp_path / "data" / "model.npz", A=np.array([[1.0, 0.5], [0.0, 1.0]]), bins=np.array([1, 2]), x=[1, 2])
+    text = (
+        GOOD.replace("[[1.0, 0.1], [0.0, 1.0]]", '{npz = "data/model.npz", key = "A"}')
+        .replace("[0.0, 0.0]", '{npz = "data/model.npz", key = "x"}')
+        .replace('"low_pass"\ncutoff_hz = 3.0', '"stop_band"\nbins = {npz = "data/model.npz", key = "bins"}')
+    )
+    problem = read_problem(file_with(tmp_path, text))
+    assert problem.dynamics.A[0, 1] == 0.5
+    assert problem.initial_state.lower.tolist() == [1, 2]
+    assert np.flatnonzero(problem.control_stop).tolist() == [1, 2]
+
+
+def test_one_band_may_be_a_plain_table(tmp_path):
+    problem = read_problem(file_with(tmp_path, GOOD.replace("[[control_spectrum]]", "[control_spectrum]")))
+    assert problem.control_spectrum == low_pass(cutoff_hz=3.0, component="force")
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path):
+    path = tmp_path / "cart.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    assert read_problem(path).name == "cart"
+
+
+def test_overrides_take_precedence_and_are_merged(tmp_path):
+    path = file_with(tmp_path, GOOD)
+    overrides = {"horizon": 12, "cost": {"Q": 2.0}, "state_set": {"upper": [9.0, 9.0]}, "initial_state": [1.0, 0.0]}
+    problem = read_problem(path, overrides)
+    assert problem.horizon == 12
+    assert (problem.cost.Q[0, 0], problem.cost.R[0, 0]) == (2.0, 1.0)
+    assert problem.state_tube.upper[3].tolist() == [9.0, 9.0]
+    assert problem.initial_state.lower.tolist() == [1.0, 0.0]
+    assert "cart.toml: cost.RR: got an unknown key" in message(path, {"cost": {"RR": 1}})
+
+
+# --- what is wrong is named -----------------------------------------------------------------------------------------
+
+BAD = {
+    "syntax": ("horizon = 8", "horizon 8", "key/value pair (at line 4, column 9)"),
+    "repeated key": ("horizon = 8", "horizon = 8\nhorizon = 9", "(at line 5, column 12)"),
+    "endless digits": ("horizon = 8", f"horizon = {'9' * 5000}", "TOML syntax"),
+    "deep nesting": ("horizon = 8", f"horizon = {'[' * 5000}", "TOML syntax"),
+    "schema missing": ("schema = 1", "", "schema: got nothing"),
+    "schema of the future": ("schema = 1", "schema = 2", "schema: got 2; expected 1"),
+    "horizon missing": ("horizon = 8", "", "horizon: got nothing"),
+    "horizon in quotes": ("horizon = 8", 'horizon = "8"', "horizon: got '8'"),
+    "horizon a table": ("horizon = 8", "horizon = {steps = 8}", "horizon: got {'steps': 8}"),
+    "horizon beyond memory": ("horizon = 8", f"horizon = 1{'0' * 30}", "horizon: got 1000"),
+    "unknown table": ("[cost]", "[costs]", "costs: got an unknown key; expected one of schema, horizon"),
+    "did you mean": ("cutoff_hz", "cutof_hz", "Did you mean 'cutoff_hz'?"),
+    "unknown key of dynamics": ("sampling_time", "sample_time", "dynamics.sample_time: got an unknown key"),
+    "A missing": ("A = ", "offset = [0, 0] # ", "dynamics.A: got nothing"),
+    "A ragged": ("[0.0, 1.0]]", "[0.0]]", "dynamics.A: got [[1.0, 0.1], [0.0]]"),
+    "A with text": ("0.1]", '"much"]', "dynamics.A: got"),
+    "A not finite": ("0.1]", "nan]", "dynamics.A[0][1]: got nan"),
+    "A with an integer no float holds": ("0.1]", f"1{'0' * 400}]", "cart.toml: "),
+    "B of other size": ("[[0.005], [0.1]]", "[[0.1]]", "dynamics.B: got shape (1, 1)"),
+    "dynamics no table": ("initial_state", "cost = 3\ninitial_state", "TOML syntax"),
+    "names no list": ('["force [N]"]', "3", "dynamics.control_names: got 3"),
+    "names too many": ('["force [N]"]', '["a", "b"]', "dynamics.control_names: got ['a', 'b']"),
+    "continuous no truth value": ("sampling_time", "continuous = 1\nsampling_time", "dynamics.continuous: got 1"),
+    "continuous without period": ("sampling_time = 0.1", "continuous = true", "dynamics.sampling_time: got nothing"),
+    "continuous of other size": ("B = [[0.005]", "continuous = true\nB = [[0.005], [2]", "dynamics.A, B: got shapes"),
+    "cost not symmetric": ("R = 1.0", "R = 1.0\nQ = [[1, 1], [0, 1]]", "cost.Q: got a matrix that differs"),
+    "cost of other size": ("R = 1.0", "q = [1, 2, 3]", "cost.q: got shape (3,)"),
+    "bounds exchanged": ("lower = -5.0", "lower = 6.0", "control_set.lower: got 6 above upper = 5"),
+    "bounds of other size": ("upper = 5.0", "upper = [5.0, 5.0]", "control_set: got bounds for 2 components"),
+    "bounds with too many dimensions": ("upper = 5.0", "upper = [[[5.0]]]", "cart.toml: "),
+    "set no table": ("[control_set]\nlower = -5.0\nupper = 5.0", "[control_set.lower]", "control_set.lower: got {}"),
+    "initial state of other size": ("[0.0, 0.0]", "[0.0]", "initial_state: got bounds for 1 components"),
+    "initial state a matrix": ("[0.0, 0.0]", "[[0.0, 0.0]]", "initial_state: got shape (1, 2)"),
+    "initial state with a typo": ("[0.0, 0.0]", "{lowe = [0, 0]}", "initial_state.lowe: got an unknown key"),
+    "kind missing": ('kind = "low_pass"', "", "control_spectrum[0].kind: got nothing"),
+    "kind unknown": ('"low_pass"', '"lowpass"', "control_spectrum[0].kind: got 'lowpass'"),
+    "kind no text": ('"low_pass"', "[1]", "control_spectrum[0].kind: got [1]"),
+    "cut-off missing": ("cutoff_hz = 3.0", "", "control_spectrum[0].cutoff: got neither"),
+    "cut-off of another kind": ('"low_pass"', '"notch"', "control_spectrum[0].cutoff_hz: got an unknown key"),
+    "cut-off above Nyquist": ("3.0", "30.0", "control_spectrum[0].low_pass: got 30 Hz"),
+    "component unknown": ('"force"', '"thrust"', "control_spectrum[0].component: got 'thrust'"),
+    "bins no list": ('"low_pass"\ncutoff_hz = 3.0', '"stop_band"\nbins = 3', "control_spectrum[0].bins: got 3"),
+    "bins not whole": ('"low_pass"\ncutoff_hz = 3.0', '"stop_band"\nbins = [0.5]', "_spectrum[0].bins: got [0.5]"),
+    "bands no tables": ("horizon", 'state_spectrum = "low"\nhorizon', "state_spectrum: got 'low'"),
+    "name no text": ('"cart"', "3", "name: got 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_file_is_refused_with_file_and_field(tmp_path, case):
+    old, new, expected = BAD[case]
+    assert old in GOOD
+    found = message(file_with(tmp_path, GOOD.replace(old, new, 1)))
+    assert found.startswith("cart.toml: ")
+    assert expected in found
+
+
+def test_the_field_of_an_error_is_file_and_place(tmp_path):
+    with pytest.raises(ProblemError) as caught:
+        read_problem(file_with(tmp_path, GOOD.replace("[[0.005], [0.1]]", "[[0.1]]")))
+    assert caught.value.field == "cart.toml: dynamics.B"
+
+
+def test_what_is_no_text_file_is_refused(tmp_path):
+    assert "no such file" in message(tmp_path / "missing.toml")
+    assert "a directory" in message(tmp_path)
+    (tmp_path / "latin.toml").write_bytes('name = "Höhe"'.encode("latin-1"))
+    assert "byte 9 that is not UTF-8" in message(tmp_path / "latin.toml")
+    (tmp_path / "binary.toml").write_bytes(bytes(range(128)))
+    assert "binary.toml: TOML syntax" in message(tmp_path / "binary.toml")
+    np.savez(tmp_path / "archive.toml", x=np.ones(3))
+    assert "archive.toml" in message(tmp_path / "archive.toml.npz")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe.toml")
+        assert "not a regular file" in message(tmp_path / "pipe.toml")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/etc/passwd",
+        "../data.npz",
+        "sub/../../data.npz",
+        "..\\\\data.npz",
+        "C:\\\\data.npz",
+        "link.npz",
+        "out/data.npz",
+    ],
+)
+def test_no_reference_leaves_the_folder(tmp_path, name):
+    folder, outside = tmp_path / "folder", tmp_path / "data.npz"
+    folder.mkdir()
+    np.savez(outside, A=np.eye(2))
+    (folder / "link.npz").symlink_to(outside)
+    (folder / "out").symlink_to(tmp_path)
+    text = GOOD.replace("[[1.0, 0.1], [0.0, 1.0]]", f'{{npz = "{name}", key = "A"}}')
+    found = message(file_with(folder, text))
+    assert found.startswith("cart.toml: dynamics.A.npz: ")
+    assert "expected the name of a file in the folder of the problem file" in found
+
+
+@pytest.mark.parametrize(
+    ("reference", "expected"),
+    [
+        ('{npz = "data.npz", key = "a"}', "dynamics.A.key: got 'a'; expected the name of an array in data.npz: A, c"),
+        ('{npz = "data.npz", key = 3}', "dynamics.A.key: got 3"),
+        ('{npz = "data.npz"}', "dynamics.A.key: got nothing"),
+        ('{npz = "data.npz", key = "A", row = 1}', "dynamics.A.row: got an unknown key"),
+        ('{npz = 3, key = "A"}', "dynamics.A.npz: got 3"),
+        ('{npz = "none.npz", key = "A"}', "dynamics.A.npz: got no such file"),
+        ('{npz = ".", key = "A"}', "dynamics.A.npz: got a directory"),
+        ('{npz = "a\\u0000b", key = "A"}', "dynamics.A.npz: got"),
+        ('{npz = "loop", key = "A"}', "dynamics.A.npz: got"),
+        ('{npz = "text.npz", key = "A"}', "dynamics.A.npz: got text.npz, unreadable"),
+        ('{npz = "single.npy", key = "A"}', "dynamics.A.npz: got a single array"),
+        ('{npz = "data.npz", key = "c"}', "dynamics.A: got complex128"),
+        ('{npz = "data.npz", key = "text"}', "dynamics.A: got <U3"),
+        ('{npz = "data.npz", key = "o"}', "dynamics.A.npz: got data.npz, unreadable (Object arrays cannot be loaded"),
+    ],
+)  # fmt: skip
+def test_a_bad_reference_is_refused(tmp_path, reference, expected):
+    np.savez(tmp_path / "data.npz", A=np.eye(2), c=1j * np.eye(2), o=np.array([{}], dtype=object), text=np.array("one"))
+    np.save(tmp_path / "single.npy", np.eye(2))
+    (tmp_path / "text.npz").write_text("not an archive")
+    (tmp_path / "loop").symlink_to("loop")
+    path = file_with(tmp_path, GOOD.replace("[[1.0, 0.1], [0.0, 1.0]]", reference))
+    assert f"cart.toml: {expected}" in message(path)
+
+
+def test_problems_that_cannot_be_written_say_so(tmp_path):
+    with pytest.raises(ProblemError, match="expected a file that can be written"):
+        write_problem(pendulum(), tmp_path / "nowhere" / "p.toml")
+    with pytest.raises(ProblemError, match="expected a file that can be written"):
+        write_problem(pendulum(), tmp_path)
+
+
+# --- the template ---------------------------------------------------------------------------------------------------
+
+
+def test_the_template_is_a_problem(tmp_path):
+    init_problem_file(tmp_path / "new.toml")
+    problem = read_problem(tmp_path / "new.toml")
+    assert (problem.name, problem.horizon, problem.state_dim, problem.control_dim) == ("cart", 200, 2, 1)
+    assert problem.control_spectrum == [low_pass(cutoff_hz=20.0)]
+    assert problem.state_tube.upper[100].tolist() == [np.inf, 1.0]
+    np.testing.assert_allclose(problem.dynamics.B, [[0.5e-4], [0.01]], rtol=1e-13)
+
+
+def test_every_optional_line_of_the_template_can_be_used(tmp_path):
+    key_line = (
+        "# offset",
+        "# component",
+        "# Q",
+        "#      [",
+        "# S =",
+        "# q",
+        "# r =",
+        "# P",
+        "# p =",
+        "# x_ref",
+        "# u_ref",
+    )
+    band_line = ("# [[", "# kind", "# cutoff_hz", "# lower_hz", "# upper_hz", "# centre_hz", "# width_hz", "# bins")
+    lines = [line[2:] if line.startswith((*key_line, *band_line)) else line for line in template().splitlines()]
+    problem = read_problem(file_with(tmp_path, "\n".join(lines)))
+    assert [band.kind for band in bands(problem.control_spectrum)] == [
+        *("low_pass", "high_pass", "band_pass", "notch", "stop_band")
+    ]
+    assert len(bands(problem.state_spectrum)) == 1
+    assert problem.cost.x_ref.tolist() == [1.0, 0.0]
+    box_end = "terminal_state = {lower"
+    lines = [line for line in template().splitlines() if not line.startswith("terminal_state")]
+    lines = [line.removeprefix("# ") if box_end in line else line for line in lines]
+    assert read_problem(file_with(tmp_path, "\n".join(lines))).terminal_state.lower.tolist() == [0.9, 0.0]
+
+
+def test_the_template_never_replaces_a_file(tmp_path):
+    (tmp_path / "mine.toml").write_text("precious")
+    with pytest.raises(ProblemError, match="exists already"):
+        init_problem_file(tmp_path / "mine.toml")
+    assert (tmp_path / "mine.toml").read_text() == "precious"
+    with pytest.raises(ProblemError, match="expected a file that can be written"):
+        init_problem_file(tmp_path / "nowhere" / "p.toml")
+
+
+# --- solutions ------------------------------------------------------------------------------------------------------
+
+
+def some_solution(T: int = 6, n: int = 3, m: int = 2) -> tuple[Trajectory, Multipliers]:
+    rng = np.random.default_rng(3)
+    rho_u, rho_x = (rng.normal(size=(N // 2 + 1, k, 2)) @ [1, 1j] for N, k in ((T, m), (T + 1, n)))
+    multipliers = Multipliers(
+        1.0, rng.normal(size=(T, n)), rng.normal(size=(T + 1, n)), rng.normal(size=(T, m)), rho_u, rho_x
+    )
+    return Trajectory(rng.normal(size=(T + 1, n)), rng.normal(size=(T, m))), multipliers
+
+
+def test_a_solution_survives_the_round_trip(tmp_path):
+    trajectory, multipliers = some_solution()
+    save_solution(tmp_path / "run", trajectory, multipliers, {"status": "optimal", "cost": 0.1, "bound": None})
+    saved = load_solution(tmp_path / "run")
+    assert saved.summary == {"status": "optimal", "cost": 0.1, "bound": None}
+    assert saved.multipliers is not None
+    for field in ("x", "u"):
+        assert (getattr(saved.trajectory, field) == getattr(trajectory, field)).all()
+    for field in ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x"):
+        assert np.all(getattr(saved.multipliers, field) == getattr(multipliers, field))
+    with np.load(tmp_path / "run", allow_pickle=False) as file:
+        assert sorted(file.files) == sorted("x u eta_C eta mu nu rho_u rho_x schema summary".split())
+        assert int(file["schema"]) == 1
+        assert json.loads(str(file["summary"]))["status"] == "optimal"
+
+
+def test_a_trajectory_alone_is_a_solution_file(tmp_path):
+    trajectory, _ = some_solution()
+    save_solution(tmp_path / "own.npz", trajectory, None, {})
+    np.savez(tmp_path / "foreign.npz", x=trajectory.x, u=trajectory.u, comment=np.array("from elsewhere"))
+    for name in ("own.npz", "foreign.npz"):
+        saved = load_solution(tmp_path / name)
+        assert saved.multipliers is None
+        assert saved.summary == {}
+        assert (saved.trajectory.u == trajectory.u).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"x": None}, "run.npz: x: got nothing"),
+        ({"u": None}, "run.npz: u: got nothing"),
+        ({"u": np.zeros(6)}, "run.npz: u: got float64 of shape (6,)"),
+        ({"x": np.zeros((6, 3))}, "run.npz: trajectory: got"),
+        ({"x": np.full((7, 3), "a")}, "run.npz: x: got <U1"),
+        ({"x": np.full((7, 3), np.nan)}, "run.npz: trajectory.x[0][0]: got nan"),
+        ({"schema": np.array(2)}, "run.npz: schema: got"),
+        ({"schema": np.array([1, 1])}, "run.npz: schema: got"),
+        ({"mu": None}, "run.npz: mu: got nothing"),
+        ({"eta_C": np.ones(2)}, "run.npz: eta_C: got float64 of shape (2,)"),
+        ({"rho_u": np.zeros((2, 2))}, "run.npz: multipliers.rho_u: got shape (2, 2)"),
+        ({"x": np.zeros((7, 2))}, "run.npz: multipliers: got eta (6, 3)"),
+        ({"summary": np.array("{")}, "run.npz: summary: got"),
+        ({"summary": np.array("3")}, "run.npz: summary: got 3"),
+        ({"u": np.array([[{}]], dtype=object)}, "unreadable (Object arrays cannot be loaded"),
+    ],
+)
+def test_a_bad_solution_file_is_refused(tmp_path, change, expected):
+    trajectory, multipliers = some_solution()
+    save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
+    with np.load(tmp_path / "run.npz") as file:
+        fields = dict(file) | change
+    np.savez(tmp_path / "run.npz", **{name: value for name, value in fields.items() if value is not None})
+    with pytest.raises(ProblemError) as caught:
+        load_solution(tmp_path / "run.npz")
+    assert expected in str(caught.value)
+
+
+def test_what_is_no_npz_is_refused(tmp_path):
+    (tmp_path / "text.npz").write_text("x = 1")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    np.save(tmp_path / "single.npy", np.eye(2))
+    for name in ("text.npz", "empty.npz", "single.npy", "missing.npz", "."):
+        with pytest.raises(ProblemError):
+            load_solution(tmp_path / name)
+
+
+def test_a_damaged_npz_is_refused_or_read(tmp_path):
+    trajectory, multipliers = some_solution()
+    save_solution(tmp_path / "run.npz", trajectory, multipliers, {"status": "optimal"})
+    whole = (tmp_path / "run.npz").read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(len(whole), size=3):
+            damaged[place] = rng.integers(256)
+        (tmp_path / "run.npz").write_bytes(damaged[: rng.integers(len(whole) // 2, 2 * len(whole))])
+        try:
+            load_solution(tmp_path / "run.npz")
+        except ProblemError:
+            continue
+
+
+def test_the_csv_has_names_units_and_every_digit(tmp_path):
+    problem = pendulum(horizon=10, cutoff=None)
+    rng = np.random.default_rng(1)
+    trajectory = Trajectory(rng.normal(size=(11, 4)), rng.normal(size=(10, 1)))
+    save_csv(tmp_path / "run.csv", problem, trajectory)
+    with (tmp_path / "run.csv").open(newline="", encoding="utf-8") as stream:
+        head, *rows = csv.reader(stream)
+    assert head == [
+        *("t", "time [s]", "position [m]", "angle [rad]", "speed [m/s]", "angular speed [rad/s]", "force [N]")
+    ]
+    assert [int(row[0]) for row in rows] == list(range(11))
+    assert float(rows[10][1]) == pytest.approx(0.1)
+    assert (np.array([row[2:6] for row in rows], dtype=float) == trajectory.x).all()
+    assert [float(row[6]) for row in rows[:-1]] == trajectory.u[:, 0].tolist()
+    assert rows[-1][6] == ""
+
+
+def test_the_csv_has_no_clock_without_a_sampling_time(tmp_path):
+    dynamics = LinearDynamics([[1.0]], [[1.0]])
+    problem = OptimalControlProblem(dynamics=dynamics, horizon=1, cost=QuadraticCost())
+    save_csv(tmp_path / "run.csv", problem, Trajectory([[1.0], [1.5]], [[0.5]]))
+    assert (tmp_path / "run.csv").read_text().split() == ["t,x_0,u_0", "0,1.0,0.5", "1,1.5,"]
+    with pytest.raises(ProblemError, match="trajectory"):
+        save_csv(tmp_path / "run.csv", problem, Trajectory([[1.0], [1.5], [1.0]], [[0.5], [0.5]]))
+
+
+def test_written_problems_are_plain_toml(tmp_path):
+    write_problem(pendulum(), tmp_path / "p.toml")
+    tables = tomllib.loads((tmp_path / "p.toml").read_text(encoding="utf-8"))
+    assert tables["control_spectrum"] == [{"kind": "low_pass", "cutoff": 0.8 * np.pi}]
+    assert tables["cost"] == {"R": [[2.0]]}

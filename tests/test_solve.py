@@ -1,0 +1,267 @@
+"""Answers: known optima, every way a solve can end, multipliers as sensitivities, and independence of units."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference import INSTANCES, PENDULUM, STATED, reference_problem
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.backends import clarabel_
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.methods import convex
+from lin_freq_ocp.transcription.program import Block
+
+
+@pytest.mark.parametrize("backend", ["clarabel", "qpsolvers:piqp"])
+@pytest.mark.parametrize("name", PENDULUM)
+def test_pendulum(name, backend):
+    keywords, optimum = PENDULUM[name]
+    result = lfo.solve(lfo.library.pendulum(**keywords), backend=backend)
+    assert result.cost == pytest.approx(optimum, rel=1e-7)
+    assert_proven(result)
+
+
+@pytest.mark.parametrize("name", PENDULUM)
+def test_pendulum_by_osqp(name):
+    keywords, optimum = PENDULUM[name]
+    assert lfo.solve(lfo.library.pendulum(**keywords), backend="osqp").cost == pytest.approx(optimum, rel=1e-5)
+
+
+@pytest.mark.parametrize(("cutoff", "optimum"), [(0.8 * np.pi, 3611.455894278), (None, 3204.426641194)])
+def test_physical_pendulum(cutoff, optimum):
+    result = lfo.solve(lfo.library.pendulum(parameters="physical", cutoff=cutoff))
+    assert result.cost == pytest.approx(optimum, rel=1e-7)
+    assert_proven(result)
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_reference_problems(name):
+    result = lfo.solve(reference_problem(name))
+    assert result.cost == pytest.approx(INSTANCES[name]["optimal_value"], rel=1e-7)
+    assert_proven(result)
+
+
+def assert_proven(result):
+    assert result.status == "optimal"
+    assert result.primal
+    assert result.dual
+    certificate = result.certificate
+    assert certificate.pmp == "satisfied"
+    assert certificate.normal
+    assert certificate.worst.relative < 1e-6
+    assert certificate.gap < 1e-6
+    infeasibility = abs(certificate.bound.dynamics_term) + abs(certificate.bound.frequency_term)
+    assert certificate.lower_bound <= result.cost + infeasibility
+
+
+class TestEndings:
+    def test_infeasible(self):
+        with pytest.raises(lfo.InfeasibleError, match=r"control bound on force \[N\]") as caught:
+            lfo.solve(lfo.library.pendulum(control_bound=1.0))
+        result = caught.value.result
+        assert result.status == "infeasible"
+        assert result.cost is None
+        assert result.dual
+        assert not result.primal
+
+    @pytest.mark.parametrize("backend", ["osqp", "qpsolvers:piqp", "qpsolvers:highs"])
+    def test_infeasible_whichever_backend_met_it(self, backend):
+        result = lfo.solve(lfo.library.pendulum(control_bound=1.0), backend=backend, throw=False)
+        assert (result.status, result.backend) == ("infeasible", backend)
+        assert result.conflict
+
+    def test_unbounded(self):
+        integrator = lfo.LinearDynamics([[1.0]], [[1.0]])
+        problem = lfo.OptimalControlProblem(integrator, 10, lfo.QuadraticCost(r=[1.0]), initial_state=[0.0])
+        with pytest.raises(lfo.UnboundedError, match="no lower bound"):
+            lfo.solve(problem)
+
+    def test_limit_keeps_the_best_point(self):
+        with pytest.raises(lfo.LimitError) as caught:
+            lfo.solve(lfo.library.pendulum(horizon=480), time_limit=1e-3)
+        assert caught.value.result.trajectory is not None
+        assert not caught.value.result.certificate.globally_optimal
+
+    def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
+        def liar(program, tolerance, time_limit):
+            honest = clarabel_.solve(program, tolerance, time_limit)
+            return Solution(Claim.SOLVED, honest.z * (1 + 1e-3), honest.y, "Solved")
+
+        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        with pytest.raises(lfo.NumericalError, match="residuals are too large"):
+            lfo.solve(lfo.library.pendulum())
+
+    def test_a_false_ray_is_not_believed(self, monkeypatch):
+        def liar(program, tolerance, time_limit):
+            return Solution(Claim.INFEASIBLE, None, np.ones(len(program.lower)), "PrimalInfeasible")
+
+        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        with pytest.raises(lfo.NumericalError, match="its ray proves nothing"):
+            lfo.solve(lfo.library.pendulum())
+
+    def test_nonconvex_cost_is_refused_with_its_eigenvalue(self):
+        problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=-2.0))
+        with pytest.raises(lfo.UnsupportedError, match="eigenvalue -2"):
+            lfo.solve(problem)
+
+    @pytest.mark.parametrize("bad", [{"method": "magic"}, {"backend": "magic"}, {"time_limit": 0}, {"tolerance": -1}])
+    def test_bad_options(self, bad):
+        with pytest.raises(lfo.UnsupportedError, match=next(iter(bad))):
+            lfo.solve(lfo.library.pendulum(), **bad)
+
+
+class TestShapesOfProblems:
+    def test_free_end_and_boxed_ends(self):
+        ends = lfo.Box([-0.15, None, -0.1, None], [-0.14, None, 0.1, None])
+        pendulum = replace(lfo.library.pendulum(), initial_state=ends, terminal_state=None)
+        result = lfo.solve(replace(pendulum, cost=lfo.QuadraticCost(Q=1.0, R=2.0, P=3.0)))
+        assert_proven(result)
+        assert np.all(ends.violation(result.trajectory.x[0]) < 1e-8)
+
+    def test_one_step(self):
+        """Minimise u^2 + x_1^2 with x_1 = 2 + u: u = -1."""
+        problem = lfo.OptimalControlProblem(
+            lfo.LinearDynamics([[1.0]], [[1.0]]), 1, lfo.QuadraticCost(R=2.0, P=2.0), initial_state=[2.0]
+        )
+        result = lfo.solve(problem)
+        assert result.control == pytest.approx(np.array([[-1.0]]))
+        assert result.cost == pytest.approx(2.0)
+        assert_proven(result)
+
+    def test_everything_removed_leaves_the_drift(self):
+        with pytest.warns(lfo.BandWarning, match="removes every bin"):
+            problem = lfo.OptimalControlProblem(
+                lfo.LinearDynamics([[0.5]], [[1.0]]),
+                8,
+                lfo.QuadraticCost(Q=2.0, R=1.0),
+                initial_state=[1.0],
+                control_spectrum=lfo.band_pass(0.5, 0.6),
+            )
+        result = lfo.solve(problem)
+        assert np.abs(result.control).max() < 1e-9
+        assert result.cost == pytest.approx(sum(0.25**t for t in range(8)))
+        assert_proven(result)
+
+    def test_time_varying_bounds_and_references(self):
+        T = 40
+        reference = np.sin(np.arange(T + 1) / 6)[:, None]
+        problem = lfo.OptimalControlProblem(
+            lfo.LinearDynamics([[1.0]], [[0.4]], offset=0.01 * np.ones((T, 1))),
+            T,
+            lfo.QuadraticCost(Q=1.0, R=1e-3, P=1.0, x_ref=reference),
+            control_set=[lfo.Box(-1, 0.2 if t < 10 else 1.0) for t in range(T)],
+            initial_state=[0.0],
+            control_spectrum=lfo.low_pass(2.0),
+        )
+        result = lfo.solve(problem)
+        assert_proven(result)
+        assert result.control[:10].max() <= 0.2 + 1e-9
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
+def test_the_unit_of_cost_does_not_matter(factor):
+    problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=2.0 * factor))
+    for backend in ("clarabel", "osqp"):
+        result = lfo.solve(problem, backend=backend)
+        assert result.cost / factor == pytest.approx(3199.18631986, rel=1e-6)
+        assert result.certificate.pmp == "satisfied"
+
+
+def test_mixed_units_do_not_matter():
+    """Kilometres, microradians, mm/s and rad/h; force in millinewtons."""
+    pendulum = lfo.library.pendulum()
+    unit, force = np.array([1e-3, 1e6, 1e3, 3600.0]), 1e3
+    A, B = pendulum.dynamics.A, pendulum.dynamics.B
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(unit[:, None] * A / unit, unit[:, None] * B / force, sampling_time=0.01),
+        240,
+        lfo.QuadraticCost(R=2.0 / force**2),
+        control_set=lfo.Box(-5 * force, 5 * force),
+        state_set=lfo.Box(unit * pendulum.state_set.lower, unit * pendulum.state_set.upper),
+        initial_state=unit * pendulum.initial_state.lower,
+        terminal_state=unit * pendulum.terminal_state.lower,
+        control_spectrum=lfo.low_pass(0.8 * np.pi),
+    )
+    for backend in ("clarabel", "osqp"):
+        result = lfo.solve(problem, backend=backend)
+        assert result.cost == pytest.approx(3199.18631986, rel=1e-6)
+        assert result.certificate.pmp == "satisfied"
+
+
+@pytest.mark.parametrize(("k", "component"), [(97, 0), (97, 1), (110, 0), (110, 1), (120, 0)])
+def test_the_price_of_a_bin(k, component, solved):
+    """d J*/d uhat_k = -rho_u[k]: moving the real (0) or imaginary (1) part of one bin, its conjugate with it."""
+    problem, step = solved("paper, constrained").problem, 1e-3
+    stopped = np.flatnonzero(problem.control_stop[:, 0])
+    row = 2 * int(np.searchsorted(stopped, k)) + component
+    single = 2 * k == problem.horizon
+    unit = np.sqrt((1 if single else 2) / problem.horizon)
+
+    def cost(move):
+        transcription, scaling, program = convex.scaled_program(problem)
+        shift = np.zeros(len(program.lower))
+        shift[program.rows[Block.CONTROL_SPECTRUM].start + row] = unit * move
+        shift *= scaling.rows
+        moved = replace(program, lower=program.lower + shift, upper=program.upper + shift)
+        trajectory = transcription.trajectory(scaling.primal(clarabel_.solve(moved, 1e-12, None).z))
+        assert np.fft.rfft(trajectory.u[:, 0])[k] == pytest.approx(move * (1j if component else 1), abs=1e-9)
+        return problem.cost.value(trajectory.x, trajectory.u)
+
+    price = -solved("paper, constrained").multipliers.rho_u[k, 0]
+    slope = (cost(step) - cost(-step)) / (2 * step)
+    assert slope == pytest.approx(price.imag if component else price.real, rel=1e-4, abs=1e-4)
+
+
+def test_sensitivity_to_the_initial_state(solved):
+    """d J*/d x_0 = mu_0 with the sign of the Lagrangian: L contains <mu_0, x_0 - xbar>, so it is -mu_0."""
+    result, step = solved("paper, constrained"), 1e-6
+    for i in range(4):
+        costs = []
+        for sign in (1, -1):
+            start = result.problem.initial_state.lower.copy()
+            start[i] += sign * step
+            costs.append(lfo.solve(replace(result.problem, initial_state=start), tolerance=1e-12).cost)
+        assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(-result.multipliers.mu[0, i], rel=1e-3)
+
+
+class TestCertify:
+    def test_somebody_elses_solution(self, solved):
+        result = solved("velocity bound")
+        certificate = lfo.certify(result.problem, result.trajectory)
+        assert certificate.pmp == "satisfied"
+        assert certificate.globally_optimal
+
+    def test_a_control_alone(self, solved):
+        result = solved("paper, constrained")
+        certificate = lfo.certify(result.problem, result.control)
+        assert certificate.globally_optimal
+
+    def test_a_feasible_point_that_is_not_optimal(self, solved):
+        """The optimum of another cost is feasible here, and violates only what says optimal."""
+        result = solved("paper, constrained")
+        other = lfo.solve(replace(result.problem, cost=lfo.QuadraticCost(Q=100.0, R=2.0)))
+        certificate = lfo.certify(result.problem, other.trajectory)
+        assert certificate.pmp == "violated"
+        assert certificate.feasible
+        assert not certificate.globally_optimal
+        assert certificate.lower_bound <= result.cost
+
+    def test_a_wrong_shape(self, solved):
+        result = solved("paper, constrained")
+        with pytest.raises(lfo.ProblemError, match=r"trajectory: got x \(240, 4\)"):
+            lfo.certify(result.problem, lfo.Trajectory(result.trajectory.x[1:], result.control[1:]))
+
+
+def test_a_result_in_eight_lines(solved):
+    lines = str(solved("paper, constrained")).splitlines()
+    assert len(lines) <= 9
+    for word in ("optimal", "3199.186", "rigorous", "satisfied, normal", "clarabel"):
+        assert word in "\n".join(lines)
+
+
+def test_results_cannot_be_changed(solved):
+    result = solved("paper, constrained")
+    for array in (result.trajectory.x, result.control, result.multipliers.eta, result.multipliers.rho_u):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
