@@ -7,7 +7,9 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 
-INSTANCES = {one["name"]: one for one in json.loads((Path(__file__).parent / "data" / "linear.json").read_text())["instances"]}
+INSTANCES = {
+    one["name"]: one for one in json.loads((Path(__file__).parent / "data" / "linear.json").read_text())["instances"]
+}
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]
 """Those that boxes and stop bands can state; dint200_soft needs magnitude masks."""
 

@@ -23,6 +23,9 @@ CONDITION_TOLERANCE = 1e-6
 SCALE_FLOOR = 1e-4
 """No component is measured more finely than this fraction of the largest: one that should be 0 holds rounding only."""
 
+ZERO_SCALE = 1e-9
+"""Least scale, in the problem's own units: where all data are zero, so are numbers of this size times the tolerance."""
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -63,7 +66,7 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
     conditions += [stationarity_in_u(lift), *hamiltonian_maximum(lift)]
     conditions += [
         frequency("C-vi", "state frequency constraint", lift.trajectory.x, lift.problem.state_stop),
-        frequency("C-vii", "control frequency constraint", lift.trajectory.u, lift.problem.control_stop),
+        frequency("C-vii", "control frequency constraint", lift.trajectory.u, lift.problem.control_stop, felt(lift)),
         membership("S-x", "state in its set", lift.trajectory.x, lift.problem.state_tube),
         membership("S-u", "control in its set", lift.trajectory.u, lift.problem.control_tube),
     ]
@@ -144,10 +147,22 @@ def hamiltonian_maximum(lift: Lift) -> list[Condition]:
     ]
 
 
-def frequency(label: str, name: str, signal: Array, stopped: Mask) -> Condition:
-    """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
+def felt(lift: Lift) -> Array:
+    """Return the size of a control that the states would notice, (m,): |B| times it is SCALE_FLOOR of their size."""
+    effect = np.abs(lift.problem.dynamics.B).reshape(-1, lift.problem.state_dim, lift.problem.control_dim).max(0)
+    states = np.abs(lift.trajectory.x).max(0)[:, None]
+    sizes = np.divide(states, effect, out=np.full_like(effect, np.inf), where=effect > 0).min(0)
+    return np.where(np.isfinite(sizes), SCALE_FLOOR * sizes, 0.0)
+
+
+def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array | float = 0.0) -> Condition:
+    """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component.
+
+    A signal smaller than ``least`` is measured as if it had that size.
+    """
     magnitude = np.where(stopped, np.abs(np.fft.rfft(signal, axis=0)), 0.0)
-    return _worst(label, name, magnitude, _floored(np.linalg.norm(signal, axis=0)))
+    scales = np.maximum(np.linalg.norm(signal, axis=0), np.sqrt(len(signal)) * least)
+    return _worst(label, name, magnitude, _floored(scales))
 
 
 def membership(label: str, name: str, signal: Array, tube: Box) -> Condition:
@@ -176,7 +191,7 @@ def _scales(terms: Array) -> Array:
 
 
 def _floored(scales: Array) -> Array:
-    return np.maximum(scales, SCALE_FLOOR * scales.max(initial=0.0))
+    return np.maximum(scales, max(SCALE_FLOOR * scales.max(initial=0.0), ZERO_SCALE))
 
 
 def _worst(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:

@@ -7,7 +7,8 @@
     STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
 
-Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs: MATH, section 3.
+The variables are deviations from the references x_ref, u_ref, so that a small cost is not the difference of large
+numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs: MATH, section 3.
 """
 
 from __future__ import annotations
@@ -46,18 +47,20 @@ class LinearTranscription:
         ):
             matrix = _spectrum_rows(stop, length, states + controls, first)
             stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
-        zero = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
-        q = np.concatenate([part.ravel() for part in problem.cost.gradient(*zero)])
-        return stack.program(self._hessian(), q, problem.cost.value(*zero))
+        x, u = self._references
+        q = np.concatenate([part.ravel() for part in problem.cost.gradient(x, u)])
+        return stack.program(self._hessian(), q, problem.cost.value(x, u), np.concatenate([x.ravel(), u.ravel()]))
 
     def trajectory(self, z: Array) -> Trajectory:
         """Return (x, u) from a point of the program."""
         x, u = np.split(z, [self._states])
-        return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
+        x_ref, u_ref = self._references
+        return Trajectory(x_ref + x.reshape(x_ref.shape), u_ref + u.reshape(u_ref.shape))
 
     def point(self, trajectory: Trajectory) -> Array:
         """Return the point of the program that is this trajectory."""
-        return np.concatenate([trajectory.x.ravel(), trajectory.u.ravel()])
+        a, b = self.problem.cost.deviations(trajectory.x, trajectory.u)
+        return np.concatenate([a.ravel(), b.ravel()])
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:
         """Return the theorem's multipliers from the duals of all rows; eta_C = 0 for a Farkas ray."""
@@ -79,6 +82,12 @@ class LinearTranscription:
         """Return one unit per variable from one per state component (n,) and control component (m,)."""
         T = self.problem.horizon
         return np.concatenate([np.tile(state_units, T + 1), np.tile(control_units, T)])
+
+    @property
+    def _references(self) -> tuple[Array, Array]:
+        problem = self.problem
+        x = np.broadcast_to(problem.cost.x_ref, (problem.horizon + 1, problem.state_dim))
+        return x, np.broadcast_to(problem.cost.u_ref, (problem.horizon, problem.control_dim))
 
     @property
     def _states(self) -> int:
@@ -115,12 +124,14 @@ class _RowStack:
         self._rows[block] = slice(self._count, self._count + matrix.shape[0])
         self._count += matrix.shape[0]
 
-    def program(self, P: sp.csc_array, q: Array, constant: float) -> Program:
+    def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array) -> Program:
+        """Return the program in the deviations from ``origin``, where the cost is ``constant`` and its gradient q."""
         matrices, lower, upper = zip(*self._parts, strict=True)
         A = sp.csc_array(sp.vstack(matrices))
         A.eliminate_zeros()
         P.eliminate_zeros()
-        return Program(P, q, constant, A, np.concatenate(lower), np.concatenate(upper), self._rows)
+        shift = A @ origin
+        return Program(P, q, constant, A, np.concatenate(lower) - shift, np.concatenate(upper) - shift, self._rows)
 
 
 def _block_diagonal(matrices: Array, times: int) -> sp.csc_array:

@@ -1,7 +1,8 @@
 """Typical magnitudes of a problem's states, controls and cost, so that a solver sees numbers near 1.
 
 Bounds say what is allowed, not what happens (30 rad/s allowed, 0.5 reached), so magnitudes come from the trajectory
-that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them.
+that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them. What counts is the deviation
+from the references, in which the program is written.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def _stated_magnitudes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 
 def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the largest |x_i| and |u_j| of the optimum without inequalities and bands, capped by the bounds."""
+    """Return the largest deviations from the references of the optimum without inequalities and bands."""
     program, problem = transcription.program, transcription.problem
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]

@@ -1,0 +1,1 @@
+"""EXCHANGE: problems and solutions as files (TOML, npz, CSV) and as CVXPY problems."""

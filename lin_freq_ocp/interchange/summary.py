@@ -1,0 +1,117 @@
+"""Results as plain data for JSON: the keys are a contract; what is absent is null, never 0 or infinity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solve import Result
+
+SCHEMA = 1
+
+
+def result_summary(result: Result) -> dict[str, Any]:
+    """Return a result as the JSON object of ``lin-freq-ocp solve --json``."""
+    conflict = None
+    if result.conflict is not None:
+        conflict = [{"block": one.block, "share": one.share, "times": list(one.times)} for one in result.conflict]
+    return _finite(
+        {
+            **_head(result.problem),
+            "status": result.status,
+            "primal": result.primal,
+            "dual": result.dual,
+            **_values(result.certificate),
+            "method": result.method,
+            "backend": result.backend,
+            "seconds": result.seconds,
+            "certificate": _certificate(result.certificate),
+            "conflict": conflict,
+            "message": result.message or None,
+        }
+    )
+
+
+def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> dict[str, Any]:
+    """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
+    return _finite({**_head(problem), **_values(certificate), "certificate": _certificate(certificate)})
+
+
+def comparison_summary(comparison: Comparison) -> dict[str, Any]:
+    """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
+    filtered = {
+        one.name: {
+            **asdict(one.replay.measures),
+            "description": one.description,
+            "replay_meaningful": one.replay.meaningful,
+            "one_step_residual": one.replay.one_step_residual.tolist(),
+        }
+        for one in comparison.filtered
+    }
+    base: dict[str, Any] = result_summary(comparison.constrained)
+    return _finite(
+        {
+            **base,
+            "classical": _measures(comparison.classical_measures),
+            "constrained": _measures(comparison.constrained_measures),
+            "filtered": filtered,
+        }
+    )
+
+
+def _head(problem: OptimalControlProblem) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "version": version("lin-freq-ocp"),
+        "problem": {
+            "name": problem.name,
+            "horizon": problem.horizon,
+            "state_dim": problem.state_dim,
+            "control_dim": problem.control_dim,
+            "sampling_time": problem.sampling_time,
+        },
+    }
+
+
+def _values(certificate: Certificate | None) -> dict[str, Any]:
+    if certificate is None:
+        return {"cost": None, "lower_bound": None, "gap": None, "bound": None}
+    proven = certificate.bound is not None and certificate.lower_bound is not None
+    return {
+        "cost": certificate.cost,
+        "lower_bound": certificate.lower_bound,
+        "gap": certificate.gap,
+        "bound": certificate.bound.kind if proven and certificate.bound is not None else None,
+    }
+
+
+def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
+    if certificate is None:
+        return None
+    return {
+        "pmp": certificate.pmp,
+        "normal": certificate.normal,
+        "global": certificate.globally_optimal,
+        "conditions": [{**asdict(one), "passed": one.passed} for one in certificate.conditions],
+    }
+
+
+def _measures(measures: Measures | None) -> dict[str, Any] | None:
+    return None if measures is None else asdict(measures)
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON cannot say, NaN and infinity, by null."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
