@@ -114,7 +114,8 @@ class Result:
             lines += [
                 f"cost      {certificate.cost:.12g}",
                 f"bound     {_number(certificate.lower_bound)}{kind}",
-                f"gap       {_number(certificate.gap)}" + (" (global optimum)" if certificate.globally_optimal else ""),
+                f"gap       {_number(certificate.gap, '.2e')}"
+                + (" (global optimum)" if certificate.globally_optimal else ""),
                 f"theorem   {certificate.pmp}, {normal}",
                 f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
             ]
@@ -275,5 +276,5 @@ def _require_positive(name: str, value: float | None) -> None:
         raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
 
 
-def _number(value: float | None) -> str:
-    return "none" if value is None else f"{value:.12g}"
+def _number(value: float | None, form: str = ".12g") -> str:
+    return "none" if value is None else format(value, form)

@@ -11,7 +11,7 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.transcription.program import Program
 
-DEFAULT_TOLERANCE = 1e-9
+DEFAULT_TOLERANCE = 1e-10
 """Feasibility and gap asked of a backend, on a program scaled to order 1: far below the judge's 1e-6."""
 
 

@@ -11,7 +11,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
-from lin_freq_ocp.transcription.units import natural_scaling
+from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
 
 SOLVED_TOLERANCE = 1e-6
 """Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
@@ -68,8 +68,15 @@ def solve_convex(
     transcription, scaling, program = scaled_program(problem)
     clock.append(time.perf_counter())
     solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
-    clock.append(time.perf_counter())
     candidate = _candidate(transcription, scaling, program, solution)
+    if solution.claim is Claim.SOLVED and solution.z is not None:
+        revised = revised_scaling(transcription, scaling, scaling.primal(solution.z))
+        if revised is not None:
+            program = revised.apply(transcription.program)
+            again = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
+            second = _candidate(transcription, revised, program, again)
+            candidate = second if second.status == "optimal" else candidate
+    clock.append(time.perf_counter())
     interrupted = solution.claim is Claim.INTERRUPTED
     return replace(
         candidate, interrupted=interrupted, seconds={"setup": clock[1] - clock[0], "solve": clock[2] - clock[1]}

@@ -29,14 +29,30 @@ NEGLIGIBLE = 1e-6
 """A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
 
 
+REVISED = 100.0
+"""Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
+
+
 def natural_scaling(transcription: LinearTranscription) -> Scaling:
     """Return the change of units that makes states, controls and the cost gradient of order 1."""
+    guess = _stated_magnitudes(transcription.problem)
+    columns = transcription.column_units(*_relaxed_magnitudes(transcription, guess))
+    return _scaling(transcription, columns, columns)
+
+
+def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
+    """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
+    reached = transcription.column_units(*_largest(transcription, z))
+    columns = np.where(reached > NEGLIGIBLE * scaling.columns, reached, scaling.columns)
+    revised = _scaling(transcription, columns, np.abs(z))
+    changes = np.append(revised.columns / scaling.columns, revised.cost / scaling.cost)
+    return revised if np.abs(np.log(changes)).max() > np.log(REVISED) else None
+
+
+def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
+    """Return the change to units ``columns`` in which the cost is of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
-    guess = _stated_magnitudes(problem)
-    states, controls = _relaxed_magnitudes(transcription, guess)
-    columns = transcription.column_units(states, controls)
-    size = abs(program.P) @ columns + np.abs(program.q)
-    steepest = float((columns * size).max(initial=0.0))
+    steepest = float((columns * (abs(program.P) @ typical + np.abs(program.q))).max(initial=0.0))
     cost = 1.0 / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
 
@@ -85,11 +101,15 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     except RuntimeError:  # exactly singular
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
+    x, u = _largest(transcription, z)
+    return _moderate(x, problem.state_tube, guess[0]), _moderate(u, problem.control_tube, guess[1])
+
+
+def _largest(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
+    """Return the largest magnitude over time of every state and control component of z."""
+    problem = transcription.problem
     x, u = np.split(np.abs(z), [(problem.horizon + 1) * problem.state_dim])
-    return (
-        _moderate(x.reshape(-1, problem.state_dim).max(0), problem.state_tube, guess[0]),
-        _moderate(u.reshape(-1, problem.control_dim).max(0), problem.control_tube, guess[1]),
-    )
+    return x.reshape(-1, problem.state_dim).max(0), u.reshape(-1, problem.control_dim).max(0)
 
 
 def _moderate(reached: Array, tube: Box, guess: Array) -> Array:

@@ -1,0 +1,33 @@
+"""Certify a trajectory from another tool: here one that CVXPY found from a program written by hand."""
+
+import cvxpy as cp
+import numpy as np
+
+import lin_freq_ocp as lfo
+
+problem = lfo.library.double_integrator()
+A, B, T = problem.dynamics.A, problem.dynamics.B, problem.horizon
+
+x, u = cp.Variable((T + 1, 2)), cp.Variable((T, 1))
+removed = np.flatnonzero(problem.control_stop[:, 0])
+angle = 2 * np.pi * np.outer(removed, np.arange(T)) / T
+constraints = [
+    x[1:] == x[:-1] @ A.T + u @ B.T,
+    x[0] == problem.initial_state.value,
+    x[T] == problem.terminal_state.value,
+    cp.abs(x[:, 1]) <= problem.state_set.upper[1],
+    cp.abs(u) <= problem.control_set.upper,
+    np.cos(angle) @ u == 0,
+    np.sin(angle[removed < T / 2]) @ u == 0,
+]
+cp.Problem(cp.Minimize(0.5 * cp.sum_squares(u)), constraints).solve(solver=cp.CLARABEL)
+
+certificate = lfo.certify(problem, lfo.Trajectory(x.value, u.value))
+print(f"maximum principle: {certificate.pmp}; cost {certificate.cost:.9g}, gap {certificate.gap:.1e}")
+
+nudged = u.value.copy()
+nudged[100] += 0.01
+certificate = lfo.certify(problem, nudged)
+print(f"after a nudge of 0.01 at t = 100: {certificate.pmp}")
+for condition in certificate.failed:
+    print(f"  {condition.label:6}{condition.name}: {condition.relative:.1e} at t = {condition.time}")

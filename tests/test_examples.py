@@ -1,0 +1,22 @@
+"""Every example runs and says what it promises."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+SAYS = {
+    "first_steps": "satisfied, normal",
+    "pendulum": "brickwall    peaks at 5.858 N and misses the end by 0.813 m and 16.72 rad",
+    "state_frequency_constraint": "maximum principle: satisfied",
+    "several_controls": "satisfied, normal",
+    "certify_somebody_elses": "maximum principle: satisfied",
+    "problem_files": "saved answer: satisfied",
+}
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_example(example, capsys):
+    runpy.run_path(str(example), run_name="__main__")
+    assert SAYS[example.stem] in capsys.readouterr().out
