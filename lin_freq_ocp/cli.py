@@ -7,7 +7,6 @@ unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupte
 from __future__ import annotations
 
 import inspect
-import json
 import sys
 import tomllib
 import warnings
@@ -26,7 +25,7 @@ from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.results import load_solution
-from lin_freq_ocp.interchange.summary import certificate_summary, comparison_summary, result_summary
+from lin_freq_ocp.interchange.summary import certificate_summary, comparison_summary, result_summary, to_json
 from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solve import Result, certify, solve
@@ -251,7 +250,7 @@ def _progress(what: str) -> AbstractContextManager[Any]:
 
 
 def _print_json(summary: Mapping[str, Any]) -> None:
-    click.echo(json.dumps(summary, indent=2, allow_nan=False))
+    click.echo(to_json(summary))
 
 
 def _print_conflict(result: Result) -> None:

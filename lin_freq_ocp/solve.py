@@ -142,6 +142,12 @@ class Result:
 
         save_csv(path, self.problem, self._require_trajectory())
 
+    def to_json(self, path: str | Path) -> None:
+        """Write the object that ``lin-freq-ocp solve --json`` prints."""
+        from lin_freq_ocp.interchange.summary import result_summary, save_json
+
+        save_json(path, result_summary(self))
+
     def _require_trajectory(self) -> Trajectory:
         if self.trajectory is None:
             raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)

@@ -1,6 +1,6 @@
-"""Long checks: random linear problems, each solved twice by independent formulations and judged. About 2 minutes.
+"""Long checks: random linear problems, each solved twice by independent formulations and judged. About 90 seconds.
 
-    python scripts/verify.py [--problems 300] [--seed 0]
+    python scripts/verify.py [--problems 1000] [--seed 0]
 
 Every problem is solved by lin_freq_ocp and by CVXPY on a program written by `to_cvxpy`, and the two costs are compared;
 every optimum must be proven by its gap, and every infeasible problem by a verified ray. How many also satisfy every
@@ -182,7 +182,7 @@ def summary(outcomes: list[Outcome]) -> Table:
 def main() -> int:
     """Run the checks and print the table; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=300)
+    parser.add_argument("--problems", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     console = Console()

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 
 OUTWARD = 1.0 + 1e-9
 """Factor by which computed radii are enlarged to cover their own rounding."""
@@ -75,27 +76,38 @@ def _cost_is_sum_of_squares(problem: OptimalControlProblem) -> bool:
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
     """Return an interval around every state reachable from X_0 with bounded controls; None if there is none.
 
-    x_t lies within sum_k |A^k B| r + |A^t| r_0 of the trajectory of the interval centres (no wrapping of intervals).
+    x_t lies within sum_s |A_{t-1} .. A_{s+1} B_s| r_s + |A_{t-1} .. A_0| r_0 of the trajectory of the interval centres.
     """
     start = problem.initial_state
-    finite = all(np.isfinite(part).all() for part in (start.lower, start.upper, u_lower, u_upper))
-    if problem.dynamics.time_varying or not finite:
+    if not all(np.isfinite(part).all() for part in (start.lower, start.upper, u_lower, u_upper)):
         return None
-    T, n = problem.horizon, problem.state_dim
-    A, B = problem.dynamics.A, problem.dynamics.B
-    centre_u, radius_u = (u_lower + u_upper) / 2, ((u_upper - u_lower) / 2).max(0)
-    centre, radius = np.empty((T + 1, n)), np.empty((T + 1, n))
-    centre[0], spread = (start.lower + start.upper) / 2, np.zeros(n)
-    power, radius_0 = np.eye(n), (start.upper - start.lower) / 2
-    radius[0] = radius_0
+    try:
+        centre = simulate(problem, (u_lower + u_upper) / 2, (start.lower + start.upper) / 2).x
+    except NumericalError:
+        return None
+    radius = OUTWARD * _spread(problem, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2)
+    if not np.isfinite(radius).all():
+        return None
+    rounding = (OUTWARD - 1) * (np.abs(centre) + radius)
+    return centre - radius - rounding, centre + radius + rounding
+
+
+def _spread(problem: OptimalControlProblem, radius_0: Array, radius_u: Array) -> Array:
+    """Return how far x_t can be from the trajectory of the centres, (T+1, n)."""
+    dynamics, T = problem.dynamics, problem.horizon
+    spread = np.empty((T + 1, problem.state_dim))
+    spread[0] = radius_0
+    transition, sum_of_responses = np.eye(problem.state_dim), np.zeros(problem.state_dim)
+    responses = np.empty((0, *dynamics.B.shape[-2:]))
+    largest_u = radius_u.max(0)
     with np.errstate(over="ignore", invalid="ignore"):
         for t in range(T):
-            spread = spread + np.abs(power @ B) @ radius_u
-            power = A @ power
-            radius[t + 1] = spread + np.abs(power) @ radius_0
-            centre[t + 1] = A @ centre[t] + B @ centre_u[t] + problem.dynamics.at(t)[2]
-        lower, upper = centre - OUTWARD * radius, centre + OUTWARD * radius
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        return None
-    slack = (OUTWARD - 1) * (np.abs(lower) + np.abs(upper))
-    return lower - slack, upper + slack
+            A, B, _ = dynamics.at(t)
+            if dynamics.time_varying:
+                responses = np.concatenate([A @ responses, B[None]])
+                sum_of_responses = np.einsum("sij,sj->i", np.abs(responses), radius_u[: t + 1])
+            else:
+                sum_of_responses = sum_of_responses + np.abs(transition @ B) @ largest_u
+            transition = A @ transition
+            spread[t + 1] = sum_of_responses + np.abs(transition) @ radius_0
+    return spread

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -63,6 +66,16 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
             "filtered": filtered,
         }
     )
+
+
+def to_json(summary: Mapping[str, Any]) -> str:
+    """Return a summary as JSON text; what JSON cannot say is null already."""
+    return json.dumps(summary, indent=2, allow_nan=False)
+
+
+def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
+    """Write a summary as a JSON file."""
+    Path(path).write_text(to_json(summary) + "\n", encoding="utf-8")
 
 
 def _head(problem: OptimalControlProblem) -> dict[str, Any]:
