@@ -554,7 +554,7 @@ def problem(**changes: Any) -> OptimalControlProblem:
             "terminal_state",
             "component 0",
         ),
-        ({"control_spectrum": "low"}, "control_spectrum[0]", "a band"),
+        ({"control_spectrum": "low"}, "control_spectrum", "a band"),
         ({"control_spectrum": 20}, "control_spectrum", "a band"),
         ({"state_spectrum": [lfo.low_pass(2.0), None]}, "state_spectrum[1]", "a band"),
         ({"state_spectrum": lfo.low_pass(1.0, component="angle")}, "state_spectrum.component", "'position [m]'"),

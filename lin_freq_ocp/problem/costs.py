@@ -148,12 +148,13 @@ class QuadraticCost:
         """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
         stage = np.linalg.eigvalsh(self.stage_hessians())
         terminal = np.linalg.eigvalsh(self.P)
-        worst = int(np.argmin(stage[:, 0]))
-        candidates = [(worst, stage[worst]), (-1, terminal)]
-        for t, eigenvalues in candidates:
-            if eigenvalues[0] < -CONVEXITY_TOLERANCE * np.abs(eigenvalues).max():
-                return t, float(eigenvalues[0])
-        return None
+        smallest = np.append(stage[:, 0], terminal[0])
+        rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
+        smallest = np.where(smallest < -rounding, smallest, 0.0)
+        worst = int(np.argmin(smallest))
+        if smallest[worst] == 0:
+            return None
+        return (worst if worst < len(stage) else -1), float(smallest[worst])
 
 
 def _per_time(matrix: Array) -> Array:

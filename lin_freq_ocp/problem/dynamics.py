@@ -147,7 +147,7 @@ class LinearDynamics:
                 raise ProblemError("sampling_time", "None", "seconds per step", "The plant is continuous.")
             return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), sampling_time, **labels)
         own = None if plant.dt is True else float(plant.dt)
-        if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12):
+        if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12, atol=0.0):
             raise ProblemError(
                 "sampling_time",
                 brief(sampling_time),

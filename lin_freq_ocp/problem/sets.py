@@ -159,7 +159,12 @@ def end_set(field: str, given: Any, dimension: int) -> Box:
     if given is None:
         given = Everything()
     if not isinstance(given, Box):
-        given = Point(real_array(field, given))
+        point = real_array(field, given)
+        if point.shape != (dimension,):
+            raise ProblemError(
+                field, f"shape {point.shape}", f"one number for each of the {dimension} states, a set, or None"
+            )
+        given = Point(point)
     box = given.at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")

@@ -48,52 +48,56 @@ class Band:
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed, (length//2 + 1,)."""
-        k = np.arange(length // 2 + 1)
-        if self.unit == "bins":
-            return self._listed(length, field)
-        low, high = (self._position(edge, length, sampling_time, field) for edge in self.limits)
-        slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
-        if self.kind == "notch":
-            stopped = (k > low + slack_low) & (k < high - slack_high)
-        else:
-            stopped = ~((k >= low - slack_low) & (k <= high + slack_high))
-        if not stopped.any() or stopped.all():
-            what = "removes no bin" if not stopped.any() else "removes every bin, so the signal must be zero"
-            warnings.warn(f"{field}: {self} {what} of a signal of {length} samples.", BandWarning, stacklevel=2)
+        listed = self.unit == "bins"
+        stopped = self._listed(length, field) if listed else self._between(length, sampling_time, field)
+        if not stopped.any():
+            warnings.warn(f"{field}: {self} removes no bin of a signal of {length} samples.", BandWarning, stacklevel=2)
+        elif stopped.all():
+            what = f"removes every bin of a signal of {length} samples, which must then be zero"
+            warnings.warn(f"{field}: {self} {what}.", BandWarning, stacklevel=2)
         return stopped
 
+    def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        k = np.arange(length // 2 + 1)
+        bins_per_unit = self._bins_per_unit(length, sampling_time, field)
+        low, high = (edge * bins_per_unit for edge in self.limits)
+        slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
+        if self.kind == "notch":
+            return (k > low + slack_low) & (k < high - slack_high)
+        return ~((k >= low - slack_low) & (k <= high + slack_high))
+
     def _listed(self, length: int, field: str) -> Mask:
-        bins = np.array(self.edges, dtype=int)
-        outside = bins[np.abs(bins) > length]
-        if outside.size:
+        outside = [k for k in self.edges if abs(k) > length]
+        if outside:
             raise ProblemError(
                 f"{field}.bins",
                 f"bin {outside[0]}",
                 f"bins 0 .. {length - 1} of a signal of {length} samples",
                 "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0.",
             )
+        bins = np.array(self.edges, dtype=int)
         folded = np.minimum(bins % length, -bins % length)
         stopped = np.zeros(length // 2 + 1, dtype=bool)
         stopped[folded] = True
         return stopped
 
-    def _position(self, edge: float, length: int, sampling_time: float | None, field: str) -> float:
-        """Return a band edge as a real bin number."""
+    def _bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
         if self.unit == "rad/sample":
-            return edge * length / (2 * np.pi)
+            return length / (2 * np.pi)
         if sampling_time is None:
             raise ProblemError(
                 f"{field}", f"{self}", "a sampling time", "Give dynamics.sampling_time, or the edges in rad/sample."
             )
         nyquist = 0.5 / sampling_time
-        if np.isfinite(edge) and edge > nyquist * (1 + BIN_TOLERANCE):
-            raise ProblemError(
-                f"{field}.{self.kind}",
-                f"{edge:g} Hz",
-                f"at most the Nyquist frequency {nyquist:g} Hz",
-                f"The sampling time is {sampling_time:g} s.",
-            )
-        return edge * sampling_time * length
+        for edge in self.edges:
+            if np.isfinite(edge) and edge > nyquist * (1 + BIN_TOLERANCE):
+                raise ProblemError(
+                    f"{field}.{self.kind}",
+                    f"{edge:g} Hz",
+                    f"at most the Nyquist frequency {nyquist:g} Hz",
+                    f"The sampling time is {sampling_time:g} s.",
+                )
+        return sampling_time * length
 
     def __str__(self) -> str:
         if self.unit == "bins":
@@ -182,10 +186,10 @@ def stopped_bins(
     field: str, given: Any, length: int, component_names: Sequence[str], sampling_time: float | None
 ) -> Mask:
     """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
-    bands: list[Any] = [] if given is None else [given] if isinstance(given, Band) else list(given)
+    bands: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
     for i, band in enumerate(bands):
-        where = field if isinstance(given, Band) else f"{field}[{i}]"
+        where = f"{field}[{i}]" if given is bands else field
         if not isinstance(band, Band):
             raise ProblemError(
                 where, brief(band), "a band", "Make one with low_pass, high_pass, band_pass, notch or stop_band."
