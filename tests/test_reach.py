@@ -88,6 +88,17 @@ def test_a_trajectory_cheaper_than_the_optimum_proves_nothing():
     assert bound.value <= result.cost
 
 
+def test_over_a_level_set_no_more_than_the_level_is_proven():
+    """Half of the optimal control costs a quarter: what costs more than that was not looked at."""
+    task = lfo.library.pendulum(state_bounds=(None,) * 4, control_bound=None)
+    result = lfo.solve(task)
+    half = lfo.simulate(task, result.control / 2)
+    certificate = judge(task, half, result.multipliers)
+    assert certificate.cost == pytest.approx(result.cost / 4)
+    assert certificate.bound.kind == "numerical" or certificate.bound.value <= OUTWARD * certificate.cost
+    assert not certificate.globally_optimal
+
+
 def test_the_bound_depends_on_the_multipliers_only(solved):
     """D at the optimum, at the classical solution (other bins) and at noise (other dynamics) is the same number."""
     result = solved("paper, constrained")
