@@ -55,6 +55,26 @@ def assert_proven(result):
     assert certificate.lower_bound <= result.cost + infeasibility
 
 
+@pytest.mark.parametrize("gain", [1e-9, 1e9])
+def test_the_unit_of_an_unbounded_control_does_not_matter(gain):
+    """x_10 = 1 by ten equal controls of 0.1/gain, however large or small that is."""
+    integrator = lfo.LinearDynamics([[1.0]], [[gain]])
+    cost = lfo.QuadraticCost(R=gain**2)
+    problem = lfo.OptimalControlProblem(integrator, 10, cost, initial_state=[0.0], terminal_state=[1.0])
+    result = lfo.solve(problem)
+    assert result.control * gain == pytest.approx(np.full((10, 1), 0.1))
+    assert result.cost == pytest.approx(0.05)
+    assert result.certificate.pmp == "satisfied"
+
+
+def test_without_any_cost_every_feasible_trajectory_is_extremal():
+    double = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])
+    ends = {"initial_state": [0, 0], "terminal_state": [1, 0]}
+    result = lfo.solve(lfo.OptimalControlProblem(double, 20, lfo.QuadraticCost(), lfo.Box(-3, 3), **ends))
+    assert_proven(result)
+    assert result.cost == 0
+
+
 class TestEndings:
     def test_infeasible(self):
         with pytest.raises(lfo.InfeasibleError, match=r"control bound on force \[N\]") as caught:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from typing import Any
 
@@ -16,7 +17,10 @@ from lin_freq_ocp.transcription.program import Program
 SETTINGS: dict[str, Any] = {
     "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
     "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
-    "proxqp": lambda tolerance: {"eps_abs": tolerance},
+    "proxqp": lambda tolerance: {
+        **dict.fromkeys(("eps_abs", "eps_duality_gap_abs", "eps_duality_gap_rel"), tolerance),
+        "check_duality_gap": True,
+    },
     "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
 }
@@ -54,19 +58,23 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
         settings["time_limit"] = time_limit
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # qpsolvers warns of conversions; residuals tell what matters
+        start = time.perf_counter()
         try:
             answer = qpsolvers.solve_problem(problem, solver=member, **settings)
         except qpsolvers.exceptions.QPError as error:
             return Solution(Claim.FAILED, None, None, str(error))
-    if answer.x is None or not np.isfinite(answer.x).all():
-        return Solution(Claim.FAILED, None, None, "no solution")
+    late = time_limit is not None and time.perf_counter() - start >= time_limit
+    missed = Claim.LIMIT if late else Claim.FAILED
+    needed = [answer.x, *([answer.y] if A is not None else []), *([answer.z] if G is not None else [])]
+    if any(part is None or not np.isfinite(part).all() for part in needed):
+        return Solution(missed, None, None, "no solution")
     y = np.zeros(len(program.lower))
-    if A is not None and answer.y is not None:
+    if A is not None:
         y[equations] = answer.y
-    if G is not None and answer.z is not None:
+    if G is not None:
         y[above] += answer.z[: len(above)]
         y[below] -= answer.z[len(above) :]
-    return Solution(Claim.SOLVED if answer.found else Claim.FAILED, np.asarray(answer.x), y, f"found: {answer.found}")
+    return Solution(Claim.SOLVED if answer.found else missed, np.asarray(answer.x), y, f"found: {answer.found}")
 
 
 def _dense(matrix: Any) -> np.ndarray:

@@ -10,8 +10,8 @@ from lin_freq_ocp.certificate.bound import Bound, lower_bound, ray_bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GAP_TOLERANCE = 1e-6
@@ -163,7 +163,7 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
     )
     abnormal = Multipliers(0.0, ray.eta, ray.mu, ray.nu, ray.rho_u, ray.rho_x)
     lifted = lift(problem, rest, abnormal)
-    sizes = _sizes(problem.state_tube), _sizes(problem.control_tube)
+    sizes = stated_sizes(problem)
     bound = ray_bound(lifted, (PRACTICAL * sizes[0], PRACTICAL * sizes[1]))
     return InfeasibilityProof(bound, abnormal, _conflict(lifted, *sizes)) if bound.value > 0 else None
 
@@ -193,13 +193,6 @@ def _conflict(lifted: Lift, x_size: Array, u_size: Array) -> tuple[Conflict, ...
 
 def _important(weights: Array) -> tuple[int, ...]:
     return tuple(int(t) for t in np.flatnonzero(weights > SMALL_TIME * weights.max()))
-
-
-def _sizes(tube: Box) -> Array:
-    """Return a typical size per component: its largest finite bound, or 1."""
-    bounds = np.abs(np.stack([tube.lower, tube.upper]))
-    size = np.where(np.isfinite(bounds), bounds, 0.0).max((0, 1))
-    return np.where(size > 0, size, 1.0)
 
 
 def _runs(times: tuple[int, ...]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -111,6 +113,8 @@ def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Pr
         return Candidate("unbounded" if proven else "numerical_error", None, None, None, None, solution.words)
     if z is None or y is None:
         return Candidate("numerical_error", None, None, None, None, solution.words)
+    if not program.P.nnz and not program.q.any():
+        y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
     residuals = program.residuals(z, y)
     if claim in (Claim.LIMIT, Claim.INTERRUPTED):
         status = "limit"

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import stacked
+from lin_freq_ocp.problem.sets import Box, stacked
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ZERO_PADDING = 16
@@ -133,3 +133,32 @@ def amplification(problem: OptimalControlProblem) -> float:
 def replay_is_meaningful(growth: float) -> bool:
     """Whether an open-loop replay of dynamics with this amplification shows more than rounding errors."""
     return bool(np.finfo(float).eps * growth <= REPLAY_LIMIT)
+
+
+def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
+
+    A state is as large as its ends and references, else its bounds, else 1. A control is as large as its references,
+    else its bounds, else what moves some state by its own size in one step.
+    """
+    cost = problem.cost
+    ends = np.maximum(_finite(problem.initial_state).max(0), _finite(problem.terminal_state).max(0))
+    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, problem.state_dim).max(0))
+    states = _first_positive(ends, _finite(problem.state_tube).max((0, 1)), np.ones(problem.state_dim))
+    effect = np.abs(problem.dynamics.B).reshape(-1, problem.state_dim, problem.control_dim).max(0) / states[:, None]
+    moving = np.divide(1.0, effect.max(0), out=np.ones(problem.control_dim), where=effect.max(0) > 0)
+    references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
+    return states, _first_positive(references, _finite(problem.control_tube).max((0, 1)), moving)
+
+
+def _finite(box: Box) -> Array:
+    """Return |lower| and |upper| stacked, with 0 where there is no bound."""
+    both = np.abs(np.stack([box.lower, box.upper]))
+    return np.where(np.isfinite(both), both, 0.0)
+
+
+def _first_positive(*choices: Array) -> Array:
+    result = choices[-1]
+    for choice in reversed(choices):
+        result = np.where(choice > 0, choice, result)
+    return result

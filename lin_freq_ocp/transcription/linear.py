@@ -8,7 +8,8 @@
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
 
 The variables are deviations from the references x_ref, u_ref, so that a small cost is not the difference of large
-numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs: MATH, section 3.
+numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is
+mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu and rho come out as in the maximum principle.
 """
 
 from __future__ import annotations

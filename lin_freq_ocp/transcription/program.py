@@ -78,6 +78,8 @@ class Program:
 
     def residuals(self, z: Array, y: Array) -> Residuals:
         """Measure an answer from the data alone; no solver's word is taken."""
+        if not (np.isfinite(z).all() and np.isfinite(y).all()):
+            return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
         violation = np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0)
         bound = np.where(y > 0, self.upper, self.lower)

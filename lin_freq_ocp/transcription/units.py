@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.transcription.linear import LinearTranscription
@@ -35,7 +36,7 @@ REVISED = 100.0
 
 def natural_scaling(transcription: LinearTranscription) -> Scaling:
     """Return the change of units that makes states, controls and the cost gradient of order 1."""
-    guess = _stated_magnitudes(transcription.problem)
+    guess = stated_sizes(transcription.problem)
     columns = transcription.column_units(*_relaxed_magnitudes(transcription, guess))
     return _scaling(transcription, columns, columns)
 
@@ -50,7 +51,7 @@ def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Arr
 
 
 def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
-    """Return the change to units ``columns`` in which the cost is of order 1 per step at a point of size ``typical``."""
+    """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
     steepest = float((columns * (abs(program.P) @ typical + np.abs(program.q))).max(initial=0.0))
     cost = 1.0 / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
@@ -65,17 +66,6 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
         part = program.A[program.rows[block]] @ sp.diags_array(columns)
         rows[program.rows[block]] = 1.0 / _row_norms(part)
     return rows
-
-
-def _stated_magnitudes(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return magnitudes of ends and references, else of bounds, else 1: a first guess, for the regularisation only."""
-    ends = np.stack([_finite(problem.initial_state).max(0), _finite(problem.terminal_state).max(0)])
-    states = np.maximum(ends.max(0), np.abs(problem.cost.x_ref).reshape(-1, problem.state_dim).max(0))
-    controls = np.abs(problem.cost.u_ref).reshape(-1, problem.control_dim).max(0)
-    return (
-        _first_positive(states, _finite(problem.state_tube).max((0, 1))),
-        _first_positive(controls, _finite(problem.control_tube).max((0, 1))),
-    )
 
 
 def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -121,16 +111,3 @@ def _moderate(reached: Array, tube: Box, guess: Array) -> Array:
 
 def _row_norms(matrix: Any) -> Array:
     return np.sqrt(np.asarray((matrix * matrix).sum(axis=1)).ravel())
-
-
-def _finite(box: Box) -> Array:
-    """Return |lower| and |upper| stacked, with 0 where there is no bound."""
-    both = np.abs(np.stack([box.lower, box.upper]))
-    return np.where(np.isfinite(both), both, 0.0)
-
-
-def _first_positive(*choices: Array) -> Array:
-    result = np.ones_like(choices[0])
-    for choice in reversed(choices):
-        result = np.where(choice > 0, choice, result)
-    return result
