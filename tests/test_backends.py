@@ -10,7 +10,7 @@ import os
 import signal
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -23,6 +23,7 @@ from lin_freq_ocp.backends.base import Claim, Solution, backend
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.methods import convex
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE, solve_convex
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
@@ -419,6 +420,28 @@ def test_ctrl_c_stops_the_solver_at_a_point_and_gives_the_handler_back():
     assert np.isfinite(solution.z).all()
     assert not is_accepted(asked, solution)
     assert is_accepted(SOLVABLE["upper"].program, ask("clarabel", SOLVABLE["upper"].program))  # and the next one runs
+
+
+@pytest.mark.parametrize("solve", [1, 2])
+def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
+    """A solve in revised units is a second one: stopping that one is stopping, too."""
+    problem = OptimalControlProblem(
+        LinearDynamics([[1.0]], [[1.0]]), 4, QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
+    )
+    calls: list[Claim] = []
+
+    def interrupted_later(asked: Program, tolerance: float, time_limit: float | None) -> Solution:
+        answer = ask("clarabel", asked)
+        claim = Claim.INTERRUPTED if len(calls) + 1 == solve else answer.claim
+        calls.append(claim)
+        return replace(answer, claim=claim)
+
+    monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
+    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
+    candidate = solve_convex(problem, "clarabel", None, None)
+    assert calls[-1] is Claim.INTERRUPTED
+    assert candidate.interrupted
+    assert candidate.trajectory is not None
 
 
 @posix

@@ -899,3 +899,30 @@ def test_one_step_residual_is_what_the_dynamics_miss():
 def test_a_trajectory_of_another_problem_is_not_measured():
     with pytest.raises(ProblemError):
         measures.measure(problem(), Trajectory(np.zeros((4, 2)), np.zeros((3, 1))))
+
+
+def test_stated_sizes_come_from_ends_then_references_then_bounds():
+    made = problem(
+        state_set=Box([-9.0, -7.0], [5.0, 3.0]),
+        initial_state=[0.5, 0.0],
+        terminal_state=Box([-2.0, None], [1.0, None]),
+        control_set=Box(-3.0, None),
+    )
+    states, controls = measures.stated_sizes(made)
+    np.testing.assert_array_equal(states, [2.0, 7.0])
+    np.testing.assert_array_equal(controls, [3.0])
+    tracking = problem(
+        state_set=Box([-9.0, -7.0], [5.0, 3.0]), cost=QuadraticCost(R=1.0, x_ref=[0.25, -4.0], u_ref=[-0.5])
+    )
+    states, controls = measures.stated_sizes(tracking)
+    np.testing.assert_array_equal(states, [0.25, 4.0])
+    np.testing.assert_array_equal(controls, [0.5])
+    for part in measures.stated_sizes(problem()):  # nothing is said, but a size is a size
+        assert (part > 0).all()
+        assert np.isfinite(part).all()
+
+
+def test_bounds_per_time_may_have_none():
+    box = Box([[None, -1], [0, None]], None)
+    assert box.lower.tolist() == [[-np.inf, -1], [0, -np.inf]]
+    assert box.upper.tolist() == [[np.inf, np.inf], [np.inf, np.inf]]

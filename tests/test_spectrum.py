@@ -367,3 +367,10 @@ def test_time_signal_of_one_bin():
     t = np.arange(8)
     expected = 2 * np.cos(2 * np.pi * 3 * t / 8) + np.sin(2 * np.pi * 3 * t / 8)
     np.testing.assert_allclose(time_signal(rho, 8)[:, 0], expected, atol=1e-14)
+
+
+def test_bands_that_together_remove_everything_say_so():
+    names = ["a", "b"]
+    with pytest.warns(BandWarning, match=r"bands\[1\]: high_pass.* that the bands before it leave"):
+        stopped = stopped_bins("bands", [low_pass(1.0), high_pass(2.0, component=1)], 40, names, None)
+    assert stopped.all(axis=0).tolist() == [False, True]

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from lin_freq_ocp import library
 from lin_freq_ocp.backends.base import backend
 from lin_freq_ocp.methods.convex import Candidate, scaled_program, solve_convex
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import low_pass, stop_band, time_signal
+from lin_freq_ocp.problem.spectrum import Band, low_pass, stop_band, time_signal
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
@@ -455,6 +456,36 @@ def test_units_change_nothing_but_the_units(name, units):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * size)
 
 
+def in_bins(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem with its bands as bins, free of any unit of time."""
+
+    def bands(stop: np.ndarray) -> list[Band]:
+        return [stop_band(bins=np.flatnonzero(stop[:, j]), component=j) for j in np.flatnonzero(stop.any(axis=0))]
+
+    changes = {"control_spectrum": bands(problem.control_stop), "state_spectrum": bands(problem.state_stop)}
+    return dataclasses.replace(problem, **changes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("name", ["flexible_satellite", "two_mass_spring"])
+def test_models_with_hidden_states_in_random_units(name, seed):
+    """Modal states and speeds have no bound, end or reference that would say how large they are."""
+    problem = in_bins(getattr(library, name)())
+    rng = np.random.default_rng(seed)
+    states, controls = 10 ** rng.uniform(-6, 6, problem.state_dim), 10 ** rng.uniform(-6, 6, problem.control_dim)
+    cost = float(10 ** rng.uniform(-6, 6))
+    before = solve_convex(problem, "clarabel", None, None)
+    after = solve_convex(change_units(problem, states, controls, cost), "clarabel", None, None)
+    assert before.status == "optimal"
+    assert after.status == "optimal"
+    x, u = after.trajectory.x / states, after.trajectory.u / controls
+    optimum = problem.cost.value(before.trajectory.x, before.trajectory.u)
+    assert problem.cost.value(x, u) == pytest.approx(optimum, rel=1e-6)
+    sizes = np.abs(before.trajectory.x).max(axis=0)
+    np.testing.assert_allclose(x / sizes, before.trajectory.x / sizes, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(u, before.trajectory.u, rtol=0, atol=1e-4)
+
+
 @pytest.mark.parametrize("name", UNIT_PROBLEMS)
 def test_natural_units_see_numbers_near_one(name):
     problem = UNIT_PROBLEMS[name]
@@ -463,6 +494,10 @@ def test_natural_units_see_numbers_near_one(name):
     assert set(states[::2]) == {states[0]}  # one unit per component, whatever the time
     assert set(states[1::2]) == {states[1]}
     assert set(controls) == {controls[0]}
+    A, dynamics = program.A.toarray(), program.rows[Block.DYNAMICS]
+    successors = A[dynamics][:, 2 : 2 * (problem.horizon + 1)]
+    np.testing.assert_allclose(np.diag(successors), 1, rtol=1e-12)  # x_{t+1} in its own unit
+    np.testing.assert_allclose(np.linalg.norm(A[dynamics.stop :], axis=1), 1, rtol=1e-12)
     solution = backend("clarabel")(program, 1e-9, None)
     assert program.residuals(solution.z, solution.y).worst < 1e-8
     assert 0.1 < np.abs(solution.z).max() < 100
@@ -601,5 +636,7 @@ def test_a_direction_of_unbounded_descent_is_verified():
     assert program.descent_ray_residual(np.array([1e-3, 1.0])) == pytest.approx(0.5e-3)  # curved, leaves z_0 <= 1
     bounded = dataclasses.replace(program, upper=np.array([1.0, 1e6, np.inf]))
     assert bounded.descent_ray_residual(np.array([0.0, 1.0])) == pytest.approx(0.5)
+    free = dataclasses.replace(program, lower=np.full(3, -np.inf), upper=np.full(3, np.inf))
+    assert free.descent_ray_residual(np.array([0.25, 1.0])) == pytest.approx(0.125)  # curved, and nothing else
     reversed_cost = dataclasses.replace(program, q=np.array([0.0, 2.0]))
     assert reversed_cost.descent_ray_residual(np.array([0.0, -1.0])) == pytest.approx(0.5)  # z_1 >= 0 stops it

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 def interrupts_noted() -> Generator[threading.Event]:
     """Set the event, instead of raising KeyboardInterrupt, when Ctrl-C arrives; only the main thread receives it."""
     noted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
         yield noted
         return
     before = signal.signal(signal.SIGINT, lambda number, frame: noted.set())

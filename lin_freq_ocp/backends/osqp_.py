@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import redirect_stdout
+from io import StringIO
+
 import numpy as np
 import osqp
 import scipy.sparse as sp
@@ -46,7 +49,8 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
         max_iter=MAX_ITERATIONS,
         **limit,
     )
-    answer = solver.solve(raise_error=False)
+    with redirect_stdout(StringIO()):  # it remarks on polishing even when told to be silent
+        answer = solver.solve(raise_error=False)
     words = str(answer.info.status)
     claim = CLAIMS.get(words, Claim.FAILED)
     z, y = answer.x, answer.y

@@ -11,7 +11,7 @@ import qpsolvers
 import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import Claim, Solution, Solver
-from lin_freq_ocp.errors import MissingExtraError
+from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
 SETTINGS: dict[str, Any] = {
@@ -25,6 +25,15 @@ SETTINGS: dict[str, Any] = {
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
 }
 """How each solver spells its tolerance; one that is not here runs with its own."""
+
+TIME_LIMITS = {
+    "clarabel": "time_limit",
+    "osqp": "time_limit",
+    "highs": "time_limit",
+    "daqp": "time_limit",
+    "scs": "time_limit_secs",
+}
+"""How each solver spells its time limit; one that is not here has none."""
 
 
 def named(member: str) -> Solver:
@@ -43,19 +52,16 @@ def named(member: str) -> Solver:
 
 
 def _solve(member: str, program: Program, tolerance: float, time_limit: float | None) -> Solution:
-    equal = program.equality
-    above = np.flatnonzero(~equal & np.isfinite(program.upper))
-    below = np.flatnonzero(~equal & np.isfinite(program.lower))
-    equations = np.flatnonzero(equal)
+    sides = program.one_sided()
     form = sp.csc_matrix if member in qpsolvers.sparse_solvers else _dense
-    G = form(sp.vstack([program.A[above], -program.A[below]])) if len(above) + len(below) else None
-    h = np.concatenate([program.upper[above], -program.lower[below]]) if G is not None else None
-    A = form(program.A[equations]) if len(equations) else None
-    b = program.upper[equations] if A is not None else None
-    problem = qpsolvers.Problem(form(program.P), program.q, G, h, A, b)
+    inequalities = (form(sides.G), sides.h) if len(sides.h) else (None, None)
+    equations = (form(sides.A), sides.b) if len(sides.b) else (None, None)
+    problem = qpsolvers.Problem(form(program.P), program.q, *inequalities, *equations)
     settings = SETTINGS[member](tolerance) if member in SETTINGS else {}
-    if time_limit is not None and member in ("clarabel", "osqp", "highs"):
-        settings["time_limit"] = time_limit
+    if time_limit is not None:
+        if member not in TIME_LIMITS:
+            raise UnsupportedError(f"time_limit: backend 'qpsolvers:{member}' cannot stop at one; leave it out.")
+        settings[TIME_LIMITS[member]] = time_limit
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # qpsolvers warns of conversions; residuals tell what matters
         start = time.perf_counter()
@@ -65,16 +71,12 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
             return Solution(Claim.FAILED, None, None, str(error))
     late = time_limit is not None and time.perf_counter() - start >= time_limit
     missed = Claim.LIMIT if late else Claim.FAILED
-    needed = [answer.x, *([answer.y] if A is not None else []), *([answer.z] if G is not None else [])]
-    if any(part is None or not np.isfinite(part).all() for part in needed):
+    parts = [answer.x, answer.y if len(sides.b) else np.zeros(0), answer.z if len(sides.h) else np.zeros(0)]
+    x, y, z = (np.full(1, np.nan) if part is None else np.asarray(part) for part in parts)
+    if not all(np.isfinite(part).all() for part in (x, y, z)):
         return Solution(missed, None, None, "no solution")
-    y = np.zeros(len(program.lower))
-    if A is not None:
-        y[equations] = answer.y
-    if G is not None:
-        y[above] += answer.z[: len(above)]
-        y[below] -= answer.z[len(above) :]
-    return Solution(Claim.SOLVED if answer.found else missed, np.asarray(answer.x), y, f"found: {answer.found}")
+    claim = Claim.SOLVED if answer.found else missed
+    return Solution(claim, x, sides.dual(len(program.lower), y, z), f"found: {answer.found}")
 
 
 def _dense(matrix: Any) -> np.ndarray:

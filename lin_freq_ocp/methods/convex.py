@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
+from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -66,23 +66,16 @@ def solve_convex(
     """
     require_convex(problem)
     solver = backend(backend_name)
-    clock = [time.perf_counter()]
-    transcription, scaling, program = scaled_program(problem)
-    clock.append(time.perf_counter())
-    solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
-    candidate = _candidate(transcription, scaling, program, solution)
-    if solution.claim is Claim.SOLVED and solution.z is not None:
-        revised = revised_scaling(transcription, scaling, scaling.primal(solution.z))
-        if revised is not None:
-            program = revised.apply(transcription.program)
-            again = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
-            second = _candidate(transcription, revised, program, again)
-            candidate = second if second.status == "optimal" else candidate
-    clock.append(time.perf_counter())
-    interrupted = solution.claim is Claim.INTERRUPTED
-    return replace(
-        candidate, interrupted=interrupted, seconds={"setup": clock[1] - clock[0], "solve": clock[2] - clock[1]}
-    )
+    started = time.perf_counter()
+    transcription, scaling, _ = scaled_program(problem)
+    ready = time.perf_counter()
+    candidate = _attempt(transcription, scaling, solver, tolerance, time_limit)
+    revised = _revised(transcription, scaling, candidate)
+    left = None if time_limit is None else time_limit - (time.perf_counter() - ready)
+    if revised is not None and (left is None or left > 0):
+        second = _attempt(transcription, revised, solver, tolerance, left)
+        candidate = second if second.status == "optimal" else replace(candidate, interrupted=second.interrupted)
+    return replace(candidate, seconds={"setup": ready - started, "solve": time.perf_counter() - ready})
 
 
 def require_convex(problem: OptimalControlProblem) -> None:
@@ -101,6 +94,27 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription,
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     return transcription, scaling, scaling.apply(transcription.program)
+
+
+def _attempt(
+    transcription: LinearTranscription,
+    scaling: Scaling,
+    solver: Solver,
+    tolerance: float | None,
+    time_limit: float | None,
+) -> Candidate:
+    """Solve in the given units, and measure."""
+    program = scaling.apply(transcription.program)
+    solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
+    candidate = _candidate(transcription, scaling, program, solution)
+    return replace(candidate, interrupted=solution.claim is Claim.INTERRUPTED)
+
+
+def _revised(transcription: LinearTranscription, scaling: Scaling, candidate: Candidate) -> Scaling | None:
+    """Return better units if the answer shows that it was solved in wrong ones."""
+    if candidate.trajectory is None or candidate.status == "limit":
+        return None
+    return revised_scaling(transcription, scaling, transcription.point(candidate.trajectory))
 
 
 def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution) -> Candidate:

@@ -103,9 +103,9 @@ def stopband_peak(signal: Array, stopped: Mask) -> float | None:
     """Return the largest zero-padded spectrum magnitude within the stopped runs: it is not zero between the bins."""
     if not stopped.any():
         return None
-    magnitude = padded_spectrum(signal)[1]
+    magnitude, top = padded_spectrum(signal)[1], len(stopped) - 1
     return max(
-        float(magnitude[ZERO_PADDING * first : ZERO_PADDING * last + 1, j].max())
+        float(magnitude[ZERO_PADDING * first : len(magnitude) if last == top else ZERO_PADDING * last + 1, j].max())
         for j in range(stopped.shape[1])
         for first, last in stopped_runs(stopped[:, j])
     )
@@ -138,27 +138,36 @@ def replay_is_meaningful(growth: float) -> bool:
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
 
-    A state is as large as its ends and references, else its bounds, else 1. A control is as large as its references,
-    else its bounds, else what moves some state by its own size in one step.
+    A component is as large as its ends and references, else its bounds, else what the others make of it within the
+    horizon, else what makes the others as large as they are; 1 only where nothing at all is said.
     """
-    cost = problem.cost
+    cost, n = problem.cost, problem.state_dim
     ends = np.maximum(_finite(problem.initial_state).max(0), _finite(problem.terminal_state).max(0))
-    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, problem.state_dim).max(0))
-    states = _first_positive(ends, _finite(problem.state_tube).max((0, 1)), np.ones(problem.state_dim))
-    effect = np.abs(problem.dynamics.B).reshape(-1, problem.state_dim, problem.control_dim).max(0) / states[:, None]
-    moving = np.divide(1.0, effect.max(0), out=np.ones(problem.control_dim), where=effect.max(0) > 0)
+    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
-    return states, _first_positive(references, _finite(problem.control_tube).max((0, 1)), moving)
+    stated = np.concatenate([ends, references])
+    bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
+    sizes = np.where(stated > 0, stated, bounds)
+    for _ in range(len(sizes)):  # one more component, at least, is known after each pass
+        known = sizes
+        sizes = np.where(known > 0, known, _implied_sizes(problem, known))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    return sizes[:n], sizes[n:]
+
+
+def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
+    """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
+    dynamics, n, m = problem.dynamics, problem.state_dim, problem.control_dim
+    A, B = np.abs(dynamics.A).reshape(-1, n, n).max(0), np.abs(dynamics.B).reshape(-1, n, m).max(0)
+    gain = problem.horizon * np.hstack([A, B])
+    caused = gain @ known + problem.horizon * np.abs(dynamics.offset).reshape(-1, n).max(0)
+    useful = (known[:n, None] > 0) & (gain > 0)
+    needed = np.divide(known[:n, None], gain, out=np.full(gain.shape, np.inf), where=useful).min(0)
+    forwards = np.append(caused, np.zeros(m))
+    return np.where(forwards > 0, forwards, np.where(np.isfinite(needed), needed, 0.0))
 
 
 def _finite(box: Box) -> Array:
     """Return |lower| and |upper| stacked, with 0 where there is no bound."""
     both = np.abs(np.stack([box.lower, box.upper]))
     return np.where(np.isfinite(both), both, 0.0)
-
-
-def _first_positive(*choices: Array) -> Array:
-    result = choices[-1]
-    for choice in reversed(choices):
-        result = np.where(choice > 0, choice, result)
-    return result

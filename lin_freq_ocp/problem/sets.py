@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -172,11 +172,13 @@ def end_set(field: str, given: Any, dimension: int) -> Box:
 
 
 def _bound(side: str, value: Bound, absent: float) -> Array:
-    if value is None:
-        value = absent
-    elif isinstance(value, (list, tuple)):
-        value = cast("ArrayLike", [absent if entry is None else entry for entry in value])
-    bound = real_array(f"Box.{side}", value, allow_infinite=True)
+    bound = real_array(f"Box.{side}", _without_none(value, absent), allow_infinite=True)
     if (bound == -absent).any():
         raise ProblemError(f"Box.{side}", f"{-absent}", f"a number, or None or {absent} for no bound")
     return bound
+
+
+def _without_none(value: Any, absent: float) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_without_none(entry, absent) for entry in value]
+    return absent if value is None else value

@@ -195,7 +195,11 @@ def stopped_bins(
                 where, brief(band), "a band", "Make one with low_pass, high_pass, band_pass, notch or stop_band."
             )
         columns = _component(where, band.component, component_names)
-        stopped[:, columns] |= band.stopped(length, sampling_time, where)[:, None]
+        alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
+        stopped[:, columns] |= alone[:, None]
+        if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
+            what = f"removes every bin of a signal of {length} samples that the bands before it leave"
+            warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
     stopped.flags.writeable = False
     return stopped
 

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
 
 class Block(Enum):
@@ -47,6 +47,35 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
+class OneSided:
+    """The rows of a program as equations A z = b and inequalities G z <= h, with the way back for their duals.
+
+    Attributes
+    ----------
+    A : sparse (equations, variables); b : (equations,)
+    G : sparse (inequalities, variables); h : (inequalities,)
+        First the upper bounds, then the lower ones with their sign changed.
+    equations, above, below : indices of the program's rows
+    """
+
+    A: sp.csc_array
+    b: Array
+    G: sp.csc_array
+    h: Array
+    equations: Indices
+    above: Indices
+    below: Indices
+
+    def dual(self, rows: int, of_equations: Array, of_inequalities: Array) -> Array:
+        """Return one dual per row of the program, upper minus lower, shape (rows,)."""
+        y = np.zeros(rows)
+        y[self.equations] = of_equations
+        y[self.above] += of_inequalities[: len(self.above)]
+        y[self.below] -= of_inequalities[len(self.above) :]
+        return y
+
+
+@dataclass(frozen=True, eq=False)
 class Program:
     """Minimise 1/2 z'P z + q'z + constant subject to lower <= A z <= upper.
 
@@ -71,6 +100,22 @@ class Program:
     def equality(self) -> Mask:
         """Which rows are equations."""
         return self.lower == self.upper
+
+    def one_sided(self) -> OneSided:
+        """Return the rows as most solvers want them."""
+        equal = self.equality
+        equations = np.flatnonzero(equal)
+        above = np.flatnonzero(~equal & np.isfinite(self.upper))
+        below = np.flatnonzero(~equal & np.isfinite(self.lower))
+        return OneSided(
+            A=sp.csc_array(self.A[equations]),
+            b=self.upper[equations],
+            G=sp.csc_array(sp.vstack([self.A[above], -self.A[below]])),
+            h=np.concatenate([self.upper[above], -self.lower[below]]),
+            equations=equations,
+            above=above,
+            below=below,
+        )
 
     def objective(self, z: Array) -> float:
         """Return 1/2 z'P z + q'z + constant."""
