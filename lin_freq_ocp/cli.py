@@ -7,11 +7,13 @@ unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupte
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +27,21 @@ from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.results import load_solution
-from lin_freq_ocp.interchange.summary import certificate_summary, comparison_summary, result_summary, to_json
+from lin_freq_ocp.interchange.summary import (
+    certificate_summary,
+    comparison_summary,
+    failed_comparison_summary,
+    result_summary,
+    to_json,
+)
 from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solve import Result, certify, solve
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
+
+PAGE_WIDTH = 200
+"""Columns of tables that go to a file or a pipe, where nothing needs to be cut off."""
 
 out, err = Console(), Console(stderr=True)
 
@@ -82,6 +93,8 @@ def solve_command(
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
     description = build(problem, settings)
+    if save is not None:
+        require_writable(save, problem)
     with _progress(f"solving {description.name or problem}"):
         result = solve(description, method, backend, time_limit, tolerance, throw=False)
     if save is not None and result.trajectory is not None:
@@ -114,16 +127,24 @@ def compare_command(
 ) -> int:
     """Compare filtering a classical optimal control with solving under the frequency constraint."""
     description = build(problem, settings)
+    if folder is not None:
+        require_folder(folder)
     names = None if filters is None else [name.strip() for name in filters.split(",")]
-    with _progress(f"comparing {description.name or problem}"):
-        comparison = compare(description, names, backend, time_limit)
-        page = None if folder is None else comparison.save(folder)
+    try:
+        with _progress(f"comparing {description.name or problem}"):
+            comparison = compare(description, names, backend, time_limit)
+            page = None if folder is None else comparison.save(folder)
+    except SolveError as error:
+        if not as_json or error.result is None:
+            raise
+        _print_json(failed_comparison_summary(error.result))
+        return exit_status(error.result)
     if as_json:
         _print_json(comparison_summary(comparison))
     else:
         _print_comparison(comparison)
         if page is not None:
-            out.print(f"report: {page}", soft_wrap=True)
+            click.echo(f"report: {page}")
     return exit_status(comparison.constrained)
 
 
@@ -150,7 +171,7 @@ def certify_command(problem: str, solution: str, settings: tuple[str, ...], as_j
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
     init_problem_file(file)
-    out.print(f"wrote {file}; next: lin-freq-ocp solve {file}", soft_wrap=True, highlight=False)
+    click.echo(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
 
 
@@ -163,7 +184,7 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
         If there is no such problem, a setting is not TOML, or the problem has no such parameter.
     """
     given = parsed_settings(settings)
-    if problem.endswith(".toml") or Path(problem).is_file():
+    if problem not in library.PROBLEMS and (problem.endswith(".toml") or Path(problem).is_file()):
         return read_problem(problem, given)
     builder = library.by_name(problem)
     parameters = inspect.signature(builder).parameters
@@ -191,6 +212,25 @@ def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
     return result
 
 
+def require_writable(file: Path, problem: str) -> None:
+    """Raise ProblemError unless a solution can be written to the file: an answer must not be lost to a slip."""
+    if file.is_dir():
+        raise ProblemError(f"--save {file}", "a folder", "a file to write")
+    if not file.absolute().parent.is_dir():
+        raise ProblemError(f"--save {file}", "a file in a folder that does not exist", "a file in an existing folder")
+    if file.exists() and Path(problem).exists() and file.samefile(problem):
+        raise ProblemError(f"--save {file}", "the problem's own file", "another file")
+
+
+def require_folder(folder: Path) -> None:
+    """Raise ProblemError unless the folder exists or can be made."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists():
+            if not path.is_dir():
+                raise ProblemError(f"--out {folder}", f"{path}, a file", "a folder")
+            return
+
+
 def exit_status(result: Result) -> int:
     """Return the exit status of a result."""
     if result.interrupted:
@@ -209,10 +249,15 @@ def certificate_status(certificate: Certificate) -> int:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
     sys.exit(_status(arguments))
 
 
 def _status(arguments: Sequence[str] | None) -> int:
+    if not out.is_terminal and "COLUMNS" not in os.environ:
+        out.width = PAGE_WIDTH
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
     except click.ClickException as error:
@@ -226,6 +271,9 @@ def _status(arguments: Sequence[str] | None) -> int:
     except (LinFreqOCPError, OSError) as error:
         _complain(error)
         return BAD_INPUT
+    except MemoryError as error:
+        _complain(f"not enough memory for a problem of this size ({error}).")
+        return NOT_PROVEN
 
 
 def _merge(into: dict[str, Any], new: Mapping[str, Any]) -> None:
@@ -236,7 +284,7 @@ def _merge(into: dict[str, Any], new: Mapping[str, Any]) -> None:
             into[key] = value
 
 
-def _complain(error: Exception) -> None:
+def _complain(error: Exception | str) -> None:
     err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
 
 

@@ -6,7 +6,8 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from lin_freq_ocp.certificate.verdict import Certificate, Conflict, judge, prove_infeasible
+from lin_freq_ocp.certificate.conflict import Conflict, prove_infeasible
+from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import (
     InfeasibleError,
     LimitError,

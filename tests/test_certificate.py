@@ -11,7 +11,8 @@ from reference import STATED, reference_problem
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.verdict import judge, prove_infeasible
+from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.transcription import linear
 

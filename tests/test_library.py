@@ -169,11 +169,11 @@ def test_wrong_arguments_are_problem_errors(name, wrong):
     ("name", "wrong", "message"),
     [
         ("pendulum", {"parameters": "other"}, "'paper' or 'physical'"),
-        ("double_integrator", {"speed_bound": -1.0}, "lower"),
+        ("double_integrator", {"speed_bound": -1.0}, "speed_bound"),
         ("double_integrator", {"cutoff_hz": 30.0}, "Nyquist"),
         ("two_mass_spring", {"stiffness": 0.0}, "stiffness"),
         ("two_mass_spring", {"notch_width_hz": 0.0}, "width"),
-        ("flexible_satellite", {"torque_bound": -1.0}, "lower"),
+        ("flexible_satellite", {"torque_bound": -1.0}, "torque_bound"),
         ("mass_chain", {"cutoffs_hz": (4.0,)}, "cutoffs_hz"),
         ("mass_chain", {"cutoffs_hz": 4.0}, "cutoffs_hz"),
         ("mass_chain", {"stiffness": -1.0}, "stiffness"),

@@ -69,9 +69,8 @@ def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     except ProblemError:
         raise
     except DAMAGED as error:
-        raise ProblemError(
-            field, f"{path.name}, unreadable ({_reason(error)})", "an .npz file of plain arrays"
-        ) from None
+        reason = _reason(error).partition(". ")[0]  # what follows is advice to trust the file
+        raise ProblemError(field, f"{path.name}, unreadable ({reason})", "an .npz file of plain arrays") from None
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -68,6 +68,11 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
     )
 
 
+def failed_comparison_summary(result: Result) -> dict[str, Any]:
+    """Return the same object for a problem that has no solution even without its frequency constraints."""
+    return {**result_summary(result), "classical": None, "constrained": None, "filtered": {}}
+
+
 def to_json(summary: Mapping[str, Any]) -> str:
     """Return a summary as JSON text; what JSON cannot say is null already."""
     return json.dumps(summary, indent=2, allow_nan=False)

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
-from lin_freq_ocp.problem.arrays import Bound
+from collections.abc import Sequence
+
+import numpy as np
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import brief, real_array
 from lin_freq_ocp.problem.sets import Box
 
 
-def symmetric(bounds: Bound) -> Box:
-    """Return the box of all v with |v_i| <= bounds_i; None where there is no bound."""
-    limit = Box(None, bounds).upper
+def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> Box:
+    """Return the box of all v with |v_i| <= bounds_i; None where there is no bound.
+
+    Raises
+    ------
+    ProblemError
+        Naming the parameter, if a bound is not a number or is below zero.
+    """
+    given = list(bounds) if isinstance(bounds, Sequence) and not isinstance(bounds, str) else bounds
+    endless = [np.inf if bound is None else bound for bound in given] if isinstance(given, list) else given
+    limit = real_array(parameter, np.inf if endless is None else endless, allow_infinite=True)
+    if (limit < 0).any():
+        raise ProblemError(parameter, brief(bounds), "bounds of zero or above, or None for no bound")
     return Box(-limit, limit)

@@ -76,8 +76,8 @@ def flexible_satellite(
         ),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
-        control_set=symmetric(torque_bound),
-        state_set=symmetric([None, None, None, rate_bound, None, None]),
+        control_set=symmetric("torque_bound", torque_bound),
+        state_set=symmetric("rate_bound", [None, None, None, rate_bound, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
         state_spectrum=None

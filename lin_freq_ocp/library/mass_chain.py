@@ -68,8 +68,8 @@ def mass_chain(
         ),
         horizon=horizon,
         cost=QuadraticCost(Q=0.1, R=0.1, P=terminal_weight),
-        control_set=symmetric(force_bound),
-        state_set=symmetric(state_bound),
+        control_set=symmetric("force_bound", force_bound),
+        state_set=symmetric("state_bound", state_bound),
         initial_state=initial_state,
         terminal_state=terminal_state,
         control_spectrum=None

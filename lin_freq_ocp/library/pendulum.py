@@ -59,8 +59,8 @@ def pendulum(
         ),
         horizon=horizon,
         cost=QuadraticCost(R=2.0),  # sum of u_t^2: the paper's cost has no 1/2
-        control_set=symmetric(control_bound),
-        state_set=symmetric(state_bounds),
+        control_set=symmetric("control_bound", control_bound),
+        state_set=symmetric("state_bounds", state_bounds),
         initial_state=initial_state,
         terminal_state=terminal_state,
         control_spectrum=None if cutoff is None else low_pass(cutoff),

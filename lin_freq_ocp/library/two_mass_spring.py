@@ -64,8 +64,8 @@ def two_mass_spring(
         ),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
-        control_set=symmetric(force_bound),
-        state_set=symmetric([None, deflection_bound, None, None]),
+        control_set=symmetric("force_bound", force_bound),
+        state_set=symmetric("deflection_bound", [None, deflection_bound, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
         state_spectrum=None

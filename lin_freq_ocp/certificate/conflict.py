@@ -1,0 +1,141 @@
+"""The proof that a problem is infeasible: multipliers with eta_C = 0 whose bound D is above 0, and what carries it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.certificate.bound import Bound, ray_bound
+from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.problem.arrays import Array, ComplexArray
+from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+SHARE_TOLERANCE = 0.1
+"""Bounds on a component with less than this share of the heaviest ones in a proof are not named."""
+
+SMALL_TIME = 1e-2
+"""Times and bins at which a block acts with less than this fraction of its largest multiplier are not named."""
+
+PRACTICAL = 1e4
+"""Multiple of the sizes in the data beyond which a trajectory is not looked for where nothing bounds it."""
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """One block of constraints that an infeasibility proof rests on.
+
+    Attributes
+    ----------
+    block : str
+        In words, with the component's name.
+    share : float
+        1 for ends and stop bands, without which the ray proves nothing; for bounds, how much of the proof would be
+        lost if they were relaxed by their own size, relative to the heaviest ones.
+    times : tuple of int
+        Where it acts; bins for a stop band.
+    """
+
+    block: str
+    share: float
+    times: tuple[int, ...]
+
+    def __str__(self) -> str:
+        where = "bins" if "stop band" in self.block else "t ="
+        return f"{self.block}, {where} {_runs(self.times)}"
+
+
+@dataclass(frozen=True, eq=False)
+class InfeasibilityProof:
+    """Multipliers with eta_C = 0 whose bound D is above 0: no trajectory satisfies all constraints.
+
+    Attributes
+    ----------
+    bound : Bound
+        Its kind is "numerical" if, in components without bounds, only trajectories of practical size are excluded.
+    multipliers : Multipliers
+        The verified ray.
+    conflict : tuple of Conflict
+        The blocks of constraints that carry it.
+    """
+
+    bound: Bound
+    multipliers: Multipliers
+    conflict: tuple[Conflict, ...]
+
+
+def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityProof | None:
+    """Return a proof of infeasibility from a Farkas ray (its eta_C is taken as 0), or None if it proves nothing."""
+    abnormal = _ray(ray, ray.rho_u, ray.rho_x)
+    bound = _bound(problem, abnormal)
+    if bound.value <= 0:
+        return None
+    conflict = (*_ends(problem, abnormal), *_bounds(problem, abnormal), *_bands(problem, abnormal))
+    return InfeasibilityProof(bound, abnormal, conflict)
+
+
+def _ray(ray: Multipliers, rho_u: ComplexArray, rho_x: ComplexArray) -> Multipliers:
+    return Multipliers(0.0, ray.eta, ray.mu, ray.nu, rho_u, rho_x)
+
+
+def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
+    rest = Trajectory(
+        problem.state_tube.project(np.zeros((problem.horizon + 1, problem.state_dim))),
+        problem.control_tube.project(np.zeros((problem.horizon, problem.control_dim))),
+    )
+    x, u = stated_sizes(problem)
+    return ray_bound(lift(problem, rest, ray), (PRACTICAL * x, PRACTICAL * u))
+
+
+def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+    for what, t, end in (("initial state", 0, problem.initial_state), ("terminal state", -1, problem.terminal_state)):
+        if ray.mu[t, np.isfinite(end.lower) | np.isfinite(end.upper)].any():
+            yield Conflict(what, 1.0, (t % len(ray.mu),))
+
+
+def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+    """Name the bounds that weigh most, by their multipliers times the sizes of their components."""
+    x, u = stated_sizes(problem)
+    inside = np.abs(ray.mu) * x
+    for t, end in ((0, problem.initial_state), (-1, problem.terminal_state)):
+        inside[t, np.isfinite(end.lower) | np.isfinite(end.upper)] = 0.0
+    blocks = [(f"state bound on {name}", inside[:, i]) for i, name in enumerate(problem.state_names)]
+    outside = np.abs(ray.nu) * u
+    blocks += [(f"control bound on {name}", outside[:, j]) for j, name in enumerate(problem.control_names)]
+    largest = max(float(weights.sum()) for _, weights in blocks)
+    for block, weights in blocks:
+        if weights.sum() > SHARE_TOLERANCE * largest:
+            yield Conflict(block, float(weights.sum()) / largest, _important(weights))
+
+
+def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+    """Name the stop bands without whose multipliers the ray proves nothing."""
+    for i, name in enumerate(problem.state_names):
+        rho_x = ray.rho_x.copy()
+        rho_x[:, i] = 0.0
+        if ray.rho_x[:, i].any() and _bound(problem, _ray(ray, ray.rho_u, rho_x)).value <= 0:
+            yield Conflict(f"state stop band on {name}", 1.0, _important(np.abs(ray.rho_x[:, i])))
+    for j, name in enumerate(problem.control_names):
+        rho_u = ray.rho_u.copy()
+        rho_u[:, j] = 0.0
+        if ray.rho_u[:, j].any() and _bound(problem, _ray(ray, rho_u, ray.rho_x)).value <= 0:
+            yield Conflict(f"control stop band on {name}", 1.0, _important(np.abs(ray.rho_u[:, j])))
+
+
+def _important(weights: Array) -> tuple[int, ...]:
+    return tuple(int(t) for t in np.flatnonzero(weights > SMALL_TIME * weights.max()))
+
+
+def _runs(times: tuple[int, ...]) -> str:
+    """Return increasing whole numbers as runs: 0..3, 7."""
+    runs: list[list[int]] = []
+    for t in times:
+        if runs and t == runs[-1][1] + 1:
+            runs[-1][1] = t
+        else:
+            runs.append([t, t])
+    shown = [f"{first}" if first == last else f"{first}..{last}" for first, last in runs[:4]]
+    return ", ".join(shown) + (", ..." if len(runs) > 4 else "")

@@ -1,0 +1,660 @@
+"""The command as a contract: keys and types of the JSON, arrays of the .npz, exit statuses, and what goes where."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp import cli
+from lin_freq_ocp.backends import clarabel_
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.methods import convex
+
+COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
+HARMLESS = ("--set", f"cutoff={np.pi!r}")
+"""A low pass at the Nyquist frequency: it removes nothing, and says so in a warning."""
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    """Run the command in this process; return exit status, stdout and stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with warnings.catch_warnings(), redirect_stdout(out), redirect_stderr(err):
+        warnings.simplefilter("default")
+        with pytest.raises(SystemExit) as ended:
+            cli.main(arguments)
+    return int(ended.value.code or 0), out.getvalue(), err.getvalue()
+
+
+once = cache(run)
+"""The same for runs that change nothing: each is made once."""
+
+
+def parsed(text: str):
+    """Return the one JSON object that is the whole text; NaN and Infinity, which are not JSON, are refused."""
+
+    def refuse(constant):
+        raise ValueError(f"{constant} in JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+# --- the JSON -------------------------------------------------------------------------------------------------------
+
+HEAD = {
+    "schema": int,
+    "version": str,
+    "problem": {"name": str, "horizon": int, "state_dim": int, "control_dim": int, "sampling_time": (float, None)},
+}
+CERTIFICATE = {
+    "pmp": str,
+    "normal": (bool, None),
+    "global": bool,
+    "conditions": [
+        {
+            "label": str,
+            "name": str,
+            "residual": (float, None),
+            "scale": (float, None),
+            "tolerance": float,
+            "passed": bool,
+            "time": (int, None),
+            "component": (int, None),
+        }
+    ],
+}
+VALUES = {"cost": (float, None), "lower_bound": (float, None), "gap": (float, None), "bound": (str, None)}
+CERTIFY = {**HEAD, **VALUES, "certificate": CERTIFICATE}
+SOLVE = {
+    **HEAD,
+    **VALUES,
+    "status": str,
+    "primal": bool,
+    "dual": bool,
+    "method": str,
+    "backend": str,
+    "seconds": {"setup": float, "solve": float, "certify": float},
+    "certificate": (CERTIFICATE, None),
+    "conflict": ([{"block": str, "share": float, "times": [int]}], None),
+    "message": (str, None),
+}
+MEASURES = {
+    "cost": (float, None),
+    "max_control": float,
+    "control_violation": float,
+    "state_violation": (float, None),
+    "terminal_error": (float, None),
+    "terminal_errors": ([float], None),
+    "stopband_energy": (float, None),
+    "stopband_peak": (float, None),
+    "state_stopband_energy": (float, None),
+    "state_stopband_peak": (float, None),
+    "amplification": float,
+}
+FILTERED = {**MEASURES, "description": str, "replay_meaningful": bool, "one_step_residual": [float]}
+FILTERS = ("brickwall", "butterworth", "zero_phase", "moving_average", "clipped")
+
+
+def compared(*filters: str):
+    return {
+        **SOLVE,
+        "classical": (MEASURES, None),
+        "constrained": (MEASURES, None),
+        "filtered": dict.fromkeys(filters, FILTERED),
+    }
+
+
+def require(value, kind, place="$"):
+    """Assert that a value is of a kind: a type, a list of one kind, a table of kinds, or a kind or None."""
+    if isinstance(kind, tuple):
+        if value is not None:
+            require(value, kind[0], place)
+    elif isinstance(kind, dict):
+        assert isinstance(value, dict), place
+        assert set(value) == set(kind), place
+        for key, of_key in kind.items():
+            require(value[key], of_key, f"{place}.{key}")
+    elif isinstance(kind, list):
+        assert isinstance(value, list), place
+        for i, entry in enumerate(value):
+            require(entry, kind[0], f"{place}[{i}]")
+    else:
+        assert type(value) is kind, f"{place}: {value!r}"
+
+
+def require_words(summary):
+    """Assert what the words and numbers of a summary may be, beyond their types."""
+    assert summary["schema"] == 1
+    assert summary["version"] == lfo.__version__
+    assert summary.get("status", "optimal") in ("optimal", "infeasible", "unbounded", "limit", "numerical_error")
+    assert summary["bound"] in ("rigorous", "numerical", None)
+    assert (summary["bound"] is None) == (summary["lower_bound"] is None) == (summary["gap"] is None)
+    if summary["gap"] is not None:
+        cost = summary["cost"]
+        assert summary["gap"] == pytest.approx((cost - summary["lower_bound"]) / max(1, abs(cost)))
+    certificate = summary["certificate"]
+    if certificate is not None:
+        assert certificate["pmp"] in ("satisfied", "violated", "not_applicable")
+        for condition in certificate["conditions"]:
+            assert condition["label"] in "C-i C-ii C-iii C-iv C-v C-vi C-vii S-x S-u N-x N-u".split()
+
+
+UNCLOCKED = """
+schema = 1
+horizon = 6
+initial_state = [1.0]
+[dynamics]
+A = [[1.0]]
+B = [[1.0]]
+[cost]
+R = 1.0
+P = 1.0
+"""
+UNBOUNDED = UNCLOCKED.replace("R = 1.0\nP = 1.0", "r = [1.0]")
+ADRIFT = UNBOUNDED.replace("horizon = 6", "horizon = 60")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "unclocked.toml").write_text(UNCLOCKED)
+    (folder / "unbounded.toml").write_text(UNBOUNDED)
+    (folder / "adrift.toml").write_text(ADRIFT)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "word"),
+    [
+        (("pendulum",), 0, "optimal"),
+        (("two_mass_spring",), 0, "optimal"),
+        (("pendulum", "--backend", "osqp", "--method", "convex", "--tolerance", "1e-8"), 0, "optimal"),
+        (("unclocked.toml",), 0, "optimal"),
+        (("pendulum", "--set", "control_bound=1"), 1, "infeasible"),
+        (("unbounded.toml",), 1, "unbounded"),
+        (("adrift.toml",), 1, "unbounded"),
+        (("pendulum", "--time-limit", "1e-3"), 3, "limit"),
+        (("pendulum", "--time-limit", "1e-3", "--backend", "osqp"), 3, "limit"),
+        (("pendulum", "--tolerance", "10"), 3, "numerical_error"),
+        (("pendulum", *HARMLESS), 0, "optimal"),
+    ],
+)
+def test_json_of_solve(arguments, status, word, files, monkeypatch):
+    monkeypatch.chdir(files)
+    ended, out, err = once("solve", *arguments, "--json")
+    summary = parsed(out)
+    require(summary, SOLVE)
+    require_words(summary)
+    assert (ended, summary["status"]) == (status, word)
+    assert (summary["conflict"] is None) == (word != "infeasible")
+    assert (summary["message"] is None) == (word == "optimal")
+    assert summary["primal"] == (word == "optimal") or word == "numerical_error"
+    assert (summary["certificate"] is None) == (word in ("infeasible", "unbounded")) == (summary["cost"] is None)
+    if word == "optimal":
+        assert summary["certificate"]["pmp"] == "satisfied"
+        assert summary["certificate"]["normal"] is True
+    assert err.startswith("warning: control_spectrum: low_pass") if HARMLESS[1] in arguments else err == ""
+
+
+def test_json_of_solve_says_what_the_library_says():
+    summary = parsed(once("solve", "pendulum", "--json")[1])
+    result = lfo.solve(lfo.library.pendulum())
+    certificate = result.certificate
+    assert summary["problem"] == {
+        "name": "pendulum",
+        "horizon": 240,
+        "state_dim": 4,
+        "control_dim": 1,
+        "sampling_time": 0.01,
+    }
+    assert summary["cost"] == pytest.approx(result.cost, rel=1e-12)
+    assert summary["cost"] == pytest.approx(3199.18631986, rel=1e-8)
+    assert summary["lower_bound"] == pytest.approx(result.lower_bound, rel=1e-12)
+    assert (summary["bound"], summary["method"], summary["backend"]) == ("rigorous", "convex", "clarabel")
+    assert (summary["primal"], summary["dual"], summary["certificate"]["global"]) == (True, True, True)
+    assert [(one["label"], one["name"], one["passed"]) for one in summary["certificate"]["conditions"]] == [
+        (one.label, one.name, one.passed) for one in certificate.conditions
+    ]
+    assert [one["scale"] for one in summary["certificate"]["conditions"]] == pytest.approx(
+        [one.scale for one in certificate.conditions]
+    )
+
+
+def test_json_of_an_infeasible_problem_names_the_conflict():
+    summary = parsed(once("solve", "pendulum", "--set", "control_bound=1", "--json")[1])
+    with pytest.raises(lfo.InfeasibleError) as caught:
+        lfo.solve(lfo.library.pendulum(control_bound=1))
+    assert [one["block"] for one in summary["conflict"]] == [one.block for one in caught.value.result.conflict]
+    assert [one["times"] for one in summary["conflict"]] == [list(one.times) for one in caught.value.result.conflict]
+    assert (summary["primal"], summary["dual"]) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "filters", "status"),
+    [
+        (("pendulum",), FILTERS, 0),
+        (("two_mass_spring", "--filters", " clipped , brickwall"), ("clipped", "brickwall"), 0),
+        (("pendulum", "--filters", "brickwall", "--set", "sampling_time=0.1"), ("brickwall",), 0),
+        (("unclocked.toml", "--filters", "zero_phase"), ("zero_phase",), 0),
+        (("pendulum", "--filters", "brickwall", "--set", "control_bound=4.5"), ("brickwall",), 1),
+        (("pendulum", "--filters", "brickwall", *HARMLESS), ("brickwall",), 0),
+    ],
+)
+def test_json_of_compare(arguments, filters, status, files, monkeypatch):
+    monkeypatch.chdir(files)
+    ended, out, err = once("compare", *arguments, "--json")
+    summary = parsed(out)
+    require(summary, compared(*filters))
+    require_words(summary)
+    assert ended == status
+    assert list(summary["filtered"]) == list(filters)
+    assert (summary["constrained"] is None) == (summary["status"] == "infeasible") == (status == 1)
+    assert err.startswith("warning: control_spectrum: low_pass") if HARMLESS[1] in arguments else err == ""
+
+
+def test_json_of_compare_says_what_the_library_says():
+    summary = parsed(once("compare", "pendulum", "--json")[1])
+    comparison = lfo.compare(lfo.library.pendulum())
+    assert summary["cost"] == pytest.approx(comparison.constrained.cost, rel=1e-12)
+    for name in ("classical", "constrained"):
+        measures = getattr(comparison, f"{name}_measures")
+        for key in ("cost", "max_control", "stopband_peak", "amplification"):
+            assert summary[name][key] == pytest.approx(getattr(measures, key), rel=1e-9)
+    for one in comparison.filtered:
+        found = summary["filtered"][one.name]
+        assert found["description"] == one.description
+        for key in ("cost", "max_control", "control_violation", "state_violation", "terminal_error", "stopband_peak"):
+            assert found[key] == pytest.approx(getattr(one.replay.measures, key), rel=1e-6, abs=1e-9)
+
+
+def test_json_of_a_replay_without_meaning_is_null():
+    arguments = ("compare", "pendulum", "--filters", "brickwall", "--set", "sampling_time=0.1", "--json")
+    brickwall = parsed(once(*arguments)[1])["filtered"]["brickwall"]
+    assert brickwall["replay_meaningful"] is False
+    for key in ("cost", "state_violation", "terminal_error", "terminal_errors"):
+        assert brickwall[key] is None
+    assert brickwall["amplification"] > 1e46
+
+
+def test_json_of_compare_where_nothing_can_be_compared():
+    """Even without its band the problem has no solution: that is an answer, and as JSON it is one object as ever."""
+    ended, out, _ = run("compare", "pendulum", "--set", "control_bound=1", "--filters", "brickwall", "--json")
+    summary = parsed(out)
+    assert (ended, summary["status"]) == (1, "infeasible")
+    assert set(summary) == set(compared())
+    assert summary["conflict"]
+
+
+# --- solutions: saved, certified, tampered with ---------------------------------------------------------------------
+
+MULTIPLIERS = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Solve the pendulum on the command line; return the path of the solution."""
+    path = tmp_path_factory.mktemp("saved") / "run.npz"
+    status, _, err = run("solve", "pendulum", "--json", "--save", str(path))
+    assert (status, err) == (0, "")
+    return path
+
+
+def with_fields(saved, path, **changes):
+    with np.load(saved, allow_pickle=False) as file:
+        fields = dict(file) | changes
+    np.savez(path, **{name: value for name, value in fields.items() if value is not None})
+    return str(path)
+
+
+def test_arrays_of_a_saved_solution(saved):
+    with np.load(saved, allow_pickle=False) as file:
+        shapes = {name: file[name].shape for name in file.files}
+        assert {file[name].dtype.kind for name in ("x", "u", "eta", "mu", "nu")} == {"f"}
+        assert {file[name].dtype.kind for name in ("rho_u", "rho_x")} == {"c"}
+        assert (int(file["schema"]), float(file["eta_C"])) == (1, 1.0)
+        summary = parsed(str(file["summary"]))
+    assert shapes == {
+        "x": (241, 4),
+        "u": (240, 1),
+        "eta_C": (),
+        "eta": (240, 4),
+        "mu": (241, 4),
+        "nu": (240, 1),
+        "rho_u": (121, 1),
+        "rho_x": (121, 4),
+        "schema": (),
+        "summary": (),
+    }
+    require(summary, SOLVE)
+    solution = lfo.load(saved)
+    assert lfo.library.pendulum().cost.value(solution.trajectory.x, solution.trajectory.u) == summary["cost"]
+
+
+def test_a_saved_solution_is_certified(saved):
+    status, out, err = run("certify", "pendulum", str(saved), "--json")
+    summary = parsed(out)
+    require(summary, CERTIFY)
+    require_words(summary)
+    assert (status, err) == (0, "")
+    assert (summary["certificate"]["pmp"], summary["certificate"]["global"]) == ("satisfied", True)
+    solution = lfo.load(saved)
+    certificate = lfo.certify(lfo.library.pendulum(), solution.trajectory, solution.multipliers)
+    assert (summary["cost"], summary["lower_bound"]) == (certificate.cost, certificate.lower_bound)
+    status, out, err = run("certify", "pendulum", str(saved))
+    assert (status, err) == (0, "")
+    assert "maximum principle satisfied" in " ".join(out.split())
+
+
+def test_a_trajectory_without_multipliers_is_certified(saved, tmp_path):
+    path = with_fields(saved, tmp_path / "bare.npz", schema=None, summary=None, **dict.fromkeys(MULTIPLIERS))
+    status, out, err = run("certify", "pendulum", path, "--json")
+    assert (status, err) == (0, "")
+    assert parsed(out)["certificate"]["pmp"] == "satisfied"
+
+
+@pytest.mark.parametrize(
+    ("field", "nudge", "fails"),
+    [
+        ("u", 0.01, {"C-iii", "C-v", "C-vii"}),
+        ("x", 0.01, {"C-iii"}),
+        ("eta", 10.0, {"C-iii"}),
+        ("eta_C", -1.0, {"C-v"}),
+    ],
+)
+def test_a_tampered_solution_is_not_proven(saved, tmp_path, field, nudge, fails):
+    with np.load(saved, allow_pickle=False) as file:
+        value = file[field].copy()
+    value[(100, 0) if value.ndim else ()] += nudge
+    path = with_fields(saved, tmp_path / "tampered.npz", **{field: value})
+    status, out, _ = run("certify", "pendulum", path, "--json")
+    certificate = parsed(out)["certificate"]
+    assert (status, certificate["pmp"], certificate["global"]) == (3, "violated", False)
+    failed = [one for one in certificate["conditions"] if not one["passed"]]
+    assert fails <= {one["label"] for one in failed}
+    if field == "u":
+        assert next(one for one in failed if one["name"] == "state equation")["time"] == 100
+    status, out, _ = run("certify", "pendulum", path)
+    assert (status, "fails" in out) == (3, True)
+
+
+def test_a_solution_of_another_cost_is_not_proven(saved):
+    status, out, _ = run("certify", "pendulum", str(saved), "--set", "cutoff=2.4", "--json")
+    assert status == 3
+    assert not next(one for one in parsed(out)["certificate"]["conditions"] if one["label"] == "C-vii")["passed"]
+
+
+def test_a_point_without_proof_is_saved_and_stays_without(tmp_path):
+    path = str(tmp_path / "limit.npz")
+    assert run("solve", "pendulum", "--time-limit", "1e-3", "--save", path)[0] == 3
+    assert run("certify", "pendulum", path)[0] == 3
+
+
+def test_without_a_trajectory_nothing_is_saved(tmp_path):
+    path = tmp_path / "none.npz"
+    assert run("solve", "pendulum", "--set", "control_bound=1", "--save", str(path))[0] == 1
+    assert not path.exists()
+
+
+# --- for people -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options"),
+    [
+        ((), ("list", "solve", "compare", "certify", "init", "--version")),
+        (("list",), ()),
+        (
+            ("solve",),
+            ("NAME|FILE.toml", "--set", "--method", "--backend", "--time-limit", "--tolerance", "--save", "--json"),
+        ),
+        (("compare",), ("NAME|FILE.toml", "--set", "--filters", "--out", "--json", *FILTERS)),
+        (("certify",), ("NAME|FILE.toml", "SOLUTION.npz", "--json")),
+        (("init",), ("FILE.toml",)),
+    ],
+)
+def test_help_names_every_option(arguments, options):
+    for flag in ("--help", "-h"):
+        status, out, err = once(*arguments, flag)
+        assert (status, err) == (0, "")
+        for option in options:
+            assert option in out
+
+
+def test_version():
+    assert once("--version") == (0, f"lin-freq-ocp, version {lfo.__version__}\n", "")
+
+
+def test_list_shows_every_problem():
+    status, out, err = once("list")
+    assert (status, err) == (0, "")
+    for name in lfo.library.PROBLEMS:
+        assert name in out
+
+
+@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
+def test_every_problem_of_the_library_is_proven(name):
+    status, out, err = once("solve", name)
+    assert (status, err) == (0, "")
+    for words in ("status optimal", "theorem satisfied, normal", "global optimum", "maximum principle satisfied"):
+        assert words in " ".join(out.split())
+
+
+def test_a_conflict_is_shown():
+    status, out, err = once("solve", "pendulum", "--set", "control_bound=1")
+    assert (status, err) == (1, "")
+    assert "conflict initial state, t = 0" in " ".join(out.split())
+    assert "control bound on force [N]" in " ".join(out.split())
+
+
+def test_a_comparison_is_shown():
+    status, out, err = once("compare", "pendulum", "--filters", "brickwall")
+    assert (status, err) == (0, "")
+    for words in ("status optimal", "brickwall", "classical", "5.858", "16.72"):
+        assert words in " ".join(out.split())
+
+
+@pytest.mark.parametrize("command", ["solve", "compare"])
+def test_in_a_file_nothing_is_cut_off(command):
+    """Where there is no terminal there is no edge: 3.6e-… would be no number, and a broken line no line."""
+    out = once(command, "two_mass_spring")[1]
+    assert "\N{HORIZONTAL ELLIPSIS}" not in out
+    assert "0 control and 2 state bins removed (0 .. Nyquist)\n" in out
+
+
+def test_a_fresh_file_is_solved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run("init", "my.toml")
+    assert (status, out, err) == (0, "wrote my.toml; next: lin-freq-ocp solve my.toml\n", "")
+    status, out, err = run("solve", "my.toml", "--save", "run.npz")
+    assert (status, err) == (0, "")
+    assert "cart: horizon 200" in out
+    assert run("certify", "my.toml", "run.npz")[0] == 0
+    assert sorted(os.listdir()) == ["my.toml", "run.npz"]
+
+
+def test_settings_of_a_file_are_merged(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run("init", "my.toml")
+    given = ("horizon=150", "cost.R=3.0", "state_set={lower = [-inf, -2.0], upper = [inf, 2.0]}", "control_spectrum=[]")
+    status, out, _ = run("solve", "my.toml", "--json", *(word for one in given for word in ("--set", one)))
+    summary = parsed(out)
+    assert (status, summary["problem"]["horizon"]) == (0, 150)
+    assert summary["cost"] == pytest.approx(3 / 2 * 12 / 0.01**4 / (149 * 150 * 151), rel=1e-6)  # rest to rest
+
+
+def test_settings_of_the_library():
+    given = ("--set", "horizon=60", "--set", "cutoff_hz=4", "--set", "horizon=120", "--set", 'speed_bound="none"')
+    summary = parsed(run("solve", "double_integrator", "--json", *given)[1])
+    expected = lfo.solve(lfo.library.double_integrator(horizon=120, cutoff_hz=4, speed_bound=None))
+    assert summary["problem"]["horizon"] == 120
+    assert summary["cost"] == pytest.approx(expected.cost, rel=1e-12)
+
+
+def test_a_problem_of_the_library_is_not_hidden_by_a_file_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("solve", "double_integrator", "--save", "double_integrator")[0] == 0
+    assert run("certify", "double_integrator", "double_integrator")[0] == 0
+
+
+def test_file_names_are_shown_as_they_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("[red]my.toml", ":smile:.toml"):
+        assert run("init", name) == (0, f"wrote {name}; next: lin-freq-ocp solve {name}\n", "")
+
+
+def test_names_within_a_problem_are_shown_as_they_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = UNCLOCKED.replace("schema = 1", 'schema = 1\nname = "[red]a[/blue]"')
+    Path("p.toml").write_text(text.replace("[cost]", 'control_names = ["[/] [N]"]\n[cost]'))
+    for command in ("solve", "compare"):
+        status, out, err = run(command, "p.toml")
+        assert (status, err) == (0, "")
+        assert "[red]a[/blue]: horizon 6" in out
+    assert "[/] [N]" in out
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+@pytest.mark.parametrize("arguments", [("list",), ("solve", "pendulum"), ("compare", "pendulum")])
+def test_a_stream_that_cannot_show_every_character_is_no_obstacle(arguments, encoding):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, write_through=True)
+    with redirect_stdout(stream), pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert not ended.value.code
+    assert b"pendulum" in stream.buffer.getvalue()
+
+
+def test_an_optimum_of_zero_satisfies_the_principle(tmp_path, monkeypatch):
+    """The cart may start where it is to end: nothing moves, nothing costs, and no multiplier is large."""
+    monkeypatch.chdir(tmp_path)
+    run("init", "my.toml")
+    status, out, _ = run("solve", "my.toml", "--json", "--set", "initial_state={lower = [0, 0]}")
+    summary = parsed(out)
+    assert status == 0
+    assert summary["cost"] == pytest.approx(0, abs=1e-12)
+    assert summary["certificate"]["pmp"] == "satisfied"
+
+
+# --- the report -----------------------------------------------------------------------------------------------------
+
+
+def test_a_report_is_written_and_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run("compare", "pendulum", "--out", "some/report")
+    page = Path("some/report/index.html")
+    assert (status, err) == (0, "")
+    assert f"report: {page}" in out
+    assert "pendulum" in page.read_text(encoding="utf-8")
+
+
+def test_a_report_does_not_disturb_the_json(tmp_path, monkeypatch):
+    folders = []
+    monkeypatch.setattr(lfo.Comparison, "save", lambda comparison, folder: folders.append(folder))
+    status, out, _ = run(
+        "compare", "pendulum", "--filters", "brickwall", "--out", str(tmp_path / "[red]report"), "--json"
+    )
+    require(parsed(out), compared("brickwall"))
+    assert (status, folders) == (0, [tmp_path / "[red]report"])
+
+
+# --- interrupted ----------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "solve", interrupted)
+    status, out, err = run("solve", "pendulum", "--json")
+    assert (status, out, err.strip()) == (130, "", "")
+
+
+@pytest.mark.parametrize("passes", [0, 1])
+def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
+    """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
+    finished = []
+    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
+
+    def impatient(program, tolerance, time_limit):
+        answer = clarabel_.solve(program, tolerance, time_limit)
+        finished.append(answer)
+        return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
+
+    monkeypatch.setattr(convex, "backend", lambda name: impatient)
+    status, out, _ = run("solve", "pendulum", "--json")
+    summary = parsed(out)
+    require(summary, SOLVE)
+    assert len(finished) == passes + 1
+    assert summary["cost"] == pytest.approx(3199.186, rel=1e-3)
+    assert status == 130
+
+
+# --- as real processes ----------------------------------------------------------------------------------------------
+
+
+def test_the_whole_process(tmp_path):
+    environment = os.environ | {"FORCE_COLOR": "1", "COLUMNS": "30"}
+    done = subprocess.run(
+        [COMMAND, "solve", "pendulum", "--json"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    summary = parsed(done.stdout)
+    require(summary, SOLVE)
+    assert summary["cost"] == pytest.approx(3199.18631986, rel=1e-8)
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_import_is_light():
+    heavy = ("control", "matplotlib", "cvxpy", "jinja2")
+    code = f"import sys, lin_freq_ocp, lin_freq_ocp.cli; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_a_reader_that_goes_away_is_no_obstacle():
+    with subprocess.Popen([COMMAND, "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT for one process")
+@pytest.mark.parametrize(("backend", "horizon"), [("clarabel", 2000), ("osqp", 1000)])
+def test_ctrl_c_in_the_middle_of_a_long_solve(backend, horizon, tmp_path):
+    """The high pass removes nothing and so makes a warning, which tells us that the solve is about to begin."""
+    slow = lfo.library.pendulum(horizon=horizon, terminal_state=(0.0, 0.0, 0.0, 0.0), cutoff=None)
+    lfo.write_problem(slow, tmp_path / "slow.toml")
+    with (tmp_path / "slow.toml").open("a") as file:
+        for kind, cutoff in (("low_pass", 2.5), ("high_pass", 0.0)):
+            file.write(f'\n[[control_spectrum]]\nkind = "{kind}"\ncutoff = {cutoff}\n')
+    arguments = [COMMAND, "solve", "slow.toml", "--json", "--backend", backend]
+    with subprocess.Popen(
+        arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert "removes no bin" in process.stderr.readline()
+            time.sleep(1.5)
+            assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            clock = time.monotonic()
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert time.monotonic() - clock < 15
+    assert (process.returncode, err.strip()) == (130, "")
+    if out:  # nothing, if the solver had not yet begun
+        summary = parsed(out)
+        require(summary, SOLVE)
+        assert summary["status"] == "limit"
