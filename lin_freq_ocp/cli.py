@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp import library
@@ -40,8 +40,8 @@ from lin_freq_ocp.solve import Result, certify, solve
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
 
-PAGE_WIDTH = 200
-"""Columns of tables that go to a file or a pipe, where nothing needs to be cut off."""
+PAGE = ConsoleDimensions(width=200, height=100)
+"""Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
 
 out, err = Console(), Console(stderr=True)
 
@@ -257,7 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _status(arguments: Sequence[str] | None) -> int:
     if not out.is_terminal and "COLUMNS" not in os.environ:
-        out.width = PAGE_WIDTH
+        out.size = PAGE
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
     except click.ClickException as error:
