@@ -7,7 +7,6 @@ unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupte
 from __future__ import annotations
 
 import inspect
-import os
 import sys
 import tomllib
 import warnings
@@ -256,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _status(arguments: Sequence[str] | None) -> int:
-    if not out.is_terminal and "COLUMNS" not in os.environ:
+    if not out.is_terminal:
         out.size = PAGE
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
