@@ -243,7 +243,7 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, backend: str) 
             status, words = "numerical_error", f"{words}, but its ray proves nothing"
         else:
             conflict, ray = proof.conflict, proof.multipliers
-            words = f"proven by a ray with bound {proof.bound.value:.3g} > 0 ({proof.bound.kind})"
+            words = f"proven by a {proof.bound.kind} ray"
     return Result(
         problem=problem,
         status=status,

@@ -171,6 +171,14 @@ BAD_PARAMETERS = {
         solve_pendulum("state_bounds=[1, 2]"),
         "got bounds for 2 components; expected bounds for 4",
     ),
+    "orbit without size": (
+        ("solve", "elliptic_rendezvous", "--set", "perigee_radius=1e-308"),
+        "perigee_radius: got 1e-308",
+    ),
+    "orbit beyond all size": (
+        ("solve", "elliptic_rendezvous", "--set", "perigee_radius=1e308"),
+        "perigee_radius: got 1e+308",
+    ),
     "unknown variant": (solve_pendulum('parameters="mine"'), "parameters: got 'mine'; expected 'paper' or 'physical'"),
     "unknown parameter": (solve_pendulum("cutof=1"), "--set cutof: got no parameter of that name", "horizon,"),
     "key of a file": (solve_pendulum("cost.R=1"), "--set cost: got no parameter of that name"),

@@ -24,6 +24,9 @@ CLAIMS = {
     "CallbackTerminated": Claim.INTERRUPTED,
 }
 
+COST_FACTOR = 10.0
+"""Its regularisation is absolute and disturbs small costs: it gets the cost this much larger."""
+
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
     """Solve; every row becomes an equation, or its finite sides become inequalities."""
@@ -31,8 +34,8 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     A = sp.csc_matrix(sp.vstack([sides.A, sides.G]))
     b = np.concatenate([sides.b, sides.h])
     cones = [clarabel.ZeroConeT(len(sides.b)), clarabel.NonnegativeConeT(len(sides.h))]
-    upper = sp.csc_matrix(sp.triu(program.P))
-    solver = clarabel.DefaultSolver(upper, program.q, A, b, cones, _settings(tolerance, time_limit))
+    upper, q = sp.csc_matrix(COST_FACTOR * sp.triu(program.P)), COST_FACTOR * program.q
+    solver = clarabel.DefaultSolver(upper, q, A, b, cones, _settings(tolerance, time_limit))
     with interrupts_noted() as noted:
         solver.set_termination_callback(lambda info: noted.is_set())
         answer = solver.solve()
@@ -40,7 +43,7 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
         return Solution(Claim.FAILED, None, None, str(answer.status))
-    y = sides.dual(len(program.lower), *np.split(dual, [len(sides.b)]))
+    y = sides.dual(len(program.lower), *np.split(dual / COST_FACTOR, [len(sides.b)]))
     return Solution(claim, z, y, str(answer.status))
 
 

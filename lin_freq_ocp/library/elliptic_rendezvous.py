@@ -18,6 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum import low_pass
 
 GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2, of the Earth
+EARTH_RADIUS, SPHERE_OF_INFLUENCE = 6.371e6, 9.24e8  # m
 INTEGRATION_TOLERANCE = 1e-12
 """Relative and absolute tolerance of the integration along the orbit."""
 
@@ -73,7 +74,13 @@ def elliptic_rendezvous(
     e, start = float(shaped("eccentricity", eccentricity, ())), float(shaped("first_anomaly", first_anomaly, ()))
     if not 0 <= e < 1:
         raise ProblemError("eccentricity", f"{e:g}", "0 (a circle) or more, and below 1")
-    orbit = _Orbit(e, positive_number("perigee_radius", perigee_radius) * (1 + e))
+    perigee = positive_number("perigee_radius", perigee_radius)
+    if not EARTH_RADIUS <= perigee <= SPHERE_OF_INFLUENCE:
+        known = (
+            f"metres from the Earth's surface, {EARTH_RADIUS:g}, to the end of its influence, {SPHERE_OF_INFLUENCE:g}"
+        )
+        raise ProblemError("perigee_radius", f"{perigee:g}", known)
+    orbit = _Orbit(e, perigee * (1 + e))
     A, B = _sampled_model(orbit, start, T, step)
     return OptimalControlProblem(
         dynamics=LinearDynamics(

@@ -33,9 +33,12 @@ NEGLIGIBLE = 1e-6
 REVISED = 100.0
 """Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
 
+COST_LEVEL = 10.0
+"""Steepest slope of the scaled cost: the other slopes are smaller, and solvers need to see them all."""
+
 
 def natural_scaling(transcription: LinearTranscription) -> Scaling:
-    """Return the change of units that makes states, controls and the cost gradient of order 1."""
+    """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
     guess = stated_sizes(transcription.problem)
     columns = transcription.column_units(*_relaxed_magnitudes(transcription, guess))
     return _scaling(transcription, columns, columns)
@@ -54,7 +57,7 @@ def _scaling(transcription: LinearTranscription, columns: Array, typical: Array)
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
     steepest = float((columns * (abs(program.P) @ typical + np.abs(program.q))).max(initial=0.0))
-    cost = 1.0 / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
 
 

@@ -1,0 +1,316 @@
+"""Figures of a result or a comparison; they need no display and change no global setting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+from math import ceil
+from string import ascii_lowercase
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+
+from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, Certificate
+from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.report.entries import has_stop_band, shown_filter
+from lin_freq_ocp.report.numbers import number, split_unit
+from lin_freq_ocp.report.panels import (
+    control_panel,
+    frequency_axis,
+    phase_panel,
+    shade_stop_band,
+    spectrum_panel,
+    state_panel,
+)
+from lin_freq_ocp.report.scene import Component, Scene
+from lin_freq_ocp.report.style import (
+    BAND,
+    BOUND,
+    COMPONENTS,
+    CONSTRAINED,
+    INK,
+    LABEL_SIZE,
+    MARKERS,
+    MUTED,
+    PAPER,
+    ROW_HEIGHT,
+    STYLES,
+    Trace,
+    dress,
+    new_figure,
+    thinned,
+)
+from lin_freq_ocp.solve import Result
+
+LEGEND_HEIGHT = 0.5
+"""Inches for the legend above the panels."""
+
+SMALLEST_SHOWN = 1e-6
+"""Stage gaps below this fraction of the largest are rounding, and drawn at the lower edge."""
+
+ROUNDING = 1e-12
+"""Fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller."""
+
+
+def result_figure(result: Result) -> Figure:
+    """Return controls, their spectra and two phase portraits of one solution.
+
+    Raises
+    ------
+    SolveError
+        If the result has no trajectory.
+    """
+    return four_panels(result_scene(result))
+
+
+def comparison_figure(comparison: Comparison, filter_name: str | None = None) -> Figure:
+    """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    filter_name : str, optional
+        The filter to show; default the brick wall, if it was asked for, else the first.
+
+    Raises
+    ------
+    ProblemError
+        If the comparison has no filter of that name.
+    """
+    return four_panels(comparison_scene(comparison, filter_name))
+
+
+def result_scene(result: Result) -> Scene:
+    """Return the solution as a scene; SolveError if it has no trajectory."""
+    if result.trajectory is None:
+        raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
+    label = "optimal" if result.status == "optimal" else "best point"
+    return Scene(result.problem, (Trace(label, result.trajectory, STYLES["constrained"]),))
+
+
+def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> Scene:
+    """Return what there is of the classical, the filtered and the constrained trajectory."""
+    problem, constrained = comparison.problem, comparison.constrained
+    one = shown_filter(comparison, filter_name)
+    if not has_stop_band(problem) and constrained.trajectory is not None:
+        return result_scene(constrained)
+    traces = list[Trace]()
+    if comparison.classical.trajectory is not None:
+        traces.append(Trace("classical", comparison.classical.trajectory, STYLES["classical"]))
+    if one is not None:
+        detail, shown = one.name.replace("_", " "), one.replay.meaningful
+        traces.append(Trace("filtered", one.replay.trajectory, STYLES["filtered"], detail, shown, guest=True))
+    if constrained.trajectory is not None:
+        traces.append(Trace("constrained", constrained.trajectory, STYLES["constrained"]))
+    return Scene(problem, tuple(traces))
+
+
+def four_panels(scene: Scene) -> Figure:
+    """Return each control in time beside its spectrum, and two views of the states below."""
+    problem = scene.problem
+    controls = problem.control_dim
+    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT)
+    grid = figure.add_gridspec(controls + 1, 2)
+    letters = cycle(ascii_lowercase)
+    for j, name in enumerate(problem.control_names):
+        short = _capital(name)
+        control_panel(figure.add_subplot(grid[j, 0]), scene, j, f"({next(letters)}) {short}")
+        spectrum_panel(
+            figure.add_subplot(grid[j, 1]),
+            scene,
+            scene.control(j),
+            f"({next(letters)}) Spectrum of {split_unit(name)[0]}",
+        )
+    for column, title in zip(range(2), letters, strict=False):
+        _draw_states(figure, grid, scene, column, f"({title})")
+    _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_stop.any()))
+    return figure
+
+
+def phase_pairs(n: int) -> list[tuple[int, int]]:
+    """Return at most two pairs of states: i with i + n/2 (positions with their speeds) for even n, else neighbours."""
+    half = n // 2
+    pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
+    return pairs[:2]
+
+
+def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, letter: str) -> None:
+    """Draw a phase portrait into the last row; where there are not two, the first state in time."""
+    names, pairs = scene.problem.state_names, phase_pairs(scene.problem.state_dim)
+    if column < len(pairs):
+        i, j = pairs[column]
+        title = f"{letter} {_capital(names[i])} and {split_unit(names[j])[0]}"
+        phase_panel(figure.add_subplot(grid[-1, column]), scene, i, j, title)
+    elif pairs:
+        state_panel(figure.add_subplot(grid[-1, column]), scene, 0, f"{letter} {_capital(names[0])}")
+    elif column == 0:
+        state_panel(figure.add_subplot(grid[-1, :]), scene, 0, f"{letter} {_capital(names[0])}")
+
+
+def states_figure(scene: Scene) -> Figure:
+    """Return every state in time, within its bounds."""
+    names = scene.problem.state_names
+    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT)
+    for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
+        state_panel(ax, scene, i, _capital(name))
+    _legend(figure, scene, with_ends=False, with_band=False)
+    return figure
+
+
+def state_spectra_figure(scene: Scene) -> Figure:
+    """Return the spectra of the states that have a stop band (there must be one)."""
+    stopped = [int(i) for i in np.flatnonzero(scene.problem.state_stop.any(0))]
+    figure, panels = _two_columns(len(stopped), ROW_HEIGHT)
+    for i, ax in zip(stopped, panels, strict=True):
+        spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {split_unit(scene.problem.state_names[i])[0]}")
+    _legend(figure, scene, with_ends=False, with_band=True, with_bounds=False)
+    return figure
+
+
+def gap_figure(scene: Scene, certificate: Certificate) -> Figure | None:
+    """Return what each stage adds to the gap between cost and global bound; None without a bound."""
+    gaps = certificate.stage_gaps
+    if gaps is None or not np.isfinite(gaps).all():
+        return None
+    figure = new_figure(0.85 * ROW_HEIGHT)
+    ax = figure.add_subplot()
+    allowed = GAP_TOLERANCE * max(1.0, abs(certificate.cost))
+    floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
+    times, low = scene.time.factor * np.arange(len(gaps)), gaps < floor
+    ax.plot(*thinned(times[~low], gaps[~low]), "o", color=CONSTRAINED, markersize=3.2, markeredgewidth=0)
+    ax.plot(
+        *thinned(times[low], np.full(int(low.sum()), floor)),
+        "v",
+        color=CONSTRAINED,
+        markersize=4,
+        markerfacecolor="none",
+    )
+    ax.axhline(allowed, color=MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_ylim(floor / 4, 60 * max(allowed, float(gaps.max())))
+    ax.margins(x=0.015)
+    ax.annotate(
+        f"allowed for all stages together: {number(allowed, 2)}",
+        (1, allowed),
+        xycoords=("axes fraction", "data"),
+        xytext=(-4, 3),
+        textcoords="offset points",
+        fontsize=LABEL_SIZE,
+        color=MUTED,
+        ha="right",
+        va="bottom",
+    )
+    dress(ax, "Gap per stage", scene.time.label, "part of the gap [cost]")
+    return figure
+
+
+def price_figure(scene: Scene, multipliers: Multipliers) -> Figure:
+    """Return |d J* / d bin| of every removed bin over its frequency (there must be a stop band)."""
+    problem = scene.problem
+    kinds = [
+        (rho, [component(int(i)) for i in np.flatnonzero(stop.any(0))], what, length)
+        for rho, component, stop, what, length in (
+            (multipliers.rho_u, scene.control, problem.control_stop, "control", problem.horizon),
+            (multipliers.rho_x, scene.state, problem.state_stop, "state", problem.horizon + 1),
+        )
+        if stop.any()
+    ]
+    figure = new_figure(0.85 * ROW_HEIGHT * len(kinds))
+    for row, (rho, components, what, length) in enumerate(kinds):
+        ax = figure.add_subplot(len(kinds), 1, row + 1)
+        frequency = scene.frequency.factor * 2 * np.pi * np.arange(len(rho)) / length
+        for i, one in enumerate(components):
+            shade_stop_band(ax, one.stop, length, scene.frequency.factor)
+            _draw_prices(ax, one, frequency, np.abs(rho[:, one.index]), i)
+        highest = float(np.abs(rho[:, [one.index for one in components]]).max())
+        ax.set_ylim(0, 1.08 * highest or 1.0)
+        if len(components) > 1:
+            ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)
+        units = {split_unit(one.name)[1] for one in components}
+        unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
+        dress(ax, f"Price of each removed {what} bin", scene.frequency.label, f"|dJ* / d bin|{unit}")
+        frequency_axis(ax, scene)
+        _look_at(ax, frequency[np.any([one.stop for one in components], axis=0)])
+    return figure
+
+
+def _look_at(ax: Axes, frequency: np.ndarray) -> None:
+    """Leave out what is far from all stopped bins."""
+    margin = 0.12 * (frequency[-1] - frequency[0]) or 0.12 * frequency[0]
+    low, high = ax.get_xlim()
+    if margin > 0:
+        ax.set_xlim(max(low, frequency[0] - margin), min(high, frequency[-1] + margin))
+
+
+def _draw_prices(ax: Axes, component: Component, frequency: np.ndarray, price: np.ndarray, i: int) -> None:
+    """Draw one stem per stopped bin."""
+    color = COMPONENTS[i % len(COMPONENTS)]
+    x, y = thinned(frequency[component.stop], price[component.stop])
+    ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
+    ax.plot(
+        x,
+        y,
+        marker=MARKERS[i % len(MARKERS)],
+        linestyle="none",
+        color=color,
+        markersize=5,
+        label=split_unit(component.name)[0],
+    )
+
+
+def _two_columns(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure and so many panels in two columns; a single one takes both."""
+    rows = ceil(count / 2)
+    figure = new_figure(height * rows + LEGEND_HEIGHT)
+    columns = min(count, 2)
+    return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
+
+
+def _capital(name: str) -> str:
+    """Return a component's name without its unit, as a title begins."""
+    short = split_unit(name)[0]
+    return short[:1].upper() + short[1:] if short.isalpha() or " " in short else short
+
+
+def _has_bounds(scene: Scene) -> bool:
+    boxes = scene.problem.control_tube, scene.state_bounds
+    return any(bool(np.isfinite(bound).any()) for box in boxes for bound in (box.lower, box.upper))
+
+
+def _legend(figure: Figure, scene: Scene, with_ends: bool, with_band: bool, with_bounds: bool = True) -> None:
+    """Explain lines and markers above the panels."""
+    handles: list[Artist] = []
+    for trace in scene.traces:
+        style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
+        handles.append(
+            Line2D([], [], color=style.color, linestyle=style.line, linewidth=style.width + 0.3, label=label)
+        )
+    if with_bounds and _has_bounds(scene):
+        handles.append(Line2D([], [], color=BOUND, linewidth=1.2, label="bound"))
+    if with_band:
+        handles.append(Patch(facecolor=BAND, label="stop band"))
+    if with_ends:
+        markers: Sequence[tuple[str, str, str]] = (("o", PAPER, "start"), ("s", INK, "end"))
+        for marker, face, label in markers:
+            handles.append(
+                Line2D([], [], linestyle="none", marker=marker, color=INK, markerfacecolor=face, label=label)
+            )
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncols=len(handles),
+        frameon=False,
+        fontsize=LABEL_SIZE + 0.5,
+        labelcolor=INK,
+        handlelength=2.6,
+        columnspacing=1.6,
+    )

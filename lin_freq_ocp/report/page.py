@@ -1,0 +1,184 @@
+"""One self-contained HTML page: the finding, the figures, the tables, the proof and the problem."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.report import figures, words
+from lin_freq_ocp.report.entries import has_stop_band, shown_filter
+from lin_freq_ocp.report.facts import problem_facts
+from lin_freq_ocp.report.numbers import number, rough
+from lin_freq_ocp.report.style import THEMED
+from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
+from lin_freq_ocp.solve import Result
+
+SVG_SETTINGS: dict[Any, str] = {"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}
+"""Names of shapes that do not change from run to run, and text that looks the same on every machine."""
+
+PIXELS_PER_INCH = 150
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, ready for the page and for files of its own: ``name``.svg and ``name``.png."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+    png: bytes
+
+    @property
+    def inline(self) -> Markup:
+        """Return the figure as part of a page."""
+        return inline_svg(self.svg, self.name, self.title)
+
+
+def save_report(comparison: Comparison, folder: str | Path) -> Path:
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path.
+
+    Raises
+    ------
+    ProblemError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        drawings = draw(comparison)
+        for drawing in drawings:
+            (folder / f"{drawing.name}.svg").write_text(drawing.svg, encoding="utf-8", newline="\n")
+            (folder / f"{drawing.name}.png").write_bytes(drawing.png)
+        path = folder / "index.html"
+        path.write_text(render(comparison, drawings), encoding="utf-8", newline="\n")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ProblemError("folder", f"{folder} ({reason})", "a folder that can be written") from None
+    return path
+
+
+def draw(comparison: Comparison) -> tuple[Drawing, ...]:
+    """Return all figures that the comparison has something to show in."""
+    return tuple(_drawing(name, title, caption, figure) for name, title, caption, figure in _figures(comparison))
+
+
+def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
+    """Return the page."""
+    problem, certificate = comparison.problem, comparison.constrained.certificate
+    environment = Environment(
+        loader=PackageLoader("lin_freq_ocp.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.lstrip_blocks = True
+    return environment.get_template("page.html.jinja").render(
+        title=problem.name or "Optimal control problem",
+        finding=words.finding(comparison),
+        tiles=tiles(comparison),
+        drawings={drawing.name: drawing for drawing in drawings},
+        table=comparison_rows(comparison),
+        filtering=words.FILTERING,
+        not_meaningful=NOT_MEANINGFUL,
+        meaning=words.stop_band_meaning(comparison),
+        verdict=[] if certificate is None else words.verdict(certificate),
+        conditions=() if certificate is None else certificate_rows(problem, certificate),
+        result=comparison.constrained,
+        conflict=words.conflict_in_words(comparison.constrained),
+        amplification=rough(comparison.classical_measures.amplification),
+        replay_is_meaningful=comparison.replay_is_meaningful,
+        facts=problem_facts(problem),
+        filters=[(one.name.replace("_", " "), one.description) for one in comparison.filtered],
+        has_stop_band=has_stop_band(problem),
+        solves=[_how(what, one) for what, one in _solves(comparison)],
+        sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
+        version=version("lin-freq-ocp"),
+    )
+
+
+def tiles(comparison: Comparison) -> list[tuple[str, str, str]]:
+    """Return the figures of the headline: what, the number, and a word on it."""
+    result, certificate = comparison.constrained, comparison.constrained.certificate
+    shown = [("cost without stop band", number(comparison.classical.cost), "")]
+    if not has_stop_band(comparison.problem):
+        shown = []
+    if certificate is None:
+        return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
+    shown.append(("cost with the constraint" if shown else "optimal cost", number(result.cost), ""))
+    kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
+    shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
+    if certificate.gap is not None and certificate.bound is not None:
+        shown.append(("gap to the global bound", number(certificate.gap, 2), certificate.bound.kind))
+    return shown
+
+
+def inline_svg(svg: str, name: str, title: str) -> Markup:
+    """Return an SVG file as an element of a page: no header, own ids, and the page's colours."""
+    body = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    view_box = re.search(r'viewBox="[^"]*"', body)
+    content = body[body.index(">") + 1 :].replace("xlink:href", "href")
+    content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", content)
+    for color, variable in THEMED.items():
+        content = content.replace(color, f"var(--{variable})")
+    opening = Markup('<svg role="img" aria-label="{}" {}>').format(title, Markup(view_box[0] if view_box else ""))
+    return opening + Markup(content)
+
+
+def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
+    """Yield name, title, caption and figure."""
+    scene, result = figures.comparison_scene(comparison), comparison.constrained
+    one = shown_filter(comparison)
+    caption = (
+        "Spectra: points are the bins of the DFT, hollow triangles at the lower edge those too small for the axis; "
+        "lines are the zero-padded spectrum, which looks between the bins (for many bins, its largest value between "
+        "neighbours)."
+    )
+    filtered = "" if one is None else f" Filtered: {one.description}."
+    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
+    if comparison.problem.state_stop.any():
+        yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
+    yield "states", "Every state in time", "", figures.states_figure(scene)
+    if result.certificate is not None and result.multipliers is not None:
+        gap = figures.gap_figure(scene, result.certificate)
+        if gap is not None:
+            yield "gap", "Gap per stage", words.parts_of_the_gap(result.certificate), gap
+        if has_stop_band(comparison.problem):
+            text = (
+                "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero "
+                "(its mirror image with it): the magnitude of its multiplier."
+            )
+            yield "price", "Price of each removed bin", text, figures.price_figure(scene, result.multipliers)
+
+
+def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
+    figure.set_dpi(PIXELS_PER_INCH)
+    svg, png = BytesIO(), BytesIO()
+    FigureCanvasAgg(figure).print_png(png)
+    figure.set_layout_engine("none")  # keeps the layout that was found
+    with mpl.rc_context(SVG_SETTINGS):
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
+    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
+
+
+def _solves(comparison: Comparison) -> list[tuple[str, Result]]:
+    if not has_stop_band(comparison.problem):
+        return [("the problem", comparison.constrained)]
+    return [("without the stop band", comparison.classical), ("with the constraint", comparison.constrained)]
+
+
+def _how(what: str, result: Result) -> tuple[str, str, str, str, str]:
+    times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
+    status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
+    return what, status, result.method, result.backend, times

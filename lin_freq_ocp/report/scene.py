@@ -1,0 +1,155 @@
+"""What the panels of a figure share: the problem, the trajectories, the units, and how far the axes reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.measures import amplification
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.report.entries import state_bounds
+from lin_freq_ocp.report.numbers import listed, quantity, rough
+from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
+from lin_freq_ocp.report.style import Note, Trace
+
+GUEST_REACH = 0.6
+"""A filtered trajectory may widen an axis by this fraction of what the others span; beyond, it leaves the picture."""
+
+BOUND_REACH = 0.6
+"""Likewise for a bound that nothing comes near."""
+
+MARGIN = 0.06
+"""Empty fraction at either side of an axis."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The range of an axis, and whether a guest leaves it."""
+
+    low: float
+    high: float
+    outside: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One control or state of a problem."""
+
+    problem: OptimalControlProblem
+    index: int
+    is_state: bool
+
+    @property
+    def name(self) -> str:
+        """Return its name with its unit."""
+        return (self.problem.state_names if self.is_state else self.problem.control_names)[self.index]
+
+    @property
+    def stop(self) -> Mask:
+        """Return its stopped bins, (N//2 + 1,)."""
+        return (self.problem.state_stop if self.is_state else self.problem.control_stop)[:, self.index]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Return its lower and upper bounds over time, the ends apart."""
+        box = state_bounds(self.problem) if self.is_state else self.problem.control_tube
+        return box.lower[:, self.index], box.upper[:, self.index]
+
+    def of(self, trace: Trace) -> Array:
+        """Return its values over time."""
+        return (trace.trajectory.x if self.is_state else trace.trajectory.u)[:, self.index]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A problem and the trajectories to show, at least one of them not a guest."""
+
+    problem: OptimalControlProblem
+    traces: tuple[Trace, ...]
+
+    @cached_property
+    def time(self) -> Scale:
+        """Return the scale of the time axes."""
+        return time_scale(self.problem)
+
+    @cached_property
+    def frequency(self) -> Scale:
+        """Return the scale of the frequency axes."""
+        return frequency_scale(self.problem)
+
+    @cached_property
+    def state_bounds(self) -> Box:
+        """Return the state set of each time, without the ends."""
+        return state_bounds(self.problem)
+
+    def control(self, j: int) -> Component:
+        """Return control j."""
+        return Component(self.problem, j, is_state=False)
+
+    def state(self, i: int) -> Component:
+        """Return state i."""
+        return Component(self.problem, i, is_state=True)
+
+    def showing(self, component: Component) -> tuple[Trace, ...]:
+        """Return the traces whose values of this component mean anything."""
+        return tuple(trace for trace in self.traces if trace.states_shown or not component.is_state)
+
+    def view(self, component: Component) -> View:
+        """Return the range of a component's axis."""
+        shown = self.showing(component)
+        return view(
+            [component.of(trace) for trace in shown if not trace.guest],
+            [component.of(trace) for trace in shown if trace.guest],
+            np.concatenate(component.bounds),
+        )
+
+    def notes(self, components: Sequence[Component]) -> list[Note]:
+        """Say which trajectories are missing from a panel of these states, and which leave it."""
+        growth = amplification(self.problem) if any(not trace.states_shown for trace in self.traces) else 0.0
+        outside = any(self.view(component).outside for component in components)
+        notes = list[Note]()
+        for trace in self.traces:
+            words = ""
+            if not trace.states_shown:
+                words = f"not replayed; rounding errors would grow {rough(growth)}-fold"
+            elif trace.guest and outside:
+                words = f"leaves the picture; {_end_of(trace, components)}"
+            if words:
+                notes.append(Note(f"{trace.label}: {words}", trace.style.color))
+        return notes
+
+
+def view(hosts: Sequence[Array], guests: Sequence[Array], bounds: Array) -> View:
+    """Return a range that shows all hosts, and guests and bounds as far as they are near."""
+    low, high = min(float(host.min()) for host in hosts), max(float(host.max()) for host in hosts)
+    span = high - low or max(abs(high), 1.0)
+    reach = BOUND_REACH * span
+    near = [float(b) for b in np.unique(bounds[np.isfinite(bounds)]) if low - reach <= b <= high + reach]
+    low, high = min([low, *near]), max([high, *near])
+    slack, outside = GUEST_REACH * span, False
+    for guest in guests:
+        if guest.min() < low - slack or guest.max() > high + slack:
+            outside = True
+        else:
+            low, high = min(low, float(guest.min())), max(high, float(guest.max()))
+    margin = MARGIN * (high - low or span)
+    return View(low - margin, high + margin, outside)
+
+
+def _end_of(trace: Trace, components: Sequence[Component]) -> str:
+    """Say how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
+    problem = components[0].problem
+    terminal, missed = problem.terminal_state, problem.terminal_state.violation(trace.trajectory.x[-1])
+    away = [
+        quantity(float(missed[one.index]), one.name)
+        for one in components
+        if np.isfinite(terminal.lower[one.index]) or np.isfinite(terminal.upper[one.index])
+    ]
+    if away:
+        return f"ends {listed(away)} away"
+    return f"goes as far as {listed([quantity(float(np.abs(one.of(trace)).max()), one.name) for one in components])}"

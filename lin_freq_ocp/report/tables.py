@@ -1,0 +1,249 @@
+"""Tables as rows of text, for the page and for the terminal alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from lin_freq_ocp.certificate.conditions import Condition
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.report.entries import Entry, Excess, entries
+from lin_freq_ocp.report.numbers import NOTHING, aligned, number, split_unit
+
+NOT_MEANINGFUL = "not meaningful"
+"""Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
+
+OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
+"""Conditions whose component is a control; that of the others is a state."""
+
+IN_FREQUENCY = ("C-vi", "C-vii")
+"""Conditions whose worst place is a bin."""
+
+
+COST_DIGITS = 5
+"""Costs differ less than the other figures do."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A text, and whether what it says is as it should be; None where that is no question."""
+
+    text: str
+    passed: bool | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: what it shows, in which unit, and a cell per column."""
+
+    label: str
+    unit: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows under a common title, which may be empty."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class ComparisonRows:
+    """A comparison: one column per trajectory, one row per figure."""
+
+    columns: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+
+@dataclass(frozen=True)
+class ConditionRow:
+    """One condition of a certificate, in words."""
+
+    label: str
+    name: str
+    residual: str
+    scale: str
+    relative: str
+    tolerance: str
+    passed: bool
+    place: str
+
+    @property
+    def verdict(self) -> str:
+        """Return "holds" or "fails"."""
+        return "holds" if self.passed else "fails"
+
+
+def comparison_rows(comparison: Comparison) -> ComparisonRows:
+    """Return what was measured of every trajectory, where it applies to the problem."""
+    problem, columns = comparison.problem, entries(comparison)
+    groups = [
+        Group("", (Row("cost", "", tuple(_cost(entry) for entry in columns)),)),
+        _largest_controls(problem, columns),
+        _excesses("Beyond the control bounds by", problem.control_names, columns, lambda entry: entry.controls),
+        _excesses("Beyond the state bounds by", problem.state_names, columns, lambda entry: entry.states),
+        _excesses("Misses the end state by", problem.state_names, columns, lambda entry: entry.end),
+        _stop_band("Stop band of the controls", columns, of_states=False),
+        _stop_band("Stop band of the states", columns, of_states=True),
+    ]
+    if not all(entry.replayed for entry in columns):
+        groups.append(_one_step(problem, columns))
+    return ComparisonRows(tuple(entry.label for entry in columns), tuple(group for group in groups if group.rows))
+
+
+def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -> tuple[ConditionRow, ...]:
+    """Return every condition of a certificate, in the paper's order."""
+    return tuple(
+        ConditionRow(
+            label=condition.label,
+            name=condition.name,
+            residual=number(condition.residual, 3),
+            scale=number(condition.scale, 4),
+            relative=number(condition.relative, 3),
+            tolerance=number(condition.tolerance, 3),
+            passed=condition.passed,
+            place=_place(problem, condition),
+        )
+        for condition in certificate.conditions
+    )
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Return the comparison as a table for a terminal."""
+    rows = comparison_rows(comparison)
+    table = Table(title=Text(comparison.problem.name or "Comparison"), caption=Text(KEY))
+    table.add_column("")
+    for column in rows.columns:
+        table.add_column(Text(column), justify="right", style="bold" if column == rows.columns[-1] else "")
+    for group in rows.groups:
+        table.add_section()
+        if group.title:
+            table.add_row(Text(group.title, style="italic"))
+        for row in group.rows:
+            label = f"{row.label} [{row.unit}]" if row.unit else row.label
+            table.add_row(Text(("  " if group.title else "") + label), *(_styled(cell) for cell in row.cells))
+    return table
+
+
+def certificate_table(problem: OptimalControlProblem, certificate: Certificate) -> Table:
+    """Return the conditions of a certificate as a table for a terminal."""
+    verdict = f"maximum principle {certificate.pmp.replace('_', ' ')}"
+    if certificate.gap is not None:
+        verdict += f", gap to the global bound {number(certificate.gap, 2)}"
+    table = Table(title=Text(verdict))
+    for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
+        justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
+        table.add_column(heading, justify=justify)
+    for row in certificate_rows(problem, certificate):
+        style = "green" if row.passed else "bold red"
+        cells = (row.label, row.name, row.residual, row.scale, row.relative, row.tolerance)
+        table.add_row(*(Text(cell) for cell in cells), Text(row.verdict, style=style), Text(row.place))
+    return table
+
+
+KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
+
+
+def _styled(cell: Cell) -> Text:
+    if cell.passed is False:
+        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
+    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
+
+
+def _cost(entry: Entry) -> Cell:
+    return _measured(entry, lambda measures: measures.cost, digits=COST_DIGITS)
+
+
+def _measured(
+    entry: Entry, value: Callable[[Measures], float | None], passed: bool | None = None, digits: int = 4
+) -> Cell:
+    if entry.measures is None:
+        return Cell(NOTHING)
+    found = value(entry.measures)
+    return Cell(NOT_MEANINGFUL if found is None and not entry.replayed else aligned(found, digits), passed)
+
+
+def _largest_controls(problem: OptimalControlProblem, columns: Sequence[Entry]) -> Group:
+    largest = [None if entry.trajectory is None else np.abs(entry.trajectory.u).max(0) for entry in columns]
+    rows = [
+        Row(*split_unit(name), tuple(Cell(aligned(None if sizes is None else float(sizes[j]))) for sizes in largest))
+        for j, name in enumerate(problem.control_names)
+    ]
+    return Group("Largest magnitude", tuple(rows))
+
+
+def _excesses(
+    title: str, names: Sequence[str], columns: Sequence[Entry], excess: Callable[[Entry], Excess | None]
+) -> Group:
+    """Return one row per component that has a bound."""
+    found = [excess(entry) for entry in columns]
+    bounded = np.any([one.bounded for one in found if one is not None], axis=0)
+    rows = list[Row]()
+    for i in map(int, np.flatnonzero(bounded)):
+        cells = tuple(_excess(entry, one, i) for entry, one in zip(columns, found, strict=True))
+        rows.append(Row(*split_unit(names[i]), cells))
+    return Group(title, tuple(rows))
+
+
+def _excess(entry: Entry, excess: Excess | None, i: int) -> Cell:
+    if excess is None:
+        return Cell(NOT_MEANINGFUL if entry.trajectory is not None else NOTHING)
+    return Cell(aligned(float(excess.values[i])), bool(excess.passed[i]))
+
+
+def _stop_band(title: str, columns: Sequence[Entry], of_states: bool) -> Group:
+    stopped = columns[0].problem.state_stop if of_states else columns[0].problem.control_stop
+    if not stopped.any():
+        return Group(title, ())
+    prefix = "state_" if of_states else ""
+    rows = [
+        Row(
+            "energy at its bins",
+            "",
+            tuple(
+                _measured(
+                    entry,
+                    lambda measures: getattr(measures, prefix + "stopband_energy"),
+                    entry.leaves_band_empty(of_states),
+                )
+                for entry in columns
+            ),
+        ),
+        Row(
+            "peak between its bins",
+            "",
+            tuple(_measured(entry, lambda measures: getattr(measures, prefix + "stopband_peak")) for entry in columns),
+        ),
+    ]
+    return Group(title, tuple(rows))
+
+
+def _one_step(problem: OptimalControlProblem, columns: Sequence[Entry]) -> Group:
+    """Return what can still be said without a replay: how far each step misses the next planned state."""
+    residuals = [entry.one_step for entry in columns]
+    rows = [
+        Row(
+            *split_unit(name),
+            tuple(Cell(aligned(None if all_of is None else float(all_of[i]))) for all_of in residuals),
+        )
+        for i, name in enumerate(problem.state_names)
+    ]
+    return Group("Misses the next planned state, in one step, by", tuple(rows))
+
+
+def _place(problem: OptimalControlProblem, condition: Condition) -> str:
+    """Return where a condition is worst; nothing where it holds exactly."""
+    if condition.time is None or condition.component is None or condition.residual == 0:
+        return NOTHING
+    names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
+    axis = "bin" if condition.label in IN_FREQUENCY else "t ="
+    return f"{axis} {condition.time}, {split_unit(names[condition.component])[0]}"
