@@ -7,6 +7,7 @@ unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupte
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 import tomllib
 import warnings
@@ -24,6 +25,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
+from lin_freq_ocp.interchange.keys import suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.results import load_solution
 from lin_freq_ocp.interchange.summary import (
@@ -42,7 +44,17 @@ PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
 PAGE = ConsoleDimensions(width=200, height=100)
 """Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
 
-out, err = Console(), Console(stderr=True)
+
+class PatientConsole(Console):
+    """A console whose reader may leave early, as ``head`` does: what is left goes nowhere, and the status stays."""
+
+    def on_broken_pipe(self) -> None:
+        """Send the rest to nowhere."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+out, err = PatientConsole(), Console(stderr=True)
 
 _problem = click.argument("problem", metavar="NAME|FILE.toml")
 _settings = click.option(
@@ -98,6 +110,8 @@ def solve_command(
         result = solve(description, method, backend, time_limit, tolerance, throw=False)
     if save is not None and result.trajectory is not None:
         result.save(save)
+    elif save is not None:
+        _complain(f"nothing saved to {save}: there is no trajectory.")
     if as_json:
         _print_json(result_summary(result))
     else:
@@ -132,7 +146,7 @@ def compare_command(
     try:
         with _progress(f"comparing {description.name or problem}"):
             comparison = compare(description, names, backend, time_limit)
-            page = None if folder is None else comparison.save(folder)
+            page = None if folder is None or comparison.constrained.interrupted else comparison.save(folder)
     except SolveError as error:
         if not as_json or error.result is None:
             raise
@@ -189,8 +203,8 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
     parameters = inspect.signature(builder).parameters
     for key in given:
         if key not in parameters:
-            raise ProblemError(f"--set {key}", "no parameter of that name", f"some of {', '.join(parameters)}")
-    given = {key: None if value == "none" else value for key, value in given.items()}
+            known = f"some of {', '.join(parameters)}"
+            raise ProblemError(f"--set {key}", "no parameter of that name", known, suggestion(key, parameters))
     try:
         return builder(**given)
     except ProblemError:
@@ -204,11 +218,22 @@ def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for setting in settings:
         try:
-            _merge(result, tomllib.loads(setting))
+            table = tomllib.loads(setting)
         except tomllib.TOMLDecodeError as error:
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
             raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value", advice) from None
+        if not table:
+            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value")
+        _merge(result, _without_none(table))
     return result
+
+
+def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with None for the text "none", which stands for no value: TOML has no word for that."""
+    return {
+        key: None if value == "none" else _without_none(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+    }
 
 
 def require_writable(file: Path, problem: str) -> None:

@@ -658,3 +658,28 @@ def test_ctrl_c_in_the_middle_of_a_long_solve(backend, horizon, tmp_path):
         summary = parsed(out)
         require(summary, SOLVE)
         assert summary["status"] == "limit"
+
+
+def test_none_takes_a_value_away(tmp_path, monkeypatch):
+    """In the library it is Python's None; in a file the key is gone."""
+    monkeypatch.chdir(tmp_path)
+    run("init", "my.toml")
+    free = parsed(run("solve", "my.toml", "--json", "--set", 'terminal_state="none"')[1])
+    assert free["cost"] == pytest.approx(0, abs=1e-9)
+    unlimited = parsed(run("solve", "my.toml", "--json", "--set", 'state_set="none"')[1])
+    assert unlimited["cost"] < parsed(run("solve", "my.toml", "--json")[1])["cost"]
+    classical = parsed(run("solve", "pendulum", "--json", "--set", 'cutoff="none"')[1])
+    assert classical["cost"] == pytest.approx(2852.70530277)
+
+
+def test_it_is_said_that_nothing_was_saved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run("solve", "pendulum", "--set", "control_bound=1", "--save", "run.npz")
+    assert status == 1
+    assert "nothing saved to run.npz" in err
+    assert not Path("run.npz").exists()
+
+
+def test_a_nearby_parameter_is_suggested():
+    assert "Did you mean 'cutoff'?" in run("solve", "pendulum", "--set", "cutof=1")[2]
+    assert run("solve", "pendulum", "--set", "")[0] == 2

@@ -91,12 +91,13 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
     ProblemError
         If shapes do not fit the problem, or a free bin has a multiplier.
     """
-    lifted = lift(problem, trajectory, multipliers)
-    conditions = all_conditions(lifted)
-    return Certificate(
-        pmp="satisfied" if all(condition.passed for condition in conditions) else "violated",
-        normal=multipliers.eta_C == 1,
-        conditions=conditions,
-        cost=problem.cost.value(trajectory.x, trajectory.u),
-        bound=lower_bound(lifted) if multipliers.eta_C == 1 else None,
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
+        lifted = lift(problem, trajectory, multipliers)
+        conditions = all_conditions(lifted)
+        return Certificate(
+            pmp="satisfied" if all(condition.passed for condition in conditions) else "violated",
+            normal=multipliers.eta_C == 1,
+            conditions=conditions,
+            cost=problem.cost.value(trajectory.x, trajectory.u),
+            bound=lower_bound(lifted) if multipliers.eta_C == 1 else None,
+        )

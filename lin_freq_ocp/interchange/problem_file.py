@@ -92,10 +92,14 @@ def _parsed(text: str) -> dict[str, Any]:
 
 
 def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with the overrides; one that is None takes its key away."""
     merged = dict(table)
     for key, value in overrides.items():
         old = merged.get(key)
-        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+        if value is None:
+            merged.pop(key, None)
+        else:
+            merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
     return merged
 
 
