@@ -1,4 +1,4 @@
-"""The problem as CVXPY sees it: its optimum, its duals as the multipliers of MATH.md section 3, and its limits."""
+"""The problem as CVXPY sees it: its optimum, its duals as the theorem's multipliers, and its limits."""
 
 from __future__ import annotations
 

@@ -277,7 +277,7 @@ def test_headline_has_the_measured_numbers():
         best.gap,
     ]
     assert numbers == pytest.approx(expected, rel=2e-2)
-    assert numbers[:2] == pytest.approx([0.857523687, 5.857523687], rel=2e-3)  # MATH, section 6
+    assert numbers[:2] == pytest.approx([0.857523687, 5.857523687], rel=2e-3)
     assert numbers[5:7] == pytest.approx([0.8134, 16.722], rel=2e-3)
     assert numbers[8] == pytest.approx(12.1, abs=0.06)
     assert "everything holds" in text("pendulum").lower()

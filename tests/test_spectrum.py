@@ -97,7 +97,7 @@ def test_a_cutoff_next_to_a_bin_is_not_on_it(length):
 
 
 def test_the_pendulum_of_the_paper():
-    """MATH, section 2: the passed set {1..96, 144..240}, read 0-based mod 240, has the stop band 97 .. 143."""
+    """The paper's passed set {1..96, 144..240}, read 0-based mod 240, has the stop band 97 .. 143."""
     listed = set(range(1, 97)) | set(range(144, 241))
     passed = {k % 240 for k in listed}
     assert passed == {-k % 240 for k in passed}  # closed under conjugation

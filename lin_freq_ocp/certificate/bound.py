@@ -1,4 +1,4 @@
-"""The global lower bound D of a convex problem from any multipliers, as a sum over stages (MATH, section 4).
+"""The global lower bound D of a convex problem from any multipliers, as a sum over stages (docs/conventions.md).
 
 l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x>,
 D = sum_t min l_t over X_t x U_t,
