@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.certificate.conflict import Conflict, prove_infeasible
@@ -19,6 +19,7 @@ from lin_freq_ocp.errors import (
 from lin_freq_ocp.methods.convex import Candidate, solve_convex
 from lin_freq_ocp.methods.multipliers import fit_multipliers
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -198,6 +199,8 @@ def solve(
     candidate = solve_convex(problem, backend_name, tolerance, time_limit)
     if candidate.status not in ("optimal", "limit") and backend_name != PROVER:
         candidate = _explained(problem, candidate, time_limit)
+    if candidate.status == "unbounded":
+        candidate = _if_feasible(problem, candidate, time_limit)
     result = _judged(problem, candidate, backend_name)
     if throw and result.status != "optimal":
         raise ERRORS[result.status](_complaint(result), result)
@@ -230,6 +233,12 @@ def _explained(problem: OptimalControlProblem, candidate: Candidate, time_limit:
     """Return the prover's account of a problem that another backend did not solve, if it has one."""
     account = solve_convex(problem, PROVER, None, time_limit)
     return account if account.status in ("infeasible", "unbounded") else candidate
+
+
+def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
+    """Return the unbounded candidate, or the account of a problem that has no trajectory for its cost to fall along."""
+    feasibility = solve_convex(replace(problem, cost=QuadraticCost()), PROVER, None, time_limit)
+    return feasibility if feasibility.status == "infeasible" else candidate
 
 
 def _judged(problem: OptimalControlProblem, candidate: Candidate, backend: str) -> Result:

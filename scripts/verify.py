@@ -20,6 +20,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
+import cvxpy as cp
 import numpy as np
 from rich.console import Console
 from rich.progress import track
@@ -143,7 +144,7 @@ def check(seed: int) -> Outcome:
         warnings.simplefilter("ignore", UserWarning)  # CVXPY's own "solution may be inaccurate": its status says so
         try:
             oracle.solve(solver="CLARABEL")
-        except Exception as error:
+        except cp.SolverError as error:
             status = f"failed ({type(error).__name__})"
         else:
             status = str(oracle.status)

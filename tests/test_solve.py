@@ -99,6 +99,16 @@ class TestEndings:
         with pytest.raises(lfo.UnboundedError, match="no lower bound"):
             lfo.solve(problem)
 
+    def test_infeasible_comes_before_unbounded(self):
+        """The second state falls for ever, but the first cannot reach its end."""
+        two = lfo.LinearDynamics(np.eye(2), np.eye(2))
+        sets = {"control_set": lfo.Box([-1, None], [1, None]), "initial_state": [0, 0]}
+        cost = lfo.QuadraticCost(r=[0.0, 1.0])
+        with pytest.raises(lfo.UnboundedError):
+            lfo.solve(lfo.OptimalControlProblem(two, 5, cost, **sets))
+        with pytest.raises(lfo.InfeasibleError):
+            lfo.solve(lfo.OptimalControlProblem(two, 5, cost, **sets, terminal_state=lfo.Box([9, None], [9, None])))
+
     def test_limit_keeps_the_best_point(self):
         with pytest.raises(lfo.LimitError) as caught:
             lfo.solve(lfo.library.pendulum(horizon=480), time_limit=1e-3)

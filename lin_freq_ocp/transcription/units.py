@@ -29,7 +29,6 @@ ROW_REGULARISATION = 1e-10
 NEGLIGIBLE = 1e-6
 """A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
 
-
 REVISED = 100.0
 """Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
 
