@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
@@ -120,9 +121,8 @@ def thinned(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
 
 def new_figure(height: float) -> Figure:
     """Return an empty figure that makes room for its labels itself."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained", facecolor=PAPER)
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, hspace=0.04, wspace=0.03)  # type: ignore[union-attr]
-    return figure
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1, hspace=0.04, wspace=0.03)
+    return Figure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
 
 
 def dress(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence[Note] = ()) -> None:
