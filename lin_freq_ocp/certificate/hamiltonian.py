@@ -66,13 +66,12 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
     cost_x_terms, cost_u_terms = problem.cost.gradient_magnitudes(x, u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
-    for part_x, part_u, dynamics, adjoint in (
-        (in_x, in_u, problem.dynamics, eta),
-        (in_x_terms, in_u_terms, problem.dynamics.magnitudes(), np.abs(eta)),
-    ):
-        pulled_x, pulled_u = dynamics.pull_back(adjoint)
-        part_x[:-1] += pulled_x
-        part_u += pulled_u
+    through_x, through_u = problem.dynamics.pull_back(eta)
+    terms_x, terms_u = problem.dynamics.magnitudes().pull_back(np.abs(eta))
+    in_x[:-1] += through_x
+    in_u += through_u
+    in_x_terms[:-1] += terms_x
+    in_u_terms += terms_u
     return Lift(problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms)
 
 
