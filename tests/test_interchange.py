@@ -25,6 +25,7 @@ from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, Everything, Point
 from lin_freq_ocp.problem.spectrum import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GOOD = """
@@ -84,7 +85,9 @@ def assert_same(one: OptimalControlProblem, other: OptimalControlProblem) -> Non
         ),
         (one.control_stop, other.control_stop),
         (one.state_stop, other.state_stop),
+        *((getattr(a, f), getattr(b, f)) for a, b in zip(one.stage_rows, other.stage_rows, strict=True) for f in "CDe"),
     ]
+    assert [rows.name for rows in one.stage_rows] == [rows.name for rows in other.stage_rows]
     for a, b in pairs:
         assert a.shape == b.shape
         assert (a == b).all()
@@ -135,6 +138,10 @@ def everything_at_once(horizon: int) -> OptimalControlProblem:
         terminal_state=Box([None, -0.5, 0.25], [0.5, None, 0.25]),
         control_spectrum=[low_pass(cutoff=0.8 * np.pi), stop_band(bins=[2, -1], component="w")],
         state_spectrum=[band_pass(lower_hz=0.1, upper_hz=1.4, component=1), high_pass(0.3, component="höhe")],
+        stage_rows=[
+            StageRows(rng.normal(size=(T, 2, n)), None, [1.0, np.inf], name="höhe [m]"),
+            StageRows(None, rng.normal(size=(1, m)), rng.uniform(1, 2, size=(T, 1))),
+        ],
         name="all of it",
     )
 
@@ -191,6 +198,7 @@ def problems(draw) -> OptimalControlProblem:
         shape = draw(st.sampled_from([(), (size,), (times, size)]))
         return Box(*(sign * draw(arrays(np.float64, shape, elements=bound)) for sign in (-1, 1)))
 
+    limits = arrays(np.float64, st.sampled_from([(2,), (T, 2)]), elements=bound)
     frequency = st.floats(0, np.pi)
     band = st.one_of(
         st.builds(low_pass, frequency),
@@ -206,6 +214,7 @@ def problems(draw) -> OptimalControlProblem:
         state_set=box(T + 1, n),
         initial_state=draw(st.sampled_from([None, np.zeros(n)])),
         control_spectrum=draw(st.lists(band, max_size=3)),
+        stage_rows=draw(st.sampled_from([None, StageRows(matrix(2, n), matrix(2, m), draw(limits))])),
         name=draw(st.text()),
     )
 
@@ -453,6 +462,10 @@ def test_every_optional_line_of_the_template_can_be_used(tmp_path):
         "# p =",
         "# x_ref",
         "# u_ref",
+        "# name",
+        "# C =",
+        "# D =",
+        "# e =",
     )
     band_line = ("# [[", "# kind", "# cutoff_hz", "# lower_hz", "# upper_hz", "# centre_hz", "# width_hz", "# bins")
     lines = [line[2:] if line.startswith((*key_line, *band_line)) else line for line in template().splitlines()]
@@ -462,6 +475,8 @@ def test_every_optional_line_of_the_template_can_be_used(tmp_path):
     ]
     assert len(bands(problem.state_spectrum)) == 1
     assert problem.cost.x_ref.tolist() == [1.0, 0.0]
+    assert [rows.name for rows in problem.stage_rows] == ["speed and force"]
+    assert problem.stage_rows[0].e.tolist() == [2.5, np.inf]
     box_end = "terminal_state = {lower"
     lines = [line for line in template().splitlines() if not line.startswith("terminal_state")]
     lines = [line.removeprefix("# ") if box_end in line else line for line in lines]
@@ -483,8 +498,9 @@ def test_the_template_never_replaces_a_file(tmp_path):
 def some_solution(T: int = 6, n: int = 3, m: int = 2) -> tuple[Trajectory, Multipliers]:
     rng = np.random.default_rng(3)
     rho_u, rho_x = (rng.normal(size=(N // 2 + 1, k, 2)) @ [1, 1j] for N, k in ((T, m), (T + 1, n)))
+    stage = {"rate [N]": rng.normal(size=(T, 2)), "a/b.npy": rng.normal(size=(T, 1))}
     multipliers = Multipliers(
-        1.0, rng.normal(size=(T, n)), rng.normal(size=(T + 1, n)), rng.normal(size=(T, m)), rho_u, rho_x
+        1.0, rng.normal(size=(T, n)), rng.normal(size=(T + 1, n)), rng.normal(size=(T, m)), rho_u, rho_x, stage
     )
     return Trajectory(rng.normal(size=(T + 1, n)), rng.normal(size=(T, m))), multipliers
 
@@ -499,8 +515,12 @@ def test_a_solution_survives_the_round_trip(tmp_path):
         assert (getattr(saved.trajectory, field) == getattr(trajectory, field)).all()
     for field in ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x"):
         assert np.all(getattr(saved.multipliers, field) == getattr(multipliers, field))
+    assert saved.multipliers.stage.keys() == multipliers.stage.keys()
+    for name, weights in multipliers.stage.items():
+        assert (saved.multipliers.stage[name] == weights).all()
     with np.load(tmp_path / "run", allow_pickle=False) as file:
-        assert sorted(file.files) == sorted("x u eta_C eta mu nu rho_u rho_x schema summary".split())
+        fields = "x u eta_C eta mu nu rho_u rho_x schema summary".split()
+        assert sorted(file.files) == sorted([*fields, "stage/rate [N]", "stage/a/b.npy"])
         assert int(file["schema"]) == 1
         assert json.loads(str(file["summary"]))["status"] == "optimal"
 
@@ -531,6 +551,8 @@ def test_a_trajectory_alone_is_a_solution_file(tmp_path):
         ({"eta_C": np.ones(2)}, "run.npz: eta_C: got float64 of shape (2,)"),
         ({"rho_u": np.zeros((2, 2))}, "run.npz: multipliers.rho_u: got shape (2, 2)"),
         ({"x": np.zeros((7, 2))}, "run.npz: multipliers: got eta (6, 3)"),
+        ({"stage/rate [N]": np.zeros(6)}, "run.npz: stage/rate [N]: got float64 of shape (6,)"),
+        ({"stage/rate [N]": np.zeros((5, 2))}, "run.npz: multipliers.stage['rate [N]']: got shape (5, 2)"),
         ({"summary": np.array("{")}, "run.npz: summary: got"),
         ({"summary": np.array("3")}, "run.npz: summary: got 3"),
         ({"u": np.array([[{}]], dtype=object)}, "unreadable (Object arrays cannot be loaded"),

@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 from scipy.signal import cont2discrete
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
@@ -579,11 +579,6 @@ def test_an_end_of_the_wrong_kind_is_named_after_the_end(end, value):
     with pytest.raises(ProblemError) as caught:
         problem(**{end: value})
     assert caught.value.field == end
-
-
-def test_joint_rows_are_not_in_this_version():
-    with pytest.raises(UnsupportedError, match="stage_rows"):
-        problem(stage_rows=object())
 
 
 def test_tubes_take_the_ends_into_the_sets_of_their_times():

@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import Band, low_pass, stop_band, time_signal
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
@@ -139,6 +140,10 @@ def everything_at_once(horizon: int, seed: int = 5, per_time: bool = True) -> Op
         terminal_state=Box([None, -0.3, None], [None, -0.3, 0.2]),
         control_spectrum=[stop_band(bins=[0, 2], component=0), low_pass(1.9, component=1)],
         state_spectrum=[stop_band(bins=[1], component=2), stop_band(bins=[T // 2], component=0)],
+        stage_rows=[
+            StageRows(rng.normal(size=(*times, 3, N)), rng.normal(size=(3, M)), [1.0, np.inf, 2.0], name="first"),
+            StageRows(None, rng.normal(size=(*times, 1, M)), np.where(np.arange(T) % 3, 1.5, np.inf)[:, None]),
+        ],
     )
 
 
@@ -150,6 +155,11 @@ def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:
     rng = np.random.default_rng(seed)
     T = problem.horizon
     return Trajectory(rng.normal(size=(T + 1, N)), rng.normal(size=(T, M)))
+
+
+def at(values: np.ndarray, t: int, ndim: int) -> np.ndarray:
+    """Return what holds at time t, of something that may be given one per time."""
+    return values if values.ndim == ndim else values[t]
 
 
 @each_problem
@@ -216,6 +226,18 @@ def test_rows_are_the_constraints_under_their_names(problem):
         assert 0 < len(expected)
         np.testing.assert_allclose(np.column_stack([found - lower, upper - found]), expected, atol=1e-13)
 
+    found, lower, upper = of(Block.STAGE_ROWS)
+    left = [
+        at(rows.e, t, 1)[i] - at(rows.C, t, 2)[i] @ x[t] - at(rows.D, t, 2)[i] @ u[t]
+        for rows in problem.stage_rows
+        for t in range(T)
+        for i in range(rows.rows)
+        if np.isfinite(at(rows.e, t, 1)[i])
+    ]
+    assert len(left) == 2 * T + sum(t % 3 > 0 for t in range(T))
+    assert (lower == -np.inf).all()
+    np.testing.assert_allclose(upper - found, left, atol=1e-12)
+
     for block, stop, signal in (
         (Block.STATE_SPECTRUM, problem.state_stop, x),
         (Block.CONTROL_SPECTRUM, problem.control_stop, u),
@@ -273,6 +295,9 @@ def test_multipliers_are_those_of_the_lagrangian_of_the_theorem(problem):
             A, B, _ = problem.dynamics.at(t)
             in_x[t] -= A.T @ eta[t]
             in_u[t] += in_time(rho_u, t, T) - B.T @ eta[t]
+            for rows in problem.stage_rows:
+                in_x[t] += at(rows.C, t, 2).T @ multipliers.stage[rows.name][t]
+                in_u[t] += at(rows.D, t, 2).T @ multipliers.stage[rows.name][t]
     gradient = np.split(program.A.T @ y, [(T + 1) * N])
     np.testing.assert_allclose(gradient[0].reshape(T + 1, N), in_x, atol=1e-12)
     np.testing.assert_allclose(gradient[1].reshape(T, M), in_u, atol=1e-12)
@@ -290,9 +315,10 @@ def test_multipliers_live_only_where_there_are_constraints(problem):
         (multipliers.nu, np.isfinite(problem.control_tube.lower) | np.isfinite(problem.control_tube.upper)),
         (multipliers.rho_x, problem.state_stop),
         (multipliers.rho_u, problem.control_stop),
+        *((multipliers.stage[rows.name], np.isfinite(rows.e)) for rows in problem.stage_rows),
     ):
         assert where.any()
-        np.testing.assert_array_equal(values != 0, where)
+        np.testing.assert_array_equal(values != 0, np.broadcast_to(where, values.shape))
 
 
 def small_problem(**changes: Any) -> OptimalControlProblem:
@@ -390,6 +416,9 @@ def change_units(
         terminal_state=problem.terminal_state.lower * states if problem.terminal_state.fixed.all() else None,
         control_spectrum=problem.control_spectrum,
         state_spectrum=problem.state_spectrum,
+        stage_rows=[
+            StageRows(cost * rows.C / states, cost * rows.D / controls, cost * rows.e) for rows in problem.stage_rows
+        ],
     )
 
 
@@ -410,6 +439,9 @@ UNIT_PROBLEMS = {
         cost=QuadraticCost(R=1.0, r=[0.3], S=[[0.1], [0.2]], Q=np.eye(2), P=3.0, p=[1.0, -1.0]),
         terminal_state=None,
         control_set=None,
+    ),
+    "joint rows": small_problem(
+        control_set=None, stage_rows=StageRows([[0, -1], [1, 0]], [[-0.1], [0.5]], [0.3, 0.35])
     ),
 }
 UNITS = {
@@ -452,6 +484,7 @@ def test_units_change_nothing_but_the_units(name, units):
         (new.nu * controls / cost, old.nu, largest),
         (new.rho_u * controls / cost, old.rho_u, largest),
         (new.rho_x * states / cost, old.rho_x, largest),
+        *((new.stage[name], old.stage[name], largest) for name in old.stage),
     ):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * size)
 

@@ -1,8 +1,11 @@
 """The global lower bound D of a convex problem from any multipliers, as a sum over stages (docs/conventions.md).
 
-l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x>,
+l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x> + <l_t+, C x + D u - e_t>,
 D = sum_t min l_t over X_t x U_t,
-J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>.
+J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>
+        + sum_t <l_t+, e_t - C x_t - D u_t>.
+
+The last terms are those of joint rows: l+ = max(l, 0), so D is a bound for multipliers of any sign.
 
 Each minimum is bounded from below by the tangent of l_t at (x_t, u_t), plus a diagonal curvature that l_t has at least:
 exact for a diagonal Hessian. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
@@ -48,6 +51,8 @@ class Bound:
         l_t(x_t, u_t) - min l_t.
     dynamics_term, frequency_term : float
         <eta, dynamics residual> and <rho, frequency residual>: how much of J - D is infeasibility.
+    stage_term : float
+        <l+, e - C x - D u>: how much of J - D is complementarity of joint rows; negative if they are violated.
     rounding : float
         Bound on the rounding errors, already in ``value``.
     sets : str
@@ -59,6 +64,7 @@ class Bound:
     stage_gaps: Array
     dynamics_term: float
     frequency_term: float
+    stage_term: float
     rounding: float
     sets: str
 
@@ -143,18 +149,22 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
         [(lift.control_signal * trajectory.u).ravel(), (lift.state_signal * trajectory.x).ravel()]
     )
     dynamics_term, frequency_term = float(dynamics_terms.sum()), float(frequency_terms.sum())
+    stage_term = float(sum(family.products.sum() for family in lift.stage))
     summed = float(np.abs(dynamics_terms).sum() + np.abs(frequency_terms).sum() + abs(cost))
+    summed += float(sum(family.products_terms.sum() for family in lift.stage))
     gap = float(stage_gaps.sum())
     finite = bool(np.isfinite(certain))
     rounding = certain - gap + unit * summed if finite else np.inf
-    value = min(cost - gap + dynamics_term + frequency_term - rounding, box.level) if finite else -np.inf
-    return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, rounding, box.follows_from)
+    unrounded = cost - gap + dynamics_term + frequency_term - stage_term
+    value = min(unrounded - rounding, box.level) if finite else -np.inf
+    return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
 
 
 def _unit_rounding(lift: Lift) -> float:
     """Return a bound on rounding errors of the lift, relative to the sum of the absolute values of its terms."""
     problem = lift.problem
-    operations = problem.state_dim + problem.control_dim + 5 * np.log2(problem.horizon + 2) + 10
+    rows = sum(family.rows for family in problem.stage_rows)
+    operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
     return float(operations * np.finfo(float).eps)
 
 

@@ -2,6 +2,7 @@
 
 Every condition is a residual with the scale it is to be compared with, a tolerance, and the worst time and component.
 C-i .. C-vii are the paper's; S-x, S-u (x_t in X_t, u_t in U_t) and N-x, N-u (normal cones) are used by it unnamed.
+S-z and N-z say the same of joint rows C x_t + D u_t <= e_t, once for each family of them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.hamiltonian import Lift, RowLift
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.problem.sets import Box
@@ -70,6 +71,8 @@ class Floors:
         Of what one stage costs with states and controls of their natural sizes.
     in_x : (n,), in_u : (m,)
         Of multipliers in the adjoint equation and in D_u H: what changes that cost by its own size.
+    stage : tuple of (rows,)
+        Of joint rows, one entry per family, with states and controls of their natural sizes.
     """
 
     x: Array
@@ -77,6 +80,7 @@ class Floors:
     cost: float
     in_x: Array
     in_u: Array
+    stage: tuple[Array, ...]
 
 
 def floors(lift: Lift) -> Floors:
@@ -86,7 +90,8 @@ def floors(lift: Lift) -> Floors:
     T = problem.horizon
     in_x, in_u = problem.cost.gradient_magnitudes(np.tile(x, (T + 1, 1)), np.tile(u, (T, 1)))
     cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max()))
-    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u)
+    stage = tuple(SCALE_FLOOR * family.rows.sizes(x, u) for family in lift.stage)
+    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, stage)
 
 
 def all_conditions(lift: Lift) -> tuple[Condition, ...]:
@@ -107,6 +112,11 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
         membership("S-u", "control in its set", u, problem.control_tube, least.u),
         normal_cone("N-x", "state multiplier in the normal cone", x, mu, problem.state_tube, level, least.x),
         normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
+        *(
+            condition
+            for family, size in zip(lift.stage, least.stage, strict=True)
+            for condition in (rows_hold(family, size), row_multipliers(family, level, size))
+        ),
     )
 
 
@@ -156,6 +166,9 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
 
     The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. Components that are
     unbounded and uncurved are left to the first-order condition: there the maximum is infinite or attained everywhere.
+    With joint rows, the maximum over {v in U_t : D v <= e - C x_t} of H is at most the maximum over U_t of
+    H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
+    slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>.
     """
     problem, u = lift.problem, lift.trajectory.u
     curvature = diagonal_curvature(lift.multipliers.eta_C * problem.cost.R)
@@ -166,14 +179,12 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
     slope = np.where(bounded, -lift.in_u, 0.0)
     excess = -box_minimum(slope, curvature, tube.lower - u, tube.upper - u)
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
+    total = excess.sum(1) + sum(np.maximum(family.products, 0.0).sum(1) for family in lift.stage)
     terms = (lift.in_u_terms * np.abs(u)).sum(1)
     scale = max(level, float(terms.max()))
-    t, component = _argmax(excess)
-    return [
-        Condition(
-            "C-v", "Hamiltonian maximal in u", float(excess.sum(1).max()), scale, CONDITION_TOLERANCE, t, component
-        )
-    ]
+    t = int(np.argmax(total))
+    component = int(np.argmax(excess[t]))
+    return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
 def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
@@ -202,6 +213,25 @@ def normal_cone(
     scale = max(level, float((np.abs(normal) * np.abs(signal)).sum(1).max()))
     t, component = _argmax(gap)
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
+
+
+def rows_hold(family: RowLift, least: Array) -> Condition:
+    """S-z: C x_t + D u_t <= e_t; compared with the largest |C| |x_t| + |D| |u_t| of the row."""
+    violation = np.maximum(-family.slack, 0.0)
+    return _worst("S-z", f"rows hold: {family.rows.name}", violation, _scales(family.terms, least))
+
+
+def row_multipliers(family: RowLift, level: float, least: Array) -> Condition:
+    """N-z: l_t >= 0 and <l_t, e - C x_t - D u_t> = 0; compared with the largest <|l_t|, |C| |x_t| + |D| |u_t|>, or J.
+
+    A multiplier below zero counts as if its row had a lower limit, as far away as the row is large.
+    """
+    negative = np.maximum(-family.weights, 0.0)
+    gap = np.abs(family.products) + negative * _scales(family.terms, least)
+    scale = max(level, float((np.abs(family.weights) * family.terms).sum(1).max()))
+    t, row = _argmax(gap)
+    name = f"row multipliers complementary: {family.rows.name}"
+    return Condition("N-z", name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row)
 
 
 def _scales(terms: Array, least: Array) -> Array:

@@ -33,8 +33,8 @@ class Conflict:
     block : str
         In words, with the component's name.
     share : float
-        1 for ends and stop bands, without which the ray proves nothing; for bounds, how much of the proof would be
-        lost if they were relaxed by their own size, relative to the heaviest ones.
+        1 for ends and stop bands, without which the ray proves nothing; for bounds and joint rows, how much of the
+        proof would be lost if they were relaxed by their own size, relative to the heaviest ones.
     times : tuple of int
         Where it acts; bins for a stop band.
     """
@@ -78,7 +78,7 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
 
 
 def _ray(ray: Multipliers, rho_u: ComplexArray, rho_x: ComplexArray) -> Multipliers:
-    return Multipliers(0.0, ray.eta, ray.mu, ray.nu, rho_u, rho_x)
+    return Multipliers(0.0, ray.eta, ray.mu, ray.nu, rho_u, rho_x, ray.stage)
 
 
 def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
@@ -97,7 +97,7 @@ def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict
 
 
 def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    """Name the bounds that weigh most, by their multipliers times the sizes of their components."""
+    """Name the bounds and joint rows that weigh most, by their multipliers times the sizes of what they bound."""
     x, u = stated_sizes(problem)
     inside = np.abs(ray.mu) * x
     for t, end in ((0, problem.initial_state), (-1, problem.terminal_state)):
@@ -105,6 +105,10 @@ def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Confli
     blocks = [(f"state bound on {name}", inside[:, i]) for i, name in enumerate(problem.state_names)]
     outside = np.abs(ray.nu) * u
     blocks += [(f"control bound on {name}", outside[:, j]) for j, name in enumerate(problem.control_names)]
+    for family in problem.stage_rows:
+        joint = np.maximum(ray.stage.get(family.name, np.zeros((problem.horizon, family.rows))), 0.0)
+        weighted = joint * family.sizes(x, u)
+        blocks += [(f"row {i} of {family.name}", weighted[:, i]) for i in range(family.rows)]
     largest = max(float(weights.sum()) for _, weights in blocks)
     for block, weights in blocks:
         if weights.sum() > SHARE_TOLERANCE * largest:

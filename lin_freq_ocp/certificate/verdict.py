@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 GAP_TOLERANCE = 1e-6
 """Relative gap (J - D)/max(1, |J|) up to which a feasible point is called globally optimal."""
 
-FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u")
+FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
     Raises
     ------
     ProblemError
-        If shapes do not fit the problem, or a free bin has a multiplier.
+        If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
         lifted = lift(problem, trajectory, multipliers)

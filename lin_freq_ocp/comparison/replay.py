@@ -41,6 +41,6 @@ def replay(problem: OptimalControlProblem, u: Array, planned: Trajectory) -> Rep
     if replay_is_meaningful(amplification(problem)):
         trajectory = simulate(problem, u, planned.x[0])
         return Replay(trajectory, True, measure(problem, trajectory), residual)
-    unknown = {"cost": None, "state_violation": None, "terminal_error": None, "terminal_errors": None}
-    of_states = {"state_stopband_energy": None, "state_stopband_peak": None}
+    unknown = {"cost": None, "state_violation": None, "stage_violation": None, "terminal_error": None}
+    of_states = {"terminal_errors": None, "state_stopband_energy": None, "state_stopband_peak": None}
     return Replay(with_plan, False, replace(measure(problem, with_plan), **unknown, **of_states), residual)

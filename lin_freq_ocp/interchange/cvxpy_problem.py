@@ -12,6 +12,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.transcription.real_rows import real_rows
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     Variables (``var_dict``): "x" of shape (T+1, n), "u" of shape (T, m). Constraints carry labels: "dynamics", whose
     dual value is the adjoint eta (T, n); "initial state", "terminal state", "state set", "control set" where a
     component is fixed, and the same with " lower" and " upper" for bounds (only the finite ones, in the order of
-    time, then component); "control spectrum", "state spectrum": orthonormal real rows per component.
+    time, then component); "control spectrum", "state spectrum": orthonormal real rows per component. Joint rows carry
+    their own name ("stage rows" by default): only those with a finite limit, in the order of time, then row.
 
     Parameters
     ----------
@@ -50,6 +52,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
             *_within(problem.terminal_state, x[T], "terminal state"),
             *_within(_free_of_ends(states, problem), x, "state set"),
             *_within(problem.control_tube, u, "control set"),
+            *(constraint for rows in problem.stage_rows for constraint in _joint(rows, x, u)),
             *_spectrum(problem.control_stop, u, "control spectrum"),
             *_spectrum(problem.state_stop, x, "state spectrum"),
         ],
@@ -127,6 +130,14 @@ def _within(box: Box, signal: Any, label: str) -> list[Any]:
         (free & np.isfinite(upper), lambda here: signal[here] <= upper[here], f"{label} upper"),
     )
     return [constraint(here).set_label(name) for here, constraint, name in parts if here.any()]
+
+
+def _joint(rows: StageRows, x: Any, u: Any) -> list[Any]:
+    """Return C x_t + D u_t <= e_t where there is a limit: its dual is the multiplier, without a change of sign."""
+    bounded = rows.bounded(u.shape[0])
+    values = _times(rows.C, x[:-1]) + _times(rows.D, u)
+    limits = np.broadcast_to(rows.e, bounded.shape)
+    return [(values[bounded] <= limits[bounded]).set_label(rows.name)] if bounded.any() else []
 
 
 def _spectrum(stopped: Mask, signal: Any, label: str) -> list[Any]:

@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, Point, stacked
 from lin_freq_ocp.problem.spectrum import Band
+from lin_freq_ocp.problem.stage_rows import StageRows
 
 SCHEMA = 1
 """Version of the layout; a file with another one is refused."""
@@ -39,7 +40,7 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
         required=("schema", "horizon", "dynamics", "cost"),
         optional=(
             *("name", "initial_state", "terminal_state"),
-            *("control_set", "state_set", "control_spectrum", "state_spectrum"),
+            *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows"),
         ),
     )
     schema, name = tables["schema"], tables.get("name", "")
@@ -57,6 +58,7 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
         terminal_state=_end("terminal_state", tables),
         control_spectrum=_bands("control_spectrum", tables),
         state_spectrum=_bands("state_spectrum", tables),
+        stage_rows=_rows(tables.get("stage_rows")),
         name=name,
     )
 
@@ -75,6 +77,7 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "state_set": _table_of_set("state_set", problem.state_set, problem.state_dim, problem.horizon + 1),
         "control_spectrum": _tables_of_bands(problem.control_spectrum),
         "state_spectrum": _tables_of_bands(problem.state_spectrum),
+        "stage_rows": [_table_of_rows(rows) for rows in problem.stage_rows] or None,
     }
     return {key: value for key, value in tables.items() if value is not None}
 
@@ -159,3 +162,29 @@ def _bands(field: str, tables: Mapping[str, Any]) -> Band | list[Band] | None:
 def _tables_of_bands(given: Band | Sequence[Band] | None) -> list[dict[str, Any]] | None:
     bands = [] if given is None else [given] if isinstance(given, Band) else given
     return [table_from_band(band) for band in bands] or None
+
+
+def _rows(given: Any) -> StageRows | list[StageRows] | None:
+    if given is None or isinstance(given, Mapping):
+        return None if given is None else _rows_from_table("stage_rows", given)
+    if not isinstance(given, list):
+        raise ProblemError("stage_rows", brief(given), "tables that begin with [[stage_rows]]")
+    return [_rows_from_table(f"stage_rows[{i}]", table) for i, table in enumerate(given)]
+
+
+def _rows_from_table(place: str, table: Any) -> StageRows:
+    require_keys(place, table, required=("e",), optional=("C", "D", "name"))
+    named = {"name": table["name"]} if "name" in table else {}
+    with placed(place, "stage_rows"):
+        return StageRows(table.get("C"), table.get("D"), table["e"], **named)
+
+
+def _table_of_rows(rows: StageRows) -> dict[str, Any]:
+    """Leave out a matrix of zeros: without it, the same one is made again; but one of the two stays."""
+    without_C, without_D = (not part.any() and part.ndim == 2 for part in (rows.C, rows.D))
+    table: dict[str, Any] = {"name": rows.name}
+    if not without_C:
+        table["C"] = rows.C
+    if not without_D or without_C:
+        table["D"] = rows.D
+    return table | {"e": rows.e}

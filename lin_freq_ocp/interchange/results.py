@@ -24,7 +24,10 @@ SCHEMA = 1
 """Version of the layout of the .npz."""
 
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
-"""The fields of Multipliers, with the dimensions of each."""
+"""The fields of Multipliers that are one array, with the dimensions of each."""
+
+STAGE = "stage/"
+"""What stands before the name of a family of joint rows: its multipliers are a field of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,8 @@ def save_solution(
 ) -> None:
     """Write a solution to an .npz: the fields of Trajectory and Multipliers under their names, summary and schema.
 
+    The multipliers of joint rows are arrays of their own, "stage/" and the name of the rows.
+
     Parameters
     ----------
     path : path
@@ -70,6 +75,7 @@ def save_solution(
     fields: dict[str, Any] = {"x": trajectory.x, "u": trajectory.u}
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
+        fields |= {STAGE + name: weights for name, weights in multipliers.stage.items()}
     fields |= {"schema": SCHEMA, "summary": json.dumps(dict(summary))}
     write_npz(Path(path), {name: np.asarray(value) for name, value in fields.items()})
 
@@ -133,7 +139,8 @@ def _multipliers(arrays: Mapping[str, NDArray[Any]]) -> Multipliers | None:
     if not any(name in arrays for name in DIMENSIONS_OF_MULTIPLIERS):
         return None
     fields = {name: _numbers(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
-    return Multipliers(float(fields.pop("eta_C")), **fields)
+    stage = {name.removeprefix(STAGE): _numbers(arrays, name, 2) for name in arrays if name.startswith(STAGE)}
+    return Multipliers(float(fields.pop("eta_C")), **fields, stage=stage)
 
 
 def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None:

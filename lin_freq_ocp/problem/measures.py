@@ -31,6 +31,8 @@ class Measures:
         Largest |u| over times and components.
     control_violation, state_violation : float (the latter or None)
         Largest distance beyond a bound, over times and components, in the units of the component.
+    stage_violation : float or None
+        Largest excess over a joint row C x_t + D u_t <= e_t; None where there are none.
     terminal_error : float or None
         Largest distance of a component of x_T from the terminal set; None where the end is free.
     terminal_errors : (n,) or None
@@ -47,6 +49,7 @@ class Measures:
     max_control: float
     control_violation: float
     state_violation: float | None
+    stage_violation: float | None
     terminal_error: float | None
     terminal_errors: tuple[float, ...] | None
     stopband_energy: float | None
@@ -69,6 +72,7 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
         max_control=float(np.abs(u).max()),
         control_violation=float(problem.control_tube.violation(u).max()),
         state_violation=float(bounds.violation(x).max()),
+        stage_violation=max((float(rows.violation(x, u).max()) for rows in problem.stage_rows), default=None),
         terminal_error=float(missed.max()) if has_end else None,
         terminal_errors=tuple(float(miss) for miss in missed) if has_end else None,
         stopband_energy=stopband_energy(u, problem.control_stop),
@@ -149,6 +153,8 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
     sizes = np.where(stated > 0, stated, bounds)
     for _ in range(len(sizes)):  # one more component, at least, is known after each pass
+        if sizes.all():
+            break
         known = sizes
         sizes = np.where(known > 0, known, _implied_sizes(problem, known))
     sizes = np.where(sizes > 0, sizes, 1.0)

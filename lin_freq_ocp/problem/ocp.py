@@ -1,4 +1,4 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)) with linear dynamics, boxes and stop bands."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)) with linear dynamics, boxes, joint rows and stop bands."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.arrays import Mask, brief, positive_integer, real_array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.sets import Box, end_set, stacked
 from lin_freq_ocp.problem.spectrum import Band, stopped_bins
+from lin_freq_ocp.problem.stage_rows import row_families
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -36,8 +37,8 @@ class OptimalControlProblem:
         A point, a set, or free; taken together with the state set of that time.
     control_spectrum, state_spectrum : Band, sequence of Band, or None
         Stop bands, on the DFT of length T for controls and T+1 for states.
-    stage_rows : None
-        Joint rows C x_t + D u_t <= e_t are not in this version.
+    stage_rows : StageRows, sequence of StageRows, or None
+        Joint rows C x_t + D u_t <= e_t for t < T, under different names; once constructed, a tuple of them.
     name : str
         For tables and pictures.
 
@@ -56,7 +57,7 @@ class OptimalControlProblem:
     terminal_state: Any = None
     control_spectrum: Band | Sequence[Band] | None = None
     state_spectrum: Band | Sequence[Band] | None = None
-    stage_rows: None = None
+    stage_rows: Any = None
     name: str = ""
 
     def __post_init__(self):
@@ -70,14 +71,13 @@ class OptimalControlProblem:
             )
         if not isinstance(self.cost, QuadraticCost):
             raise ProblemError("cost", brief(self.cost), "QuadraticCost")
-        if self.stage_rows is not None:
-            raise UnsupportedError("stage_rows: joint rows on (x, u) are not in this version; leave it None.")
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon
         set_field(self, "cost", self.cost.at_dimensions(n, m, T))
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
+        set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
         _ = self.state_tube, self.control_tube, self.control_stop, self.state_stop  # validated here, kept for later
 
     @property
@@ -147,10 +147,12 @@ class OptimalControlProblem:
 
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
+        joint = sum(family.rows for family in self.stage_rows)
         return (
             f"{self.name or 'optimal control problem'}: horizon {self.horizon}, "
             f"{self.state_dim} states, {self.control_dim} controls, "
             f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
+            + (f", {joint} joint rows per step" if joint else "")
         )
 
 

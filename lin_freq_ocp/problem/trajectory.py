@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,9 @@ class Multipliers:
     rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n)
         Frequency multipliers per DFT bin, zero where a bin is free; -rho is the derivative of the optimal
         cost with respect to that bin (its conjugate moving with it).
+    stage : mapping from name to (T, rows)
+        Multipliers of the joint rows C x_t + D u_t <= e_t under that name: zero or above, zero where a row is not
+        active. A family that is not there has zeros.
     """
 
     eta_C: float
@@ -60,8 +64,18 @@ class Multipliers:
     nu: Array
     rho_u: ComplexArray
     rho_x: ComplexArray
+    stage: Mapping[str, Array]
 
-    def __init__(self, eta_C: float, eta: ArrayLike, mu: ArrayLike, nu: ArrayLike, rho_u: ArrayLike, rho_x: ArrayLike):
+    def __init__(
+        self,
+        eta_C: float,
+        eta: ArrayLike,
+        mu: ArrayLike,
+        nu: ArrayLike,
+        rho_u: ArrayLike,
+        rho_x: ArrayLike,
+        stage: Mapping[str, ArrayLike] | None = None,
+    ):
         assign(self, eta_C=_number(eta_C))
         for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
             assign(self, **{field: real_array(f"multipliers.{field}", value)})
@@ -85,6 +99,7 @@ class Multipliers:
         for field, shape in expected.items():
             if getattr(self, field).shape != shape:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
+        assign(self, stage=_families({} if stage is None else stage, T))
 
 
 def _number(eta_C: float) -> float:
@@ -92,3 +107,13 @@ def _number(eta_C: float) -> float:
     if value.ndim:
         raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
     return float(value)
+
+
+def _families(stage: Mapping[str, ArrayLike], T: int) -> dict[str, Array]:
+    if not isinstance(stage, Mapping):
+        raise ProblemError("multipliers.stage", brief(stage), "a mapping from names of joint rows to arrays (T, rows)")
+    families = {name: real_array(f"multipliers.stage[{name!r}]", value) for name, value in stage.items()}
+    for name, weights in families.items():
+        if weights.ndim != 2 or len(weights) != T:
+            raise ProblemError(f"multipliers.stage[{name!r}]", f"shape {weights.shape}", f"shape ({T}, rows)")
+    return families

@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import Measures, one_step_residual, stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 CLASSICAL, CONSTRAINED, OPTIMAL = "classical", "constrained", "optimal"
@@ -86,6 +87,15 @@ class Entry:
         return Excess(terminal.violation(self.trajectory.x[-1]), CONDITION_TOLERANCE * scale, bounded)
 
     @property
+    def rows(self) -> Excess | None:
+        """Return how far the joint rows are violated, at the worst row of every family."""
+        if self.trajectory is None or not self.replayed:
+            return None
+        found = [_excess_of_rows(one, self.trajectory, *self._least) for one in self.problem.stage_rows]
+        values, allowed = np.array(found).reshape(-1, 2).T
+        return Excess(values, allowed, np.ones(len(found), dtype=bool))
+
+    @property
     def one_step(self) -> Array | None:
         """Return the largest |x_{t+1} - f_t(x_t, u_t)| over time, (n,)."""
         return None if self.trajectory is None else np.abs(one_step_residual(self.problem, self.trajectory)).max(0)
@@ -156,6 +166,15 @@ def has_stop_band(problem: OptimalControlProblem) -> bool:
 def state_bounds(problem: OptimalControlProblem) -> Box:
     """Return the state set of each time without the ends, bounds of shape (T+1, n)."""
     return stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)
+
+
+def _excess_of_rows(rows: StageRows, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+    """Return the largest violation of the row that is worst for its size, and what S-z of the certificate lets pass."""
+    x, u = trajectory.x, trajectory.u
+    terms = rows.magnitudes().values(np.abs(x), np.abs(u)).max(0)
+    violation, scale = rows.violation(x, u).max(0), np.maximum(terms, rows.sizes(least_x, least_u))
+    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
+    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
 
 
 def _excess(signal: Array, box: Box, least: Array) -> Excess:

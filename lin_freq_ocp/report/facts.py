@@ -25,6 +25,11 @@ def problem_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
         for verb, end in (("starts", problem.initial_state), ("ends", problem.terminal_state)):
             words.append(f"{verb} {_end(float(end.lower[i]), float(end.upper[i]))}")
         facts.append((f"state: {name}", "; ".join(words)))
+    for rows in problem.stage_rows:
+        varying = ", which depend on time" if rows.time_varying or rows.e.ndim == 2 else ""
+        facts.append(
+            (f"rows: {rows.name}", f"{plural(rows.rows, 'row')} C x + D u \N{LESS-THAN OR EQUAL TO} e{varying}")
+        )
     for what, given in (("control", problem.control_spectrum), ("state", problem.state_spectrum)):
         bands = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
         facts += [(f"{what} band", str(band)) for band in bands]

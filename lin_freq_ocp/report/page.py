@@ -181,4 +181,4 @@ def _solves(comparison: Comparison) -> list[tuple[str, Result]]:
 def _how(what: str, result: Result) -> tuple[str, str, str, str, str]:
     times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
     status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
-    return what, status, result.method, result.backend, times
+    return what, status, result.method, result.backend or "none needed", times

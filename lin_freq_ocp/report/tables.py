@@ -21,7 +21,10 @@ NOT_MEANINGFUL = "not meaningful"
 """Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
 
 OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
-"""Conditions whose component is a control; that of the others is a state."""
+"""Conditions whose component is a control; that of the others is a state, or a row."""
+
+OF_ROWS = ("S-z", "N-z")
+"""Conditions whose component is a joint row."""
 
 IN_FREQUENCY = ("C-vi", "C-vii")
 """Conditions whose worst place is a bin."""
@@ -91,6 +94,7 @@ def comparison_rows(comparison: Comparison) -> ComparisonRows:
         _largest_controls(problem, columns),
         _excesses("Beyond the control bounds by", problem.control_names, columns, lambda entry: entry.controls),
         _excesses("Beyond the state bounds by", problem.state_names, columns, lambda entry: entry.states),
+        _excesses("Beyond the joint rows by", _names_of_rows(problem), columns, lambda entry: entry.rows),
         _excesses("Misses the end state by", problem.state_names, columns, lambda entry: entry.end),
         _stop_band("Stop band of the controls", columns, of_states=False),
         _stop_band("Stop band of the states", columns, of_states=True),
@@ -194,6 +198,10 @@ def _excesses(
     return Group(title, tuple(rows))
 
 
+def _names_of_rows(problem: OptimalControlProblem) -> list[str]:
+    return [rows.name for rows in problem.stage_rows]
+
+
 def _excess(entry: Entry, excess: Excess | None, i: int) -> Cell:
     if excess is None:
         return Cell(NOT_MEANINGFUL if entry.trajectory is not None else NOTHING)
@@ -244,6 +252,8 @@ def _place(problem: OptimalControlProblem, condition: Condition) -> str:
     """Return where a condition is worst; nothing where it holds exactly."""
     if condition.time is None or condition.component is None or condition.residual == 0:
         return NOTHING
+    if condition.label in OF_ROWS:
+        return f"t = {condition.time}, row {condition.component}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     return f"{axis} {condition.time}, {split_unit(names[condition.component])[0]}"

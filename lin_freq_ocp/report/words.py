@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,7 @@ def faults(entry: Entry, comparison: Comparison) -> list[str]:
     words += _exceeded(entry.controls, problem.control_names, entry.trajectory.u)
     if entry.replayed:
         words += _left(entry.states, problem.state_names)
+        words += _violated(entry.rows, [rows.name for rows in problem.stage_rows])
         words += _missed(entry.end, problem.state_names)
     for of_states, what in ((False, "control"), (True, "state")):
         if entry.leaves_band_empty(of_states) is False:
@@ -114,7 +116,7 @@ def parts_of_the_gap(certificate: Certificate) -> str:
     bound = certificate.bound
     if bound is None:
         return ""
-    residuals = -bound.dynamics_term - bound.frequency_term
+    residuals = -bound.dynamics_term - bound.frequency_term + bound.stage_term
     return (
         "Where the cost exceeds the global lower bound. "
         f"The stages add up to {number(float(bound.stage_gaps.sum()), 2)}; "
@@ -176,6 +178,16 @@ def _left(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
     broken = np.flatnonzero(~excess.passed)
     states = listed([split_unit(names[i])[0] for i in broken[:NAMED]])
     return [f"leaves the bounds on {states}{_others(len(broken), 'other state')}"]
+
+
+def _violated(excess: Excess | None, names: Sequence[str]) -> list[str]:
+    if excess is None or excess.passed.all():
+        return []
+    broken = np.flatnonzero(~excess.passed)
+    words = list[str]()
+    for i in map(int, broken[:NAMED]):
+        words.append(f"{split_unit(names[i])[0]} by {quantity(float(excess.values[i]), names[i])}")
+    return [f"violates {listed(words)}{_others(len(broken), 'other constraint')}"]
 
 
 def _peak(signal: Array, name: str) -> str:

@@ -1,19 +1,22 @@
-"""Linear dynamics, boxes and stop bands as a sparse quadratic program in all of x_0 .. x_T, u_0 .. u_{T-1}.
+"""Linear dynamics, boxes, joint rows and stop bands as a sparse quadratic program in all of x_0 .. x_T, u_0 .. u_{T-1}.
 
     minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T
     DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
     STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
     CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
+    STAGE_ROWS        C_t x_t + D_t u_t <= e_t                  dual l_t    (where e_t is finite)
     STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
 
 The variables are deviations from the references x_ref, u_ref, so that a small cost is not the difference of large
 numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is
-mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu and rho come out as in the maximum principle.
+mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, l and rho come out as in the maximum
+principle.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +26,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Block, Program
 from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
@@ -42,6 +46,7 @@ class LinearTranscription:
         stack.add(Block.DYNAMICS, *self._dynamics_rows())
         stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
         stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
+        stack.add(Block.STAGE_ROWS, *self._stage_rows())
         for block, stop, length, first in (
             (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
@@ -77,6 +82,7 @@ class LinearTranscription:
             nu=nu,
             rho_u=_split_bins(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
             rho_x=_split_bins(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
+            stage=_split_families(problem.stage_rows, T, y[rows[Block.STAGE_ROWS]]),
         )
 
     def column_units(self, state_units: Array, control_units: Array) -> Array:
@@ -104,6 +110,18 @@ class LinearTranscription:
         stay = sp.hstack([_block_diagonal(dynamics.A, T), sp.csc_array((T * n, n))])
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
         return sp.csc_array(sp.hstack([successor - stay, -_block_diagonal(dynamics.B, T)])), offset, offset
+
+    def _stage_rows(self) -> tuple[sp.csc_array, Array, Array]:
+        T, n = self.problem.horizon, self.problem.state_dim
+        matrices, limits = [sp.csc_array((0, self._states + self._controls))], [np.zeros(0)]
+        for family in self.problem.stage_rows:
+            bounded = family.bounded(T)
+            last = sp.csc_array((T * family.rows, n))
+            matrix = sp.csr_array(sp.hstack([_block_diagonal(family.C, T), last, _block_diagonal(family.D, T)]))
+            matrices.append(sp.csc_array(matrix[np.flatnonzero(bounded.ravel())]))
+            limits.append(np.broadcast_to(family.e, bounded.shape)[bounded])
+        upper = np.concatenate(limits)
+        return sp.csc_array(sp.vstack(matrices)), np.full(len(upper), -np.inf), upper
 
     def _hessian(self) -> sp.csc_array:
         cost, T = self.problem.cost, self.problem.horizon
@@ -172,5 +190,17 @@ def _split_bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
         k = np.flatnonzero(stop[:, j])
         count = 2 * len(k) - int(np.isin([0, length / 2], k).sum())
         result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
+        first += count
+    return result
+
+
+def _split_families(families: Sequence[StageRows], horizon: int, duals: Array) -> dict[str, Array]:
+    result, first = dict[str, Array](), 0
+    for family in families:
+        bounded = family.bounded(horizon)
+        count = int(bounded.sum())
+        weights = np.zeros(bounded.shape)
+        weights[bounded] = duals[first : first + count]
+        result[family.name] = weights
         first += count
     return result

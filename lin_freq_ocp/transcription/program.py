@@ -18,6 +18,7 @@ class Block(Enum):
     DYNAMICS = "dynamics"
     STATE_SET = "state set"
     CONTROL_SET = "control set"
+    STAGE_ROWS = "stage rows"
     STATE_SPECTRUM = "state spectrum"
     CONTROL_SPECTRUM = "control spectrum"
 

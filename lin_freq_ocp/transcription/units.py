@@ -61,10 +61,10 @@ def _scaling(transcription: LinearTranscription, columns: Array, typical: Array)
 
 
 def _row_units(program: Program, columns: Array, problem: OptimalControlProblem) -> Array:
-    """Return one factor per row: a dynamics or bound row is divided by its component's unit, a band row likewise."""
+    """Return one factor per row: a dynamics or bound row is divided by its component's unit, any other likewise."""
     rows = np.empty(program.A.shape[0])
     rows[program.rows[Block.DYNAMICS]] = np.tile(1.0 / columns[: problem.state_dim], problem.horizon)
-    for block in (Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL_SPECTRUM):
+    for block in set(program.rows) - {Block.DYNAMICS}:
         part = program.A[program.rows[block]] @ sp.diags_array(columns)
         rows[program.rows[block]] = 1.0 / _row_norms(part)
     return rows
