@@ -24,11 +24,13 @@ from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
+from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.sets import Box, Everything, Point
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solve import Result, certify, solve
 
@@ -54,6 +56,9 @@ __all__ = [
     "Result",
     "SavedSolution",
     "SolveError",
+    "SpectralSolution",
+    "SpectralSolver",
+    "StageRows",
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",

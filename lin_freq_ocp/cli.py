@@ -86,7 +86,7 @@ def list_command() -> int:
 @cli.command("solve")
 @_problem
 @_settings
-@click.option("--method", default="auto", show_default=True, help="auto or convex.")
+@click.option("--method", default="auto", show_default=True, help="auto, spectral or convex.")
 @_backend
 @_time_limit
 @click.option("--tolerance", type=float, help="Relative residuals asked of the solver.")

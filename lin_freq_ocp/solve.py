@@ -16,8 +16,10 @@ from lin_freq_ocp.errors import (
     UnboundedError,
     UnsupportedError,
 )
-from lin_freq_ocp.methods.convex import Candidate, solve_convex
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.methods.multipliers import fit_multipliers
+from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
@@ -30,6 +32,11 @@ if TYPE_CHECKING:
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
+
+LEAST_TIME = 1e-3
+"""Seconds that are left to a second method when the first one has used them all: it ends at once, with its words."""
+
+METHODS = ("auto", "convex", "spectral")
 
 ERRORS: dict[str, type[SolveError]] = {
     "infeasible": InfeasibleError,
@@ -48,8 +55,10 @@ class Result:
     problem : OptimalControlProblem
     status : str
         "optimal", "infeasible", "unbounded", "limit" or "numerical_error": why it stopped.
-    method, backend : str
+    method : str
         What was used.
+    backend : str or None
+        The solver of the method "convex"; others need none.
     seconds : dict
         Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
@@ -67,7 +76,7 @@ class Result:
     problem: OptimalControlProblem
     status: str
     method: str
-    backend: str
+    backend: str | None
     seconds: dict[str, float]
     trajectory: Trajectory | None = None
     multipliers: Multipliers | None = None
@@ -103,6 +112,11 @@ class Result:
         return None if self.certificate is None else self.certificate.gap
 
     @property
+    def solver(self) -> str:
+        """Return the method, with its backend if it has one."""
+        return self.method if self.backend is None else f"{self.method}, {self.backend}"
+
+    @property
     def control(self) -> Array | None:
         """Return u, shape (T, m)."""
         return None if self.trajectory is None else self.trajectory.u
@@ -121,7 +135,7 @@ class Result:
                 f"theorem   {certificate.pmp}, {normal}",
                 f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
             ]
-        lines.append(f"method    {self.method}, {self.backend}")
+        lines.append(f"method    {self.solver}")
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])
 
@@ -169,14 +183,16 @@ def solve(
     Parameters
     ----------
     problem : OptimalControlProblem
-    method : {"auto", "convex"}
-        "convex": one sparse quadratic program.
+    method : {"auto", "convex", "spectral"}
+        "spectral": our Fourier-domain method, for time-invariant dynamics. "convex": one sparse quadratic program.
+        "auto": spectral where it applies and its answer is proven, else convex; convex if a backend is named.
     backend : str
-        "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME".
+        Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME".
     time_limit : float, optional
         Seconds for the solver.
     tolerance : float, optional
-        Relative residuals asked of the solver, on a program scaled to order 1.
+        Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
+        bounds to stop at.
     throw : bool
         Whether to raise if the status is not "optimal"; the error holds the result.
 
@@ -191,17 +207,18 @@ def solve(
     UnsupportedError
         If the method or backend does not exist or cannot take this problem.
     """
-    if method not in ("auto", "convex"):
-        raise UnsupportedError(f"method: got {method!r}; expected 'auto' or 'convex'.")
+    if method not in METHODS:
+        raise UnsupportedError(f"method: got {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or 'spectral'.")
+    if method == "spectral" and backend != "auto":
+        raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
     _require_positive("time_limit", time_limit)
     _require_positive("tolerance", tolerance)
-    backend_name = PROVER if backend == "auto" else backend
-    candidate = solve_convex(problem, backend_name, tolerance, time_limit)
-    if candidate.status not in ("optimal", "limit") and backend_name != PROVER:
-        candidate = _explained(problem, candidate, time_limit)
-    if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, time_limit)
-    result = _judged(problem, candidate, backend_name)
+    started, result = time.perf_counter(), None
+    if method == "spectral" or (method == "auto" and backend == "auto"):
+        result = _spectral(problem, method == "spectral", tolerance, time_limit)
+    if result is None:
+        left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
+        result = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
     if throw and result.status != "optimal":
         raise ERRORS[result.status](_complaint(result), result)
     return result
@@ -229,6 +246,34 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     return judge(problem, trajectory, multipliers or fit_multipliers(problem, trajectory))
 
 
+def _spectral(
+    problem: OptimalControlProblem, required: bool, tolerance: float | None, time_limit: float | None
+) -> Result | None:
+    """Return what the Fourier-domain method ends with; None, unless required, if that is no answer with a proof."""
+    try:
+        solver = SpectralSolver(problem)
+    except UnsupportedError:
+        if required:
+            raise
+        return None
+    candidate = solver.solve(tolerance=tolerance, time_limit=time_limit)
+    if candidate.status == "unbounded":
+        candidate = _if_feasible(problem, candidate, time_limit)
+    result = _judged(problem, candidate, "spectral", None)
+    proven = result.status == "optimal" and result.certificate is not None and result.certificate.pmp == "satisfied"
+    return result if required or proven or result.status in ("infeasible", "limit") else None
+
+
+def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:
+    """Return what the sparse program ends with."""
+    candidate = solve_convex(problem, backend, tolerance, time_limit)
+    if candidate.status not in ("optimal", "limit") and backend != PROVER:
+        candidate = _explained(problem, candidate, time_limit)
+    if candidate.status == "unbounded":
+        candidate = _if_feasible(problem, candidate, time_limit)
+    return _judged(problem, candidate, "convex", backend)
+
+
 def _explained(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
     """Return the prover's account of a problem that another backend did not solve, if it has one."""
     account = solve_convex(problem, PROVER, None, time_limit)
@@ -241,7 +286,7 @@ def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limi
     return feasibility if feasibility.status == "infeasible" else candidate
 
 
-def _judged(problem: OptimalControlProblem, candidate: Candidate, backend: str) -> Result:
+def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None) -> Result:
     clock = time.perf_counter()
     status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
@@ -256,7 +301,7 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, backend: str) 
     return Result(
         problem=problem,
         status=status,
-        method="convex",
+        method=method,
         backend=backend,
         seconds={**candidate.seconds, "certify": time.perf_counter() - clock},
         trajectory=candidate.trajectory,
@@ -282,7 +327,7 @@ def _complaint(result: Result) -> str:
     if result.status == "limit":
         return f"{name}: stopped before the answer was accurate ({result.message}); the best point is in .result."
     return (
-        f"{name}: {result.backend} ended with '{result.message}', and its residuals are too large to call it a "
+        f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend."
     )
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
-from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
+from lin_freq_ocp.transcription.program import Program, Scaling
 from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
 
 SOLVED_TOLERANCE = 1e-6
@@ -20,38 +20,6 @@ SOLVED_TOLERANCE = 1e-6
 
 UNBOUNDED_TOLERANCE = 1e-6
 """Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """What a method found, measured but not judged.
-
-    Attributes
-    ----------
-    status : str
-        "optimal", "infeasible" (claimed: ``ray`` is to be proven), "unbounded", "limit" or "numerical_error".
-    trajectory, multipliers : or None
-        The point, where there is one, however inaccurate.
-    ray : Multipliers or None
-        A claimed Farkas ray.
-    residuals : Residuals or None
-        Of the scaled program, computed by us.
-    words : str
-        The backend's own status.
-    seconds : dict
-        Wall time of "setup" (transcription and scaling) and "solve" (the backend).
-    interrupted : bool
-        Whether the limit was Ctrl-C.
-    """
-
-    status: str
-    trajectory: Trajectory | None
-    multipliers: Multipliers | None
-    ray: Multipliers | None
-    residuals: Residuals | None
-    words: str
-    seconds: dict[str, float] = field(default_factory=dict[str, float])
-    interrupted: bool = False
 
 
 def solve_convex(

@@ -1,0 +1,290 @@
+"""The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated (SPECTRAL.md, 2).
+
+Every round corrects the defects of the true signals (section 1.8), so that its fixed point has true slacks whatever the
+errors of the small QP. What stops it is optimality, not only feasibility (section 1.9).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.methods.spectral.border import SHORTEST_PROXIMAL
+from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
+from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.lti import LEAST_SIZE
+from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
+from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
+from lin_freq_ocp.methods.spectral.violations import Violations
+from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet
+from lin_freq_ocp.problem.arrays import Array
+
+ROUNDS = 60
+"""Rounds after which an exchange ends; 1 to 12 are usual."""
+
+KEEP_ALL_AFTER = 30
+"""Rounds after which no row is dropped any more: the exchange is then finite."""
+
+EQUATION_TOLERANCE = 1e-9
+"""Residual of the border's equations, relative to the largest signal."""
+
+SLOPE_TOLERANCE = 1e-11
+"""Slope left in the border variables, relative to its terms."""
+
+ACCEPTED_SLOPE = 1e-8
+"""The same where an exchange no longer improves."""
+
+GAIN_TOLERANCE = 1e-9
+"""What the cost could still fall by along border variables, relative to it (at least 1)."""
+
+SLACK_TOLERANCE = 1e-9
+"""<l, slack> left, relative to the cost: rows with a multiplier hold with equality."""
+
+ACCEPTED_VIOLATION = 1e-9
+"""Relative violation at which an exchange that no longer improves is as accurate as its rounding allows."""
+
+STALLED_ROUNDS = 3
+"""Rounds that neither halve the violation nor, above ACCEPTED_VIOLATION, add a row: it no longer improves."""
+
+INCONSISTENT = 1e-7
+"""Relative residual of the equations from which their dependent rows are asked for a proof of infeasibility."""
+
+ASK_FOR_RAY = 8
+"""Every so many rounds, and whenever the small QP is not content, the working rows are asked for such a proof."""
+
+LENIENT = 1e-3
+"""Relative violation from which on longer steps are taken along directions without cost."""
+
+LONGER_STEPS = 0.03
+"""Factor on the proximal weight for that."""
+
+DIVERGING = 1e6
+"""Weight of a row, in natural units, from which the rows are asked for a proof of infeasibility."""
+
+ENDLESS = 1e10
+"""Size of a border variable, in natural units, at which the cost has no lower bound."""
+
+
+@dataclass(eq=False)
+class Outcome:
+    """How an exchange ended.
+
+    Attributes
+    ----------
+    status : str
+        "optimal", "infeasible", "unbounded", "limit" or "numerical_error".
+    words : str
+        Why, in words.
+    signals : Signals; theta, multipliers : arrays; working : WorkingSet
+        The last point, with the multipliers of equations and rows that made it.
+    rounds : int
+    violation : float
+        Worst relative violation of a bound.
+    cost : float
+        J.
+    ray : Ray or None
+        If infeasible.
+    """
+
+    status: str
+    words: str
+    signals: Signals
+    theta: Array
+    multipliers: Array
+    working: WorkingSet
+    rounds: int
+    violation: float
+    cost: float
+    ray: Ray | None = None
+
+
+class Exchange:
+    """One solve: the point, its working rows, and the rules of a round."""
+
+    def __init__(self, structure: Structure, data: Data, first: Rows | None):
+        self.structure, self.data, self.border = structure, data, structure.border
+        self.working = WorkingSet(self.border)
+        self.violations = Violations(data.lti)
+        if first is not None:
+            self.working.add(first.t, first.f, first.sign)
+            if first.weights is not None:
+                self.working.weights = first.weights
+        self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
+        self.proximal = self.first_proximal = data.lti.curvature_unit
+        self.unconstrained = _unconstrained_response(structure)
+        self.soft = self.border.soft
+        self.ray: Ray | None = None
+        self._evaluate()
+
+    def run(self, tolerance: float, rounds: int, stop: Callable[[], str | None]) -> Outcome:
+        """Exchange until optimal; ``stop`` returns why to stop early, or None."""
+        added, best, stalled = len(self.working), np.inf, 0
+        for count in range(1, rounds + 1):
+            diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
+            self._step(ask=diverging or count % ASK_FOR_RAY == 0)
+            if self.ray is not None:
+                return self._outcome("infeasible", "no trajectory satisfies all constraints", count)
+            slope = self._relative_slope()
+            worst = self.violations.worst
+            level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gain() <= GAIN_TOLERANCE * self._cost_size()
+            if self.soft and worst < LENIENT and not level:
+                self.proximal = max(self.proximal * LONGER_STEPS, SHORTEST_PROXIMAL * self.first_proximal)
+                if worst < tolerance and np.abs(self.theta).max(initial=0.0) > ENDLESS:
+                    return self._outcome("unbounded", "the cost falls without end", count)
+            improving = worst < best / 2 or (added and worst >= ACCEPTED_VIOLATION)
+            stalled = 0 if improving else stalled + 1
+            best = min(best, worst)
+            reached = tolerance if stalled < STALLED_ROUNDS else max(tolerance, ACCEPTED_VIOLATION)
+            if (
+                worst < reached
+                and (level or (stalled >= STALLED_ROUNDS and slope < ACCEPTED_SLOPE))
+                and self._settled()
+            ):
+                return self._outcome("optimal", "", count)
+            reason = stop()
+            if reason is not None:
+                return self._outcome("limit", reason, count)
+            added = self._exchange_rows(tolerance, count)
+        return self._outcome("numerical_error", f"not settled after {rounds} rounds", rounds)
+
+    def _evaluate(self) -> None:
+        self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
+        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
+        self.violations.measure(self.signals.y, self.signals.last)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+
+    def _slope(self) -> Array:
+        """Return the derivative of the Lagrangian in theta."""
+        on_rows = self.working.coupling[: self.border.size] @ self.working.weights
+        return self.data.h + self.border.H @ self.theta + self.border.E.T @ self.multipliers + on_rows
+
+    def _step(self, ask: bool) -> None:
+        """Correct the defects of the present point, with the best weights for the working rows."""
+        working, border = self.working, self.border
+        right = np.concatenate([-self._slope(), self.residual])
+        step, new, ray = (self._soft_step if self.soft else self._stiff_step)(right, ask)
+        working.weights, self.ray = new, ray
+        self.theta = self.theta + step[: border.size]
+        self.multipliers = self.multipliers + step[border.size :]
+        self._evaluate()
+        if self.ray is None and self._relative_residual() > INCONSISTENT:
+            self.ray = equation_ray(self.structure, self.data, self.residual)
+
+    def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the step of the border, weights and perhaps a ray, with the border eliminated."""
+        working, inverse = self.working, self.border.inverse
+        step = inverse @ right
+        if not len(working):
+            return step, working.weights, None
+        Z = inverse @ working.coupling
+        through_border = working.coupling.T @ Z
+        S = (
+            working.gram + (through_border + through_border.T) / 2
+        )  # symmetric to the last bit: else it stalls at rounding
+        d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
+        unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
+        new, content = nonnegative_qp(S, d, working.weights, unconstrained)
+        ray = row_ray(self.structure, self.data, working, S, d, Z, ask or not content)
+        return step - Z @ (new - working.weights), new, ray
+
+    def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for a border that hardly curves: kept in the small QP, with a proximal term."""
+        working, border = self.working, self.border
+        if not len(working):
+            return border.inverse_with(self.proximal) @ right, working.weights, None
+        K = border.proximal_matrix(self.proximal)
+        slack = working.limits(self.data.lti) - self.values
+        qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights)
+        step, new, content = qp.solve()
+        if not (ask or not content):
+            return step, new, None
+        point = np.concatenate([self.theta, self.multipliers])
+        cold = replace(
+            qp,
+            r=right + border.matrix @ point + working.coupling @ working.weights,
+            slack=slack + working.coupling.T @ point - working.gram @ working.weights,
+            weights=np.zeros(len(working)),
+        )
+        return step, new, elastic_ray(self.structure, self.data, working, cold)
+
+    def _relative_residual(self) -> float:
+        return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
+
+    def _relative_slope(self) -> float:
+        """Return the largest derivative in theta, relative to the terms that it is the sum of."""
+        on_rows = self.working.coupling[: self.border.size] @ self.working.weights
+        terms = self.data.h, self.border.H @ self.theta, self.border.E.T @ self.multipliers, on_rows
+        size = sum(float(np.abs(term).max(initial=0.0)) for term in terms)
+        least = LEAST_SIZE * self.data.lti.curvature_unit
+        return float(np.abs(sum(terms[1:], start=terms[0])).max(initial=0.0)) / max(size, least)
+
+    def _gain(self) -> float:
+        """Return what the cost could still fall by along the border variables, were they free."""
+        slope, border = self._slope(), self.border
+        return float(abs(slope @ border.inverse[: border.size, : border.size] @ slope))
+
+    def _cost(self) -> float:
+        lti, at = self.data.lti, self.signals
+        last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
+        linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
+        return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
+
+    def _cost_size(self) -> float:
+        """Return what a difference in cost is small against."""
+        return max(self.data.lti.cost_level, abs(self._cost()))
+
+    def _settled(self) -> bool:
+        """Whether the equations hold, and all rows with a multiplier hold with equality."""
+        if self._relative_residual() >= EQUATION_TOLERANCE:
+            return False
+        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
+        return bool(slack <= SLACK_TOLERANCE * self._cost_size())
+
+    def _exchange_rows(self, tolerance: float, count: int) -> int:
+        """Drop rows without multiplier, add violated ones; return how many are new."""
+        entering = self.violations.entering(tolerance)
+        if count <= KEEP_ALL_AFTER:
+            self.working.keep(self.working.weights > 0)
+        added = self.working.add(*entering)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+        return added
+
+    def _outcome(self, status: str, words: str, rounds: int) -> Outcome:
+        return Outcome(
+            status,
+            words,
+            self.signals,
+            self.theta,
+            self.multipliers,
+            self.working,
+            rounds,
+            self.violations.worst,
+            self._cost(),
+            self.ray,
+        )
+
+
+def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Callable[[], str | None]:
+    """Return a function that says why to stop, or None: the time is over, or Ctrl-C was pressed."""
+    end = np.inf if seconds is None else time.perf_counter() + seconds
+
+    def stop() -> str | None:
+        if interrupted():
+            return "interrupted"
+        return "time limit" if time.perf_counter() > end else None
+
+    return stop
+
+
+def _unconstrained_response(structure: Structure) -> Array | None:
+    """Return 1/R for control rows and 0 for others, where diag(1/R) - S >= 0: R diagonal, S = 0."""
+    lti, n = structure.border.lti, structure.border.lti.state_dim
+    R = lti.M[n:, n:]
+    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
+        return None
+    response = np.zeros(len(lti.F))
+    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
+    return response

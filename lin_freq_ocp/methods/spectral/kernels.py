@@ -1,0 +1,62 @@
+"""How a unit force on one row at one time moves another row at another time: circulant kernels (SPECTRAL.md, 1.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.methods.spectral.lti import Lti
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices
+
+SMALL_TABLE = 500_000
+"""Entries up to which all kernels are made at once: calls cost more than numbers."""
+
+
+class Kernels:
+    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0. Long ones are made when needed.
+
+    Attributes
+    ----------
+    table : (rows, rows, T)
+        Entries of pairs that are not ``known`` are undefined, and their memory is never touched.
+    known : (rows, rows)
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces):
+        self.lti, self.spaces, rows = lti, spaces, len(lti.F)
+        self.known = np.zeros((rows, rows), dtype=bool)
+        if rows * rows * lti.horizon <= SMALL_TABLE:
+            NF = np.stack([self._row(f) for f in range(rows)])
+            kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
+            self.table = (kernels + np.roll(kernels[:, :, ::-1], 1, axis=2).swapaxes(0, 1)) / 2
+            self.known[:] = True
+        else:
+            self.table = np.empty((rows, rows, lti.horizon))
+
+    def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
+        """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
+        if not self.known.all():
+            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+        return self.table[f[:, None], g, (t[:, None] - s) % self.lti.horizon]
+
+    def free_response(self, f: Indices) -> Array:
+        """Return K_ff(0) of each row: how far a unit force moves its own row without any equations."""
+        if not self.known.all():
+            self._require([(int(a), int(a)) for a in np.unique(f)])
+        return self.table[f, f, 0]
+
+    def _require(self, pairs: list[tuple[int, int]]) -> None:
+        for f, g in pairs:
+            if not self.known[f, g]:
+                kernel = fft.irfft((self._row(f) * self._row(g).conj()).sum(0), self.lti.horizon)
+                mirrored = np.roll(kernel[::-1], 1)
+                self.table[f, g], self.table[g, f] = kernel, mirrored
+                if f == g:
+                    self.table[f, f] = (kernel + mirrored) / 2
+                self.known[f, g] = self.known[g, f] = True
+
+    def _row(self, f: int) -> ComplexArray:
+        """Return F_f N, shape (m, bins)."""
+        dimension = len(self.lti.M)
+        return self.spaces.N[f] if f < dimension else np.tensordot(self.lti.F[f], self.spaces.N, 1)

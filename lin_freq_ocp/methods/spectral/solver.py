@@ -1,0 +1,216 @@
+"""SpectralSolver: set up once, solve for many ends, references and bounds (SPECTRAL.md, section 2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
+from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange, Outcome, deadline
+from lin_freq_ocp.methods.spectral.first_set import first_working_set
+from lin_freq_ocp.methods.spectral.lti import Lti, lti_problem, natural_units, refusal
+from lin_freq_ocp.methods.spectral.optimality import residuals
+from lin_freq_ocp.methods.spectral.recovery import in_units, recover, trajectory
+from lin_freq_ocp.methods.spectral.structure import Data, Structure, prepare
+from lin_freq_ocp.methods.spectral.working_set import Rows
+from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+VIOLATION_TOLERANCE = 1e-12
+"""Relative violation of a bound at which an exchange stops; rounding of the signals is near 1e-15."""
+
+REFERENCES, BOUNDS = ("x_ref", "u_ref"), ("state_set", "control_set")
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralSolution(Candidate):
+    """A Candidate, with what a next solve can start from.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem or None
+        The one that was solved, with this solve's ends, references and bounds.
+    active : Rows or None
+        Rows with a multiplier: times t, rows f of [I; C D] acting on (x_t, u_t), sign +1 at upper and -1 at lower
+        bounds, and weights in the method's own units.
+    rounds : int
+        Rounds of the exchange.
+    """
+
+    problem: OptimalControlProblem | None = None
+    active: Rows | None = None
+    rounds: int = 0
+
+
+class SpectralSolver:
+    """The Fourier-domain method for one problem, set up once.
+
+    Everything that does not depend on ends, references, linear costs, offsets and bounds is computed here, and kept.
+    All linear algebra runs on one BLAS thread: its matrices are small, and threads made T = 1000 take 12 s, not 0.3 s.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        Linear time-invariant, with a constant convex quadratic stage cost.
+
+    Raises
+    ------
+    UnsupportedError
+        With the reason, if the problem is outside this class.
+    """
+
+    def __init__(self, problem: OptimalControlProblem):
+        require_convex(problem)
+        reason = refusal(problem)
+        if reason is not None:
+            raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
+        started = time.perf_counter()
+        self.problem = problem
+        with one_blas_thread():
+            self._units = natural_units(problem)
+            self._lti = lti_problem(problem, self._units)
+            self._structure = _structure(self._lti)
+        self._coarser: dict[int, Structure] = {}
+        self.setup_seconds = time.perf_counter() - started
+
+    def solve(
+        self,
+        initial_state: Any = None,
+        terminal_state: Any = None,
+        references: Mapping[str, Any] | None = None,
+        bounds: Mapping[str, Any] | None = None,
+        warm_start: SpectralSolution | None = None,
+        tolerance: float | None = None,
+        time_limit: float | None = None,
+    ) -> SpectralSolution:
+        """Solve, with other ends, references or bounds than the problem's own where given.
+
+        Parameters
+        ----------
+        initial_state, terminal_state : (n,) or set, optional
+            Fixed and free components must stay what they are in the problem.
+        references : mapping, optional
+            "x_ref" and "u_ref", as in QuadraticCost.
+        bounds : mapping, optional
+            "state_set" and "control_set", as in OptimalControlProblem.
+        warm_start : SpectralSolution, optional
+            Its active rows are the first working set.
+        tolerance : float, optional
+            Relative violation of bounds to stop at.
+        time_limit : float, optional
+            Seconds; acts between rounds.
+
+        Raises
+        ------
+        ProblemError
+            If new data do not fit the problem.
+        """
+        started = time.perf_counter()
+        problem, lti = self._with(initial_state, terminal_state, references, bounds)
+        with one_blas_thread(), interrupts_noted() as interrupt:
+            stop = deadline(time_limit, interrupt.is_set)
+            first = None if warm_start is None else warm_start.active
+            if first is None:
+                first = first_working_set(lti, stop, self._coarser)
+            data = prepare(self._structure, lti)
+            outcome = Exchange(self._structure, data, first).run(tolerance or VIOLATION_TOLERANCE, ROUNDS, stop)
+            seconds = {"setup": self.setup_seconds, "solve": time.perf_counter() - started}
+            return self._solution(problem, data, outcome, seconds, started)
+
+    def _with(
+        self,
+        initial_state: Any,
+        terminal_state: Any,
+        references: Mapping[str, Any] | None,
+        bounds: Mapping[str, Any] | None,
+    ) -> tuple[OptimalControlProblem, Lti]:
+        """Return the problem and its Lti form with new data, whose structure must be the same."""
+        changes: dict[str, Any] = dict(_known("bounds", bounds, BOUNDS))
+        if initial_state is not None:
+            changes["initial_state"] = initial_state
+        if terminal_state is not None:
+            changes["terminal_state"] = terminal_state
+        if references:
+            cost, known = self.problem.cost, _known("references", references, REFERENCES)
+            terms = {name: getattr(cost, name) for name in ("Q", "R", "S", "q", "r", "P", "p", *REFERENCES)}
+            changes["cost"] = QuadraticCost(**(terms | dict(known)))
+        if not changes:
+            return self.problem, self._lti
+        problem = replace(self.problem, **changes)
+        lti = lti_problem(problem, self._units)
+        for field, old, new in (
+            ("initial_state", self._lti.start, lti.start),
+            ("terminal_state", self._lti.end, lti.end),
+        ):
+            if not np.array_equal(np.isnan(old), np.isnan(new)):
+                raise ProblemError(
+                    field, "other fixed components than in the problem", "the same ones", "Make a new SpectralSolver."
+                )
+        if not all(np.array_equal(a, b) for a, b in zip(self._lti.fixed_points(), lti.fixed_points(), strict=True)):
+            raise ProblemError(
+                "bounds", "other values fixed by lower == upper", "the same ones", "Make a new SpectralSolver."
+            )
+        return problem, lti
+
+    def _solution(
+        self, problem: OptimalControlProblem, data: Data, outcome: Outcome, seconds: dict[str, float], started: float
+    ) -> SpectralSolution:
+        found = recover(self._structure, data, outcome)
+        multipliers = in_units(problem, self._structure, self._units, found)
+        infeasible = outcome.status == "infeasible"
+        measured = None if infeasible else residuals(data.lti, outcome, found)
+        status, words = outcome.status, outcome.words
+        if status == "optimal" and measured is not None and not measured.worst <= SOLVED_TOLERANCE:
+            status, words = "numerical_error", f"settled with residuals of {measured.worst:.1e}"
+        active = outcome.working.weights > 0
+        t, f, sign = outcome.working.rows()
+        return SpectralSolution(
+            status=status,
+            trajectory=None if infeasible else trajectory(outcome, self._units),
+            multipliers=None if infeasible else multipliers,
+            ray=multipliers if infeasible else None,
+            residuals=measured,
+            words=words,
+            seconds=seconds | {"solve": time.perf_counter() - started},
+            interrupted=words == "interrupted",
+            problem=problem,
+            active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
+            rounds=outcome.rounds,
+        )
+
+
+def one_blas_thread() -> Any:
+    """Return a context in which linear algebra uses one thread."""
+    return _controller().limit(limits=1, user_api="blas")
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _structure(lti: Lti) -> Structure:
+    try:
+        return Structure(lti)
+    except np.linalg.LinAlgError as error:
+        raise UnsupportedError(
+            f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+        ) from None
+
+
+def _known(field: str, given: Mapping[str, Any] | None, keys: tuple[str, ...]) -> Mapping[str, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
+    for key in given or {}:
+        if key not in keys:
+            raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
+    return given or {}

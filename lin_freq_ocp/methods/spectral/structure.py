@@ -1,0 +1,130 @@
+"""Everything that a solve needs: once per problem (Structure), and once per set of data (Data); SPECTRAL.md, 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.methods.spectral.border import Border
+from lin_freq_ocp.methods.spectral.kernels import Kernels
+from lin_freq_ocp.methods.spectral.lti import Lti
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.working_set import WorkingSet
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+
+
+class Structure:
+    """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free."""
+
+    def __init__(self, lti: Lti):
+        self.spaces = BinSpaces(lti)
+        self.kernels = Kernels(lti, self.spaces)
+        self.border = Border(lti, self.spaces, self.kernels)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What depends on ends, linear terms, offsets and bounds.
+
+    Attributes
+    ----------
+    lti : Lti
+        With these data.
+    base : (n+m, bins)
+        The spectrum of y without forces and border variables.
+    linear : (n+m, bins) or None
+        The spectrum of h.
+    h : (size,), e : (equations,)
+        Gradient in theta at 0, and right-hand sides of the equations.
+    """
+
+    lti: Lti
+    base: ComplexArray
+    linear: ComplexArray | None
+    h: Array
+    e: Array
+
+
+def prepare(structure: Structure, lti: Lti) -> Data:
+    """Return the data of ``lti``, whose structure must be the given one."""
+    spaces, border = structure.spaces, structure.border
+    start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
+    jump = spaces.z * (start - end)[:, None]
+    if lti.offset is not None:
+        jump += fft.rfft(lti.offset)
+    linear = None if lti.linear is None else fft.rfft(lti.linear)
+    base = spaces.particular(jump[:, None])[:, 0]
+    h = border.gradient(lti.M @ base + (0 if linear is None else linear))
+    h[border.at_end] += (lti.P @ end + lti.p)[border.free_end]
+    if linear is not None:
+        base -= spaces.project(linear[:, None])[:, 0]
+    return Data(lti, base, linear, h, border.right_hand_side(lti, jump))
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A point in time and frequency: it satisfies the dynamics and the control bands to rounding.
+
+    Attributes
+    ----------
+    y : (n+m, T), last : (n,)
+        x_t and u_t, and x_T.
+    spectrum, force : (n+m, bins)
+        Of y, and of the forces of working rows and equations.
+    """
+
+    y: Array
+    last: Array
+    spectrum: ComplexArray
+    force: ComplexArray
+
+
+def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
+    """Return the optimum over all bins for given border variables and forces (SPECTRAL.md, 1.7)."""
+    lti, spaces, border = data.lti, structure.spaces, structure.border
+    force, used = _forces(structure, lti, multipliers, working)
+    spectrum = data.base.copy()
+    spaces.respond(force, used, spectrum)
+    border.add(theta, spectrum)
+    last = lti.end.copy()
+    last[border.free_end] = theta[border.at_end]
+    return Signals(fft.irfft(spectrum, lti.horizon), last, spectrum, force)
+
+
+def _forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
+    """Return the spectrum of G'l + E'y, and which components are not zero."""
+    border, dimension = structure.border, len(lti.M)
+    pulses = np.zeros((len(lti.F), lti.horizon))
+    inner = working.inner
+    np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
+    np.add.at(pulses, (border.point_f, border.point_t), multipliers[: len(border.point_t)])
+    acting = np.zeros(len(lti.F), dtype=bool)
+    acting[working.f[inner]] = acting[border.point_f] = True
+    force = pulses[:dimension]
+    if acting[dimension:].any():
+        force += lti.F[dimension:].T @ pulses[dimension:]
+        acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
+    used = acting[:dimension]
+    spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
+    spectrum[used] = fft.rfft(force[used])
+    if len(border.bands):
+        on_bands = multipliers[-len(border.bands) :]
+        for i in np.unique(border.band_component):
+            mine = border.band_component == i
+            spectrum[i] += on_bands[mine] @ border.band_hat[mine]
+            used[i] = True
+    return spectrum, used
+
+
+def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
+    """Return e - E(x, theta), from the signals where an equation sees them, and not from the formula."""
+    border, points = structure.border, len(structure.border.point_t)
+    residual = data.e - border.E @ theta
+    residual[:points] = data.e[:points] - at.y[border.point_f, border.point_t]
+    residual[border.free_start] += theta[border.at_start]
+    if len(border.bands):
+        inside = np.einsum("dt,dt->d", border.bands[:, :-1], at.y[border.band_component])
+        residual[-len(border.bands) :] = -inside - border.bands[:, -1] * at.last[border.band_component]
+    return residual

@@ -1,0 +1,101 @@
+"""Which rows a point violates, and which of them enter the working set (SPECTRAL.md, section 2.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lin_freq_ocp.methods.spectral.lti import Lti
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+
+STATE_PEAKS = 40
+"""Violated local maxima of states that enter in one round: all samples of a long arc would be nearly dependent rows."""
+
+NEARLY_ACTIVE = 0.05
+"""Distance inside a control's bound, relative to it, up to which samples enter too: arcs then do not crawl."""
+
+SMALL_VIOLATION = 0.3
+"""Relative violation from which on nearly active samples say something."""
+
+ABSENT = -1.0
+"""Excess of a row that cannot be violated."""
+
+
+class Violations:
+    """Excess over the bounds, relative to them, of every bounded row at every time.
+
+    Attributes
+    ----------
+    rows : (bounded,)
+        The rows of F with a bound at some time.
+    excess : (bounded, T), last : (n,)
+        Of rows at t < T and of x_T; below 0 inside.
+    worst : float
+        The largest.
+    """
+
+    def __init__(self, lti: Lti):
+        self.lti, n = lti, lti.state_dim
+        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
+        self.lower, self.upper = lti.lower[self.rows], lti.upper[self.rows]
+        self.state_rows = ~lti.F[self.rows, n:].any(1)
+        largest = np.zeros(len(lti.F))
+        largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
+        ends = np.stack([lti.last_lower, lti.last_upper])
+        largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
+        self.scale = np.where(largest > 0, largest, 1.0)
+        self.free_end = np.isnan(lti.end)
+        t, f = lti.fixed_points()
+        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
+        self.fixed = np.searchsorted(self.rows, f), np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
+        bounded = np.isin(f, self.rows)
+        self.fixed = self.fixed[0][bounded], self.fixed[1][bounded]
+        self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
+
+    def measure(self, y: Array, last: Array) -> float:
+        """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
+        lti, n = self.lti, self.lti.state_dim
+        values = y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y
+        np.subtract(values, self.upper, out=self.excess)
+        np.subtract(self.lower, values, out=values)
+        self.above = self.excess >= values
+        np.maximum(self.excess, values, out=self.excess)
+        self.excess /= self.scale[self.rows, None]
+        self.excess[self.fixed] = ABSENT
+        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.worst = max(float(self.excess.max(initial=ABSENT)), float(self.last.max()))
+        return self.worst
+
+    def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
+        i, t = np.nonzero(self._mask(tolerance))
+        ends = np.flatnonzero(self.last > tolerance / 2)
+        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
+        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
+        return times, np.concatenate([self.rows[i], ends]), sign
+
+    def _mask(self, tolerance: float) -> Mask:
+        nearly = -min(2 * self.worst, NEARLY_ACTIVE) if self.worst < SMALL_VIOLATION else tolerance / 2
+        threshold = np.where(self.state_rows, tolerance / 2, nearly)
+        mask = self.excess > threshold[:, None]
+        states = np.flatnonzero(self.state_rows)
+        if mask[states].any():
+            mask[states] &= self._peaks(self.excess[states])
+            heights = self.excess[states][mask[states]]
+            if len(heights) > STATE_PEAKS:
+                mask[states] &= self.excess[states] >= np.partition(heights, -STATE_PEAKS)[-STATE_PEAKS]
+        return mask
+
+    @staticmethod
+    def _peaks(excess: Array) -> Mask:
+        peak = np.ones(excess.shape, dtype=bool)
+        peak[:, 1:] &= excess[:, 1:] >= excess[:, :-1]
+        peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
+        return peak
+
+
+def _largest_finite(bounds: Array) -> Array:
+    """Return the largest |bound| of every row that is finite, 0 where none is; bounds (rows, T)."""
+    if bounds.size and bounds.strides[1] == 0:
+        bounds = bounds[:, :1]
+    return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)

@@ -1,0 +1,128 @@
+"""The pointwise rows that hold with equality for now, and how they act on each other (SPECTRAL.md, 1.7)."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from lin_freq_ocp.methods.spectral.border import Border
+from lin_freq_ocp.methods.spectral.lti import Lti
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+
+
+class Rows(NamedTuple):
+    """Rows to start from: times, rows of F, +1 (upper) or -1 (lower), and multipliers where there are some."""
+
+    t: Indices
+    f: Indices
+    sign: Array
+    weights: Array | None = None
+
+
+class WorkingSet:
+    """Rows sign F_f y_t <= limit; at t = T, rows on the free components of x_T.
+
+    Attributes
+    ----------
+    t, f : (count,), sign : (count,) of +1 (upper bound) and -1 (lower)
+    weights : (count,)
+        Their multipliers, >= 0.
+    coupling : (size + equations, count)
+        C = [dG/dtheta'; -S_EW].
+    gram : (count, count)
+        S_W, without the border's part.
+    """
+
+    def __init__(self, border: Border):
+        self._border = border
+        self.t: Indices = np.zeros(0, dtype=np.intp)
+        self.f: Indices = np.zeros(0, dtype=np.intp)
+        self.sign: Array = np.zeros(0)
+        self.weights: Array = np.zeros(0)
+        self.coupling: Array = np.zeros((len(border.matrix), 0))
+        self.gram: Array = np.zeros((0, 0))
+        self._present = np.zeros((2, len(border.lti.F), border.lti.horizon + 1), dtype=bool)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def inner(self) -> Mask:
+        """Which rows act at t < T."""
+        return self.t < self._border.lti.horizon
+
+    def rows(self) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign)."""
+        return self.t, self.f, self.sign
+
+    def weighted(self, weights: Array) -> WorkingSet:
+        """Return the same rows with other multipliers."""
+        other = copy(self)
+        other.weights = weights
+        return other
+
+    def keep(self, kept: Mask) -> None:
+        """Drop all rows but these."""
+        if not kept.all():
+            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
+            self.t, self.f = self.t[kept], self.f[kept]
+            self.sign, self.weights = self.sign[kept], self.weights[kept]
+            self.coupling, self.gram = self.coupling[:, kept], self.gram[np.ix_(kept, kept)]
+
+    def add(self, t: Indices, f: Indices, sign: Array) -> int:
+        """Add the rows that are not here yet, with weight 0; return how many."""
+        new = ~self._present[(sign > 0).astype(np.intp), f, t]
+        t, f, sign = t[new], f[new], sign[new]
+        before, count = len(self), len(self) + len(t)
+        if count == before:
+            return 0
+        self._mark(t, f, sign, True)
+        gram = np.zeros((count, count))
+        gram[:before, :before] = self.gram
+        gram[before:, before:] = self._gram(t, f, sign, t, f, sign)
+        gram[before:, :before] = self._gram(t, f, sign, *self.rows())
+        gram[:before, before:] = gram[before:, :before].T
+        self.gram, self.coupling = gram, np.hstack([self.coupling, self._coupling(t, f, sign)])
+        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
+        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
+        return count - before
+
+    def limits(self, lti: Lti) -> Array:
+        """Return the right-hand sides of the rows, shape (count,)."""
+        inner, upper = self.inner, self.sign > 0
+        limit, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
+        limit[inner] = np.where(upper[inner], lti.upper[f, t], -lti.lower[f, t])
+        last = self.f[~inner]
+        limit[~inner] = np.where(upper[~inner], lti.last_upper[last], -lti.last_lower[last])
+        return limit
+
+    def values(self, y: Array, last: Array) -> Array:
+        """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
+        inner = self.inner
+        result = np.empty(len(self))
+        result[inner] = np.einsum("ri,ir->r", self._border.lti.F[self.f[inner]], y[:, self.t[inner]])
+        result[~inner] = last[self.f[~inner]]
+        return self.sign * result
+
+    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
+        self._present[(sign > 0).astype(np.intp), f, t] = present
+
+    def _gram(self, t: Indices, f: Indices, sign: Array, s: Indices, g: Indices, other: Array) -> Array:
+        T = self._border.lti.horizon
+        first, second = t < T, s < T
+        if first.all() and second.all():
+            return self._border.kernels.gram(t, f, s, g) * sign[:, None] * other
+        result = np.zeros((len(t), len(s)))
+        result[np.ix_(first, second)] = self._border.kernels.gram(t[first], f[first], s[second], g[second])
+        return result * sign[:, None] * other
+
+    def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
+        border, inner = self._border, t < self._border.lti.horizon
+        result = np.zeros((len(self.coupling), len(t)))
+        result[: border.size, inner] = border.values(t[inner], f[inner]).T
+        result[border.size :, inner] = -border.responses(t[inner], f[inner])
+        free = np.flatnonzero(~inner)
+        result[border.at_end[np.searchsorted(border.free_end, f[free])], free] = 1.0
+        return result * sign
