@@ -1,14 +1,17 @@
-"""Long checks: known optima by three solvers, and random problems solved twice and judged. About 2 minutes.
+"""Long checks: known optima by three solvers, and random problems solved twice and judged. About 5 minutes.
 
-    python scripts/verify.py [--problems 1000] [--seed 0]
+    python scripts/verify.py [--part known] [--part convex] [--part spectral] [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
 
 Then random problems: every one is solved by lin_freq_ocp and by CVXPY on a program written by `to_cvxpy`, and the two
 costs are compared; every optimum must satisfy every condition of the maximum principle and be proven by its gap, and
-every infeasible problem by a verified ray. A seeded sample runs with the tests.
+every infeasible problem by a verified ray.
 
+Then random time-invariant problems by the Fourier-domain method and by the sparse program (verify_spectral.py).
+
+Seeded samples of both run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral".
 Exit status 1 if a check fails.
 """
 
@@ -22,6 +25,7 @@ from pathlib import Path
 
 import cvxpy as cp
 import numpy as np
+import verify_spectral
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -30,6 +34,9 @@ import lin_freq_ocp as lfo
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from reference import INSTANCES, PENDULUM, STATED, reference_problem
+
+PROBLEMS = {"convex": 1000, "spectral": 900}
+"""How many random problems each part solves unless told otherwise."""
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 """Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
@@ -223,22 +230,34 @@ def known_optima() -> tuple[Table, bool]:
     return table, good
 
 
-def main() -> int:
-    """Run the checks and print the tables; return 1 if one failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    console = Console()
-    table, known_good = known_optima()
-    console.print(table)
-    seeds = range(options.seed, options.seed + options.problems)
+def random_convex(console: Console, seeds: range) -> bool:
+    """Check the random problems of these seeds and print what became of them; return whether all are as they must."""
     outcomes = [check(seed) for seed in track(seeds, "solving", console=Console(stderr=True), transient=True)]
     console.print(summary(outcomes))
     failed = [one for one in outcomes if not one.passed]
     for one in failed:
         console.print(one)
-    return 1 if failed or not known_good else 0
+    return not failed
+
+
+def main() -> int:
+    """Run the checks and print the tables; return 1 if one failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", action="append", choices=["known", *PROBLEMS], help="may be repeated; default: all")
+    parser.add_argument("--problems", type=int, help="how many random problems of each part")
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    parser.add_argument("--processes", type=int, default=2, help="of the part 'spectral'")
+    options = parser.parse_args()
+    parts, console, good = options.part or ["known", *PROBLEMS], Console(), True
+    seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
+    if "known" in parts:
+        table, good = known_optima()
+        console.print(table)
+    if "convex" in parts:
+        good &= random_convex(console, seeds["convex"])
+    if "spectral" in parts:
+        good &= verify_spectral.verify(console, seeds["spectral"], options.processes)
+    return 0 if good else 1
 
 
 if __name__ == "__main__":

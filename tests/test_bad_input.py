@@ -193,7 +193,18 @@ BAD_PARAMETERS = {
 }
 
 BAD_OPTIONS = {
-    "unknown method": (("solve", "pendulum", "--method", "magic"), "method: got 'magic'; expected 'auto' or 'convex'"),
+    "unknown method": (
+        ("solve", "pendulum", "--method", "magic"),
+        "method: got 'magic'; expected 'auto', 'convex' or 'spectral'.",
+    ),
+    "backend of a method without": (
+        ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),
+        "backend: got 'osqp'; the method 'spectral' needs none",
+    ),
+    "problem that the method cannot take": (
+        ("solve", "elliptic_rendezvous", "--method", "spectral"),
+        "method 'spectral': A or B depends on time",
+    ),
     "unknown backend": (("solve", "pendulum", "--backend", "magic"), "backend: got 'magic'; expected 'clarabel'"),
     "backend without member": (("solve", "pendulum", "--backend", "qpsolvers"), "backend: got 'qpsolvers';"),
     "backend not installed": (
@@ -584,7 +595,6 @@ def test_bad_call(case):
         (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.UnsupportedError, "time_limit: got -1.0"),
         (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.UnsupportedError, "tolerance: got nan"),
         (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.UnsupportedError, "eigenvalue -3"),
-        (lambda: problem(stage_rows=([[1, 0]], [[1]], [1])), lfo.UnsupportedError, "stage_rows"),
         (lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"), lfo.MissingExtraError, "'qpsolvers:nonesuch'"),
         (
             lambda: lfo.simulate(problem(dynamics=dynamics(A=1e200 * np.eye(2))), np.ones((8, 1))),

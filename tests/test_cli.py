@@ -9,9 +9,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,6 +25,8 @@ from lin_freq_ocp import cli
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods import convex
+from lin_freq_ocp.methods.spectral import solver
+from lin_freq_ocp.methods.spectral.exchange import deadline
 
 COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
 HARMLESS = ("--set", f"cutoff={np.pi!r}")
@@ -85,7 +89,7 @@ SOLVE = {
     "primal": bool,
     "dual": bool,
     "method": str,
-    "backend": str,
+    "backend": (str, None),
     "seconds": {"setup": float, "solve": float, "certify": float},
     "certificate": (CERTIFICATE, None),
     "conflict": ([{"block": str, "share": float, "times": [int]}], None),
@@ -96,6 +100,7 @@ MEASURES = {
     "max_control": float,
     "control_violation": float,
     "state_violation": (float, None),
+    "stage_violation": (float, None),
     "terminal_error": (float, None),
     "terminal_errors": ([float], None),
     "stopband_energy": (float, None),
@@ -140,6 +145,9 @@ def require_words(summary):
     assert summary["schema"] == 1
     assert summary["version"] == lfo.__version__
     assert summary.get("status", "optimal") in ("optimal", "infeasible", "unbounded", "limit", "numerical_error")
+    if "method" in summary:
+        assert summary["method"] in ("spectral", "convex")
+        assert (summary["backend"] is None) == (summary["method"] == "spectral")
     assert summary["bound"] in ("rigorous", "numerical", None)
     assert (summary["bound"] is None) == (summary["lower_bound"] is None) == (summary["gap"] is None)
     if summary["gap"] is not None:
@@ -177,28 +185,42 @@ def files(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "word"),
+    ("arguments", "status", "word", "used"),
     [
-        (("pendulum",), 0, "optimal"),
-        (("two_mass_spring",), 0, "optimal"),
-        (("pendulum", "--backend", "osqp", "--method", "convex", "--tolerance", "1e-8"), 0, "optimal"),
-        (("unclocked.toml",), 0, "optimal"),
-        (("pendulum", "--set", "control_bound=1"), 1, "infeasible"),
-        (("unbounded.toml",), 1, "unbounded"),
-        (("adrift.toml",), 1, "unbounded"),
-        (("pendulum", "--time-limit", "1e-3"), 3, "limit"),
-        (("pendulum", "--time-limit", "1e-3", "--backend", "osqp"), 3, "limit"),
-        (("pendulum", "--tolerance", "10"), 3, "numerical_error"),
-        (("pendulum", *HARMLESS), 0, "optimal"),
+        (("pendulum",), 0, "optimal", ("spectral", None)),
+        (("pendulum", "--method", "spectral"), 0, "optimal", ("spectral", None)),
+        (("pendulum", "--method", "convex"), 0, "optimal", ("convex", "clarabel")),
+        (("pendulum", "--backend", "clarabel"), 0, "optimal", ("convex", "clarabel")),
+        (("two_mass_spring",), 0, "optimal", ("spectral", None)),
+        (("elliptic_rendezvous",), 0, "optimal", ("convex", "clarabel")),
+        (
+            ("pendulum", "--backend", "osqp", "--method", "convex", "--tolerance", "1e-8"),
+            0,
+            "optimal",
+            ("convex", "osqp"),
+        ),
+        (("unclocked.toml",), 0, "optimal", ("spectral", None)),
+        (("unclocked.toml", "--method", "convex"), 0, "optimal", ("convex", "clarabel")),
+        (("pendulum", "--set", "control_bound=1"), 1, "infeasible", ("spectral", None)),
+        (("pendulum", "--set", "control_bound=1", "--method", "convex"), 1, "infeasible", ("convex", "clarabel")),
+        (("unbounded.toml",), 1, "unbounded", ("convex", "clarabel")),
+        (("adrift.toml",), 1, "unbounded", ("convex", "clarabel")),
+        (("pendulum", "--time-limit", "1e-3"), 3, "limit", ("spectral", None)),
+        (("pendulum", "--time-limit", "1e-3", "--method", "convex"), 3, "limit", ("convex", "clarabel")),
+        (("pendulum", "--time-limit", "1e-3", "--backend", "osqp"), 3, "limit", ("convex", "osqp")),
+        (("pendulum", "--tolerance", "10"), 3, "numerical_error", ("convex", "clarabel")),
+        (("pendulum", "--tolerance", "10", "--method", "spectral"), 3, "numerical_error", ("spectral", None)),
+        (("pendulum", *HARMLESS), 0, "optimal", ("spectral", None)),
     ],
 )
-def test_json_of_solve(arguments, status, word, files, monkeypatch):
+def test_json_of_solve(arguments, status, word, used, files, monkeypatch):
     monkeypatch.chdir(files)
     ended, out, err = once("solve", *arguments, "--json")
     summary = parsed(out)
     require(summary, SOLVE)
     require_words(summary)
     assert (ended, summary["status"]) == (status, word)
+    assert (summary["method"], summary["backend"]) == used
     assert (summary["conflict"] is None) == (word != "infeasible")
     assert (summary["message"] is None) == (word == "optimal")
     assert summary["primal"] == (word == "optimal") or word == "numerical_error"
@@ -209,9 +231,37 @@ def test_json_of_solve(arguments, status, word, files, monkeypatch):
     assert err.startswith("warning: control_spectrum: low_pass") if HARMLESS[1] in arguments else err == ""
 
 
-def test_json_of_solve_says_what_the_library_says():
-    summary = parsed(once("solve", "pendulum", "--json")[1])
-    result = lfo.solve(lfo.library.pendulum())
+def test_a_method_that_cannot_take_the_problem_says_why(files, monkeypatch):
+    """It is bad input: nothing was solved, so nothing is on stdout."""
+    monkeypatch.chdir(files)
+    status, out, err = run("solve", "unbounded.toml", "--method", "spectral", "--json")
+    assert (status, out) == (2, "")
+    assert "method 'spectral': neither Q nor R is above zero" in err
+    assert "Use method 'convex'" in err
+
+
+def test_an_answer_that_the_judge_rejects_is_not_proven(monkeypatch):
+    """The default goes on to the sparse program; who asks for this method alone is told."""
+    honest = solver.SpectralSolver.solve
+
+    def spoiled(self, *given, **named):
+        answer = honest(self, *given, **named)
+        x, u = answer.trajectory.x, answer.trajectory.u
+        return replace(answer, trajectory=lfo.Trajectory(x * (1 + 1e-3), u))
+
+    monkeypatch.setattr(solver.SpectralSolver, "solve", spoiled)
+    for method, expected in (("auto", (0, "convex", "satisfied")), ("spectral", (3, "spectral", "violated"))):
+        status, out, _ = run("solve", "pendulum", "--method", method, "--json")
+        summary = parsed(out)
+        require(summary, SOLVE)
+        require_words(summary)
+        assert (status, summary["method"], summary["certificate"]["pmp"]) == expected
+
+
+@pytest.mark.parametrize(("method", "backend"), [("spectral", None), ("convex", "clarabel")])
+def test_json_of_solve_says_what_the_library_says(method, backend):
+    summary = parsed(once("solve", "pendulum", "--method", method, "--json")[1])
+    result = lfo.solve(lfo.library.pendulum(), method=method)
     certificate = result.certificate
     assert summary["problem"] == {
         "name": "pendulum",
@@ -223,7 +273,7 @@ def test_json_of_solve_says_what_the_library_says():
     assert summary["cost"] == pytest.approx(result.cost, rel=1e-12)
     assert summary["cost"] == pytest.approx(3199.18631986, rel=1e-8)
     assert summary["lower_bound"] == pytest.approx(result.lower_bound, rel=1e-12)
-    assert (summary["bound"], summary["method"], summary["backend"]) == ("rigorous", "convex", "clarabel")
+    assert (summary["bound"], summary["method"], summary["backend"]) == ("rigorous", method, backend)
     assert (summary["primal"], summary["dual"], summary["certificate"]["global"]) == (True, True, True)
     assert [(one["label"], one["name"], one["passed"]) for one in summary["certificate"]["conditions"]] == [
         (one.label, one.name, one.passed) for one in certificate.conditions
@@ -233,10 +283,11 @@ def test_json_of_solve_says_what_the_library_says():
     )
 
 
-def test_json_of_an_infeasible_problem_names_the_conflict():
-    summary = parsed(once("solve", "pendulum", "--set", "control_bound=1", "--json")[1])
+@pytest.mark.parametrize("method", ["auto", "convex"])
+def test_json_of_an_infeasible_problem_names_the_conflict(method):
+    summary = parsed(once("solve", "pendulum", "--set", "control_bound=1", "--method", method, "--json")[1])
     with pytest.raises(lfo.InfeasibleError) as caught:
-        lfo.solve(lfo.library.pendulum(control_bound=1))
+        lfo.solve(lfo.library.pendulum(control_bound=1), method=method)
     assert [one["block"] for one in summary["conflict"]] == [one.block for one in caught.value.result.conflict]
     assert [one["times"] for one in summary["conflict"]] == [list(one.times) for one in caught.value.result.conflict]
     assert (summary["primal"], summary["dual"]) == (False, True)
@@ -593,12 +644,74 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
         return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
 
     monkeypatch.setattr(convex, "backend", lambda name: impatient)
-    status, out, _ = run("solve", "pendulum", "--json")
+    status, out, _ = run("solve", "pendulum", "--method", "convex", "--json")
     summary = parsed(out)
     require(summary, SOLVE)
+    require_words(summary)
     assert len(finished) == passes + 1
     assert summary["cost"] == pytest.approx(3199.186, rel=1e-3)
     assert status == 130
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="Ctrl-C is the main thread's")
+@pytest.mark.parametrize("method", ["auto", "spectral"])
+def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, method):
+    """Each round's point is kept, with the bound that it proves; no other method begins after it."""
+    optimum, last, bounds = 3199.18631986, solver.SpectralSolver(lfo.library.pendulum()).solve().rounds, []
+    for rounds in range(1, last):
+        asked = press_ctrl_c(monkeypatch, rounds)
+        status, out, err = run("solve", "pendulum", "--method", method, "--json")
+        summary = parsed(out)
+        require(summary, SOLVE)
+        require_words(summary)
+        assert (status, err, len(asked)) == (130, "", rounds)
+        assert (summary["status"], summary["message"], summary["method"]) == ("limit", "interrupted", "spectral")
+        assert summary["cost"] is not None
+        if rounds == 1:  # its point is the first one, which knows of no bound yet
+            assert summary["cost"] < optimum
+            assert (summary["primal"], summary["certificate"]["global"]) == (False, False)
+        bounds.append(summary["lower_bound"])
+    assert 0 < min(bounds) <= max(bounds) < optimum
+
+
+def press_ctrl_c(monkeypatch, rounds):
+    """Send SIGINT in that round of the next spectral solve; return a list that grows with the rounds."""
+    asked = []
+
+    def pressing(seconds, interrupted):
+        stop = deadline(seconds, interrupted)
+
+        def pressed():
+            asked.append(stop())
+            if len(asked) == rounds:
+                signal.raise_signal(signal.SIGINT)
+            return stop()
+
+        return pressed
+
+    monkeypatch.setattr(solver, "deadline", pressing)
+    return asked
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="Ctrl-C is the main thread's")
+def test_after_a_spectral_solve_ctrl_c_is_itself_again(monkeypatch):
+    before = signal.getsignal(signal.SIGINT)
+    press_ctrl_c(monkeypatch, 1)
+    assert run("solve", "pendulum", "--json")[0] == 130
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="Ctrl-C is the main thread's")
+def test_an_interrupted_point_is_saved(monkeypatch, tmp_path):
+    press_ctrl_c(monkeypatch, 1)
+    path = str(tmp_path / "early.npz")
+    status, out, err = run("solve", "pendulum", "--save", path, "--json")
+    assert (status, err) == (130, "")
+    monkeypatch.undo()
+    solution, summary = lfo.load(path), parsed(out)
+    assert lfo.library.pendulum().cost.value(solution.trajectory.x, solution.trajectory.u) == summary["cost"]
+    status, out, err = run("certify", "pendulum", path, "--json")
+    assert (status, parsed(out)["lower_bound"]) == (3, summary["lower_bound"])
 
 
 # --- as real processes ----------------------------------------------------------------------------------------------
@@ -666,8 +779,9 @@ def test_none_takes_a_value_away(tmp_path, monkeypatch):
     run("init", "my.toml")
     free = parsed(run("solve", "my.toml", "--json", "--set", 'terminal_state="none"')[1])
     assert free["cost"] == pytest.approx(0, abs=1e-9)
-    unlimited = parsed(run("solve", "my.toml", "--json", "--set", 'state_set="none"')[1])
-    assert unlimited["cost"] < parsed(run("solve", "my.toml", "--json")[1])["cost"]
+    limited = ("solve", "my.toml", "--json", "--set", "horizon=130")  # in so short a time the speed meets its limit
+    unlimited = parsed(run(*limited, "--set", 'state_set="none"')[1])
+    assert unlimited["cost"] < 0.99 * parsed(run(*limited)[1])["cost"]
     classical = parsed(run("solve", "pendulum", "--json", "--set", 'cutoff="none"')[1])
     assert classical["cost"] == pytest.approx(2852.70530277)
 

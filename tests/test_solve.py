@@ -1,6 +1,8 @@
-"""Answers: known optima, every way a solve can end, multipliers as sensitivities, and independence of units."""
+"""Answers: known optima, every way a solve can end, the choice of method, multipliers as sensitivities, units."""
 
+import time
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -10,14 +12,20 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods import convex
+from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.transcription.program import Block
 
+METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
+"""The default, which is "spectral" wherever that applies, and the sparse program."""
 
-@pytest.mark.parametrize("backend", ["clarabel", "qpsolvers:piqp"])
+
+@pytest.mark.parametrize(
+    "how", [{"method": "spectral"}, {"backend": "clarabel"}, {"backend": "qpsolvers:piqp"}], ids=str
+)
 @pytest.mark.parametrize("name", PENDULUM)
-def test_pendulum(name, backend):
+def test_pendulum(name, how):
     keywords, optimum = PENDULUM[name]
-    result = lfo.solve(lfo.library.pendulum(**keywords), backend=backend)
+    result = lfo.solve(lfo.library.pendulum(**keywords), **how)
     assert result.cost == pytest.approx(optimum, rel=1e-7)
     assert_proven(result)
 
@@ -28,16 +36,18 @@ def test_pendulum_by_osqp(name):
     assert lfo.solve(lfo.library.pendulum(**keywords), backend="osqp").cost == pytest.approx(optimum, rel=1e-5)
 
 
+@METHODS
 @pytest.mark.parametrize(("cutoff", "optimum"), [(0.8 * np.pi, 3611.455894278), (None, 3204.426641194)])
-def test_physical_pendulum(cutoff, optimum):
-    result = lfo.solve(lfo.library.pendulum(parameters="physical", cutoff=cutoff))
+def test_physical_pendulum(cutoff, optimum, method):
+    result = lfo.solve(lfo.library.pendulum(parameters="physical", cutoff=cutoff), method=method)
     assert result.cost == pytest.approx(optimum, rel=1e-7)
     assert_proven(result)
 
 
+@METHODS
 @pytest.mark.parametrize("name", STATED)
-def test_reference_problems(name):
-    result = lfo.solve(reference_problem(name))
+def test_reference_problems(name, method):
+    result = lfo.solve(reference_problem(name), method=method)
     assert result.cost == pytest.approx(INSTANCES[name]["optimal_value"], rel=1e-7)
     assert_proven(result)
 
@@ -57,13 +67,14 @@ def assert_proven(result):
     assert certificate.lower_bound <= result.cost + infeasibility
 
 
+@METHODS
 @pytest.mark.parametrize("gain", [1e-9, 1e9])
-def test_the_unit_of_an_unbounded_control_does_not_matter(gain):
+def test_the_unit_of_an_unbounded_control_does_not_matter(gain, method):
     """x_10 = 1 by ten equal controls of 0.1/gain, however large or small that is."""
     integrator = lfo.LinearDynamics([[1.0]], [[gain]])
     cost = lfo.QuadraticCost(R=gain**2)
     problem = lfo.OptimalControlProblem(integrator, 10, cost, initial_state=[0.0], terminal_state=[1.0])
-    result = lfo.solve(problem)
+    result = lfo.solve(problem, method=method)
     assert result.control * gain == pytest.approx(np.full((10, 1), 0.1))
     assert result.cost == pytest.approx(0.05)
     assert result.certificate.pmp == "satisfied"
@@ -78,10 +89,12 @@ def test_without_any_cost_every_feasible_trajectory_is_extremal():
 
 
 class TestEndings:
-    def test_infeasible(self):
+    @pytest.mark.parametrize(("method", "solver"), [("auto", "spectral"), ("convex", "convex, clarabel")])
+    def test_infeasible(self, method, solver):
         with pytest.raises(lfo.InfeasibleError, match=r"control bound on force \[N\]") as caught:
-            lfo.solve(lfo.library.pendulum(control_bound=1.0))
+            lfo.solve(lfo.library.pendulum(control_bound=1.0), method=method)
         result = caught.value.result
+        assert result.solver == solver
         assert result.status == "infeasible"
         assert result.cost is None
         assert result.dual
@@ -109,9 +122,10 @@ class TestEndings:
         with pytest.raises(lfo.InfeasibleError):
             lfo.solve(lfo.OptimalControlProblem(two, 5, cost, **sets, terminal_state=lfo.Box([9, None], [9, None])))
 
-    def test_limit_keeps_the_best_point(self):
+    @METHODS
+    def test_limit_keeps_the_best_point(self, method):
         with pytest.raises(lfo.LimitError) as caught:
-            lfo.solve(lfo.library.pendulum(horizon=480), time_limit=1e-3)
+            lfo.solve(lfo.library.pendulum(horizon=480), method=method, time_limit=1e-3)
         assert caught.value.result.trajectory is not None
         assert not caught.value.result.certificate.globally_optimal
 
@@ -122,7 +136,7 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.NumericalError, match="residuals are too large"):
-            lfo.solve(lfo.library.pendulum())
+            lfo.solve(lfo.library.pendulum(), method="convex")
 
     def test_a_false_ray_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
@@ -130,12 +144,13 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.NumericalError, match="its ray proves nothing"):
-            lfo.solve(lfo.library.pendulum())
+            lfo.solve(lfo.library.pendulum(), method="convex")
 
-    def test_nonconvex_cost_is_refused_with_its_eigenvalue(self):
+    @pytest.mark.parametrize("method", ["auto", "spectral", "convex"])
+    def test_nonconvex_cost_is_refused_with_its_eigenvalue(self, method):
         problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=-2.0))
         with pytest.raises(lfo.UnsupportedError, match="eigenvalue -2"):
-            lfo.solve(problem)
+            lfo.solve(problem, method=method)
 
     @pytest.mark.parametrize("bad", [{"method": "magic"}, {"backend": "magic"}, {"time_limit": 0}, {"tolerance": -1}])
     def test_bad_options(self, bad):
@@ -143,25 +158,191 @@ class TestEndings:
             lfo.solve(lfo.library.pendulum(), **bad)
 
 
+DOUBLE = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])
+ENDS = {"initial_state": [0, 0], "terminal_state": [1, 0]}
+
+
+def outside_the_spectral_class():
+    """Return problems that the Fourier-domain method cannot take, each with the reason."""
+    rising = np.linspace(1, 2, 20)[:, None, None]
+    bounded = lfo.OptimalControlProblem(DOUBLE, 20, lfo.QuadraticCost(R=1.0), lfo.Box(-3, 3), **ENDS)
+    limit = lfo.StageRows(rising * [[0, 1]], None, [2.0])
+    linear = lfo.QuadraticCost(q=[1.0, 0.0], r=[0.1])
+    return {
+        "A over time": (reference_problem("ltv200"), "A or B depends on time"),
+        "Q over time": (replace(bounded, cost=lfo.QuadraticCost(Q=rising * np.eye(2), R=1.0)), "Q, R or S depends on"),
+        "rows over time": (replace(bounded, stage_rows=limit), "C or D of a stage row depends on time"),
+        "a linear cost": (replace(bounded, cost=linear), "neither Q nor R"),
+        "no cost": (replace(bounded, cost=lfo.QuadraticCost()), "neither Q nor R"),
+    }
+
+
+def claiming(change):
+    """Return SpectralSolver.solve with its honest answer changed."""
+    honest = SpectralSolver.solve
+
+    def solve(self, *given, **named):
+        return change(honest(self, *given, **named))
+
+    return solve
+
+
+def off_the_dynamics(answer):
+    return replace(answer, trajectory=lfo.Trajectory(answer.trajectory.x * (1 + 1e-3), answer.trajectory.u))
+
+
+def with_other_prices(answer):
+    return replace(answer, multipliers=replace(answer.multipliers, eta=answer.multipliers.eta * 1.01))
+
+
+def feasible_but_dearer(answer):
+    other = replace(answer.problem, cost=lfo.QuadraticCost(Q=100.0, R=2.0))
+    return replace(answer, trajectory=lfo.solve(other, method="convex").trajectory)
+
+
+def without_prices(answer):
+    return replace(answer, multipliers=None)
+
+
+def infeasible_with(ray):
+    def change(answer):
+        multipliers = None if ray is None else ray(answer.multipliers)
+        return replace(answer, status="infeasible", trajectory=None, multipliers=None, ray=multipliers)
+
+    return change
+
+
+def ended_with(status):
+    return lambda answer: replace(answer, status=status, words="gave up")
+
+
+class TestChoiceOfMethod:
+    def test_the_default_is_spectral_and_names_no_backend(self):
+        result = lfo.solve(lfo.library.pendulum())
+        assert (result.method, result.backend, result.solver) == ("spectral", None, "spectral")
+        assert_proven(result)
+
+    @pytest.mark.parametrize("backend", ["clarabel", "osqp"])
+    def test_a_named_backend_is_used(self, backend):
+        result = lfo.solve(lfo.library.pendulum(), backend=backend)
+        assert (result.method, result.backend, result.solver) == ("convex", backend, f"convex, {backend}")
+
+    def test_spectral_refuses_a_named_backend(self):
+        with pytest.raises(lfo.UnsupportedError, match="backend: got 'clarabel'; the method 'spectral' needs none"):
+            lfo.solve(lfo.library.pendulum(), method="spectral", backend="clarabel")
+
+    @pytest.mark.parametrize("case", outside_the_spectral_class())
+    def test_spectral_refuses_with_the_reason_and_auto_takes_the_sparse_program(self, case):
+        problem, reason = outside_the_spectral_class()[case]
+        with pytest.raises(lfo.UnsupportedError, match=f"method 'spectral': {reason}.*Use method 'convex'"):
+            lfo.solve(problem, method="spectral")
+        result = lfo.solve(problem)
+        assert (result.method, result.backend) == ("convex", "clarabel")
+        assert_proven(result)
+
+    @pytest.mark.parametrize(
+        "lie",
+        [
+            off_the_dynamics,
+            with_other_prices,
+            feasible_but_dearer,
+            without_prices,
+            infeasible_with(None),
+            infeasible_with(lambda honest: honest),
+            infeasible_with(lambda honest: replace(honest, eta_C=0.0)),
+            ended_with("numerical_error"),
+            ended_with("unbounded"),
+        ],
+        ids=[
+            "off the dynamics",
+            "other prices",
+            "feasible but dearer",
+            "no prices",
+            "no ray",
+            "prices as a ray",
+            "false ray",
+            "numerical error",
+            "unbounded",
+        ],
+    )
+    def test_what_spectral_cannot_prove_is_left_to_the_sparse_program(self, lie, monkeypatch):
+        monkeypatch.setattr(SpectralSolver, "solve", claiming(lie))
+        result = lfo.solve(lfo.library.pendulum())
+        assert (result.method, result.backend) == ("convex", "clarabel")
+        assert result.cost == pytest.approx(3199.18631986, rel=1e-7)
+        assert_proven(result)
+
+    @pytest.mark.parametrize("lie", [off_the_dynamics, with_other_prices, feasible_but_dearer])
+    def test_spectral_alone_keeps_its_answer_and_the_judge_says_what_it_is(self, lie, monkeypatch):
+        monkeypatch.setattr(SpectralSolver, "solve", claiming(lie))
+        result = lfo.solve(lfo.library.pendulum(), method="spectral", throw=False)
+        assert result.method == "spectral"
+        assert result.certificate.pmp == "violated"
+
+    @pytest.mark.parametrize("ray", [None, lambda honest: replace(honest, eta_C=0.0)])
+    def test_a_false_ray_of_spectral_alone_is_not_believed(self, ray, monkeypatch):
+        monkeypatch.setattr(SpectralSolver, "solve", claiming(infeasible_with(ray)))
+        with pytest.raises(lfo.NumericalError, match="its ray proves nothing") as caught:
+            lfo.solve(lfo.library.pendulum(), method="spectral")
+        result = caught.value.result
+        assert (result.method, result.ray, result.conflict, result.dual) == ("spectral", None, None, False)
+
+    def test_a_limit_is_an_answer(self, monkeypatch):
+        """The time is over, or Ctrl-C was pressed: another method would only take longer."""
+        for interrupted in (False, True):
+            stop = ended_with("limit")
+            monkeypatch.setattr(
+                SpectralSolver,
+                "solve",
+                claiming(lambda answer, stop=stop, by=interrupted: replace(stop(answer), interrupted=by)),
+            )
+            result = lfo.solve(lfo.library.pendulum(), throw=False)
+            assert (result.status, result.method, result.interrupted) == ("limit", "spectral", interrupted)
+            assert result.trajectory is not None
+            monkeypatch.undo()
+
+    @pytest.mark.parametrize(("limit", "least", "most"), [(None, None, None), (60.0, 30.0, 59.95), (0.01, 0.0, 0.01)])
+    def test_both_methods_share_one_time_limit(self, limit, least, most, monkeypatch):
+        """What the first has used the second has not; a thousandth of a second is always left, for its words."""
+        given = []
+
+        def slow(answer):
+            time.sleep(0.05)
+            return ended_with("numerical_error")(answer)
+
+        def noting(problem, backend, tolerance, time_limit):
+            given.append(time_limit)
+            return convex.solve_convex(problem, backend, tolerance, time_limit)
+
+        monkeypatch.setattr(SpectralSolver, "solve", claiming(slow))
+        monkeypatch.setattr(import_module("lin_freq_ocp.solve"), "solve_convex", noting)
+        lfo.solve(lfo.library.pendulum(), time_limit=limit, throw=False)
+        assert len(given) == 1
+        assert given[0] is None if limit is None else least < given[0] < most
+
+
 class TestShapesOfProblems:
-    def test_free_end_and_boxed_ends(self):
+    @METHODS
+    def test_free_end_and_boxed_ends(self, method):
         ends = lfo.Box([-0.15, None, -0.1, None], [-0.14, None, 0.1, None])
         pendulum = replace(lfo.library.pendulum(), initial_state=ends, terminal_state=None)
-        result = lfo.solve(replace(pendulum, cost=lfo.QuadraticCost(Q=1.0, R=2.0, P=3.0)))
+        result = lfo.solve(replace(pendulum, cost=lfo.QuadraticCost(Q=1.0, R=2.0, P=3.0)), method=method)
         assert_proven(result)
         assert np.all(ends.violation(result.trajectory.x[0]) < 1e-8)
 
-    def test_one_step(self):
+    @METHODS
+    def test_one_step(self, method):
         """Minimise u^2 + x_1^2 with x_1 = 2 + u: u = -1."""
         problem = lfo.OptimalControlProblem(
             lfo.LinearDynamics([[1.0]], [[1.0]]), 1, lfo.QuadraticCost(R=2.0, P=2.0), initial_state=[2.0]
         )
-        result = lfo.solve(problem)
+        result = lfo.solve(problem, method=method)
         assert result.control == pytest.approx(np.array([[-1.0]]))
         assert result.cost == pytest.approx(2.0)
         assert_proven(result)
 
-    def test_everything_removed_leaves_the_drift(self):
+    @METHODS
+    def test_everything_removed_leaves_the_drift(self, method):
         with pytest.warns(lfo.BandWarning, match="removes every bin"):
             problem = lfo.OptimalControlProblem(
                 lfo.LinearDynamics([[0.5]], [[1.0]]),
@@ -170,12 +351,13 @@ class TestShapesOfProblems:
                 initial_state=[1.0],
                 control_spectrum=lfo.band_pass(0.5, 0.6),
             )
-        result = lfo.solve(problem)
+        result = lfo.solve(problem, method=method)
         assert np.abs(result.control).max() < 1e-9
         assert result.cost == pytest.approx(sum(0.25**t for t in range(8)))
         assert_proven(result)
 
-    def test_time_varying_bounds_and_references(self):
+    @METHODS
+    def test_time_varying_bounds_and_references(self, method):
         T = 40
         reference = np.sin(np.arange(T + 1) / 6)[:, None]
         problem = lfo.OptimalControlProblem(
@@ -186,7 +368,7 @@ class TestShapesOfProblems:
             initial_state=[0.0],
             control_spectrum=lfo.low_pass(2.0),
         )
-        result = lfo.solve(problem)
+        result = lfo.solve(problem, method=method)
         assert_proven(result)
         assert result.control[:10].max() <= 0.2 + 1e-9
 
@@ -194,8 +376,8 @@ class TestShapesOfProblems:
 @pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
 def test_the_unit_of_cost_does_not_matter(factor):
     problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=2.0 * factor))
-    for backend in ("clarabel", "osqp"):
-        result = lfo.solve(problem, backend=backend)
+    for how in ({"method": "spectral"}, {"backend": "clarabel"}, {"backend": "osqp"}):
+        result = lfo.solve(problem, **how)
         assert result.cost / factor == pytest.approx(3199.18631986, rel=1e-6)
         assert result.certificate.pmp == "satisfied"
 
@@ -215,8 +397,8 @@ def test_mixed_units_do_not_matter():
         terminal_state=unit * pendulum.terminal_state.lower,
         control_spectrum=lfo.low_pass(0.8 * np.pi),
     )
-    for backend in ("clarabel", "osqp"):
-        result = lfo.solve(problem, backend=backend)
+    for how in ({"method": "spectral"}, {"backend": "clarabel"}, {"backend": "osqp"}):
+        result = lfo.solve(problem, **how)
         assert result.cost == pytest.approx(3199.18631986, rel=1e-6)
         assert result.certificate.pmp == "satisfied"
 
@@ -286,10 +468,16 @@ class TestCertify:
 
 
 def test_a_result_in_eight_lines(solved):
-    lines = str(solved("paper, constrained")).splitlines()
-    assert len(lines) <= 9
-    for word in ("optimal", "3199.186", "rigorous", "satisfied, normal", "clarabel"):
-        assert word in "\n".join(lines)
+    default = solved("paper, constrained")
+    for result, solver in (
+        (default, "method    spectral"),
+        (lfo.solve(default.problem, method="convex"), "method    convex, clarabel"),
+    ):
+        lines = str(result).splitlines()
+        assert len(lines) <= 9
+        assert solver in lines
+        for word in ("optimal", "3199.186", "rigorous", "satisfied, normal"):
+            assert word in "\n".join(lines)
 
 
 def test_results_cannot_be_changed(solved):

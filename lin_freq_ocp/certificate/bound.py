@@ -20,8 +20,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.reach import Enclosure, Pair, implied_bounds, stated_bounds
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.arrays import Array, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 EIGENVALUE_ERROR = 1e-12
@@ -32,6 +31,9 @@ NUMERICAL_REACH = 10.0
 
 SMALLEST_REACH = 1e-9
 """A component that rests at zero is looked for this far away, in multiples of the largest component."""
+
+ARITHMETIC = 16 * float(np.finfo(np.float64).eps)
+"""Rounding of the few operations in double precision that follow, relative to what they add."""
 
 BOUND_TOLERANCE = 1e-6
 """Relative gap above which a rigorous bound over implied sets is too weak to be worth the name."""
@@ -103,7 +105,7 @@ def lower_bound(lift: Lift) -> Bound | None:
     curvatures = _stage_curvatures(lift)
     if curvatures is None:
         return None
-    cost = lift.problem.cost.value(lift.trajectory.x, lift.trajectory.u)
+    cost = lift.problem.cost.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
     allowed = BOUND_TOLERANCE * max(1.0, abs(cost))
     proven = _evaluate(lift, curvatures, _enclosure(lift.problem, curvatures, cost), cost, "rigorous")
     if cost - proven.value <= allowed:
@@ -132,32 +134,38 @@ def ray_bound(lift: Lift, largest: Pair) -> Bound:
 
 
 def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> Bound:
-    trajectory, multipliers = lift.trajectory, lift.multipliers
+    x, u = lift.trajectory.x, lift.trajectory.u
     slopes = lift.eta_before - lift.in_x, -lift.in_u
     terms = np.abs(lift.eta_before) + lift.in_x_terms, lift.in_u_terms
     unit = _unit_rounding(lift)
-    stage_gaps, certain = np.zeros(len(trajectory.x)), 0.0
-    for signal, slope, size, curvature, (lower, upper) in zip(
-        (trajectory.x, trajectory.u), slopes, terms, curvatures, (box.x, box.u), strict=True
+    stage_gaps, certain = np.zeros(len(x)), 0.0
+    for signal, exact, size, curvature, (lower, upper) in zip(
+        (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
     ):
-        low, high = lower - signal, upper - signal
+        low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
+        error = unit * size.astype(np.float64) + ARITHMETIC * np.abs(slope)
         stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
-        pessimistic = [box_minimum(slope + sign * unit * size, curvature, low, high) for sign in (-1, 1)]
-        certain -= float(np.minimum(*pessimistic).sum())
-    dynamics_terms = multipliers.eta * one_step_residual(lift.problem, trajectory)
-    frequency_terms = np.hstack(
-        [(lift.control_signal * trajectory.u).ravel(), (lift.state_signal * trajectory.x).ravel()]
-    )
-    dynamics_term, frequency_term = float(dynamics_terms.sum()), float(frequency_terms.sum())
+        pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
+        certain -= float(np.minimum(*pessimistic).sum()) - ARITHMETIC * float((np.abs(slope) * np.abs(signal)).sum())
+    residual = extended(x)[1:] - lift.problem.dynamics.successors(extended(x), extended(u))
+    dynamics_term = float((lift.multipliers.eta * residual).sum())
+    frequency_term = float((lift.control_signal * u).sum() + (lift.state_signal * x).sum())
     stage_term = float(sum(family.products.sum() for family in lift.stage))
-    summed = float(np.abs(dynamics_terms).sum() + np.abs(frequency_terms).sum() + abs(cost))
-    summed += float(sum(family.products_terms.sum() for family in lift.stage))
+    summed = _sum_of_terms(lift, *terms) + float(sum(family.products_terms.sum() for family in lift.stage))
     gap = float(stage_gaps.sum())
     finite = bool(np.isfinite(certain))
-    rounding = certain - gap + unit * summed if finite else np.inf
+    last = ARITHMETIC * (abs(cost) + abs(gap) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term))
+    rounding = certain - gap + unit * summed + last if finite else np.inf
     unrounded = cost - gap + dynamics_term + frequency_term - stage_term
     value = min(unrounded - rounding, box.level) if finite else -np.inf
     return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
+
+
+def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
+    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
+    cost, eta = lift.problem.cost, np.abs(lift.multipliers.eta)
+    x, u = np.abs(lift.trajectory.x) + np.abs(cost.x_ref), np.abs(lift.trajectory.u) + np.abs(cost.u_ref)
+    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(lift.problem.dynamics.offset)).sum())
 
 
 def _unit_rounding(lift: Lift) -> float:
@@ -165,7 +173,7 @@ def _unit_rounding(lift: Lift) -> float:
     problem = lift.problem
     rows = sum(family.rows for family in problem.stage_rows)
     operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
-    return float(operations * np.finfo(float).eps)
+    return float(operations * np.finfo(np.longdouble).eps)
 
 
 def _stage_curvatures(lift: Lift) -> Pair | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum import time_signal
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -61,6 +61,8 @@ class RowLift:
 class Lift:
     """A trajectory with its multipliers, and everything that several conditions need of them.
 
+    Signals and derivatives are in extended precision: they are what is left of terms that cancel.
+
     Attributes
     ----------
     problem, trajectory, multipliers
@@ -103,8 +105,10 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
         raise ProblemError("multipliers", got, f"eta {(T, n)}, nu {(T, m)}")
     _require_only_at_stopped("rho_u", multipliers.rho_u, problem.control_stop)
     _require_only_at_stopped("rho_x", multipliers.rho_x, problem.state_stop)
-    x, u, eta, eta_C = trajectory.x, trajectory.u, multipliers.eta, multipliers.eta_C
-    state_signal, control_signal = time_signal(multipliers.rho_x, T + 1), time_signal(multipliers.rho_u, T)
+    x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
+    eta_C = multipliers.eta_C
+    state_signal = time_signal(extended(multipliers.rho_x), T + 1)
+    control_signal = time_signal(extended(multipliers.rho_u), T)
     cost_x, cost_u = problem.cost.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - state_signal, -eta_C * cost_u - control_signal
     cost_x_terms, cost_u_terms = problem.cost.gradient_magnitudes(x, u)

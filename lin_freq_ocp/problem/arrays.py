@@ -24,6 +24,12 @@ def assign(instance: object, **fields: Any) -> None:
         object.__setattr__(instance, name, value)
 
 
+def extended(array: Any) -> Any:
+    """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
+    array = np.asarray(array)
+    return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
+
+
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array itself if nobody can write to it any more, else a read-only copy."""
     if array.flags.writeable:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import fft
 
 from lin_freq_ocp.errors import BandWarning, ProblemError
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask, brief, real_array
@@ -208,7 +209,7 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     k = np.arange(length // 2 + 1)
     weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
-    return np.fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
+    return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
 
 
 def _edge(kind: str, name: str, radians: float | None, hertz: float | None) -> tuple[float, str]:

@@ -31,6 +31,12 @@ EQUILIBRATIONS = 3
 SOFT = 1e11
 """Response of a border variable to a force, relative to that of a control, from which the border is not eliminated."""
 
+SOFT_END = 1e8
+"""The same for free ends: what moves them moves all signals."""
+
+HESSIAN_ROUNDING = 1e-15
+"""Curvature of a border variable, relative to the largest one, that may be rounding."""
+
 SHORTEST_PROXIMAL = 1e-16
 """Smallest proximal weight on the variables of a soft border, relative to the curvature of a control."""
 
@@ -212,9 +218,14 @@ class Border:
             G[first_band:, mine] = self.band_responses[i] @ self.bands[self.band_component == i, :-1].T
         self.matrix = np.block([[self.H, self.E.T], [self.E, -(G + G.T) / 2]])
         self.dependent = _null_space(self.E.T, G)
-        self.inverse = self.inverse_with(self.lti.curvature_unit * SHORTEST_PROXIMAL)
-        stiffest = float(np.diagonal(self.inverse)[: self.size].max(initial=0.0)) * self.lti.curvature_unit
-        self.soft = stiffest > SOFT
+        unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
+        self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
+        self.inverse = self.inverse_with(self.least_proximal)
+        at_ends, inside = np.split(np.abs(np.diagonal(self.inverse)[: self.size]), [self.ends_count])
+        unresolved = 0.1 / max(HESSIAN_ROUNDING * stiffest, SHORTEST_PROXIMAL * unit)
+        self.soft = bool(
+            at_ends.max(initial=0.0) > min(SOFT_END / unit, unresolved) or inside.max(initial=0.0) > SOFT / unit
+        )
         if not self.soft:
             self.inverse = self.inverse_with(0.0)
 

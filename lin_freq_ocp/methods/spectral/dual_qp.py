@@ -7,9 +7,9 @@ is trusted: the exchange judges every answer from the signals it leads to.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
+from scipy.optimize import nnls
 
-from lin_freq_ocp.methods.spectral.active_set import active_set
 from lin_freq_ocp.methods.spectral.interior_point import interior_point
 from lin_freq_ocp.problem.arrays import Array
 
@@ -25,8 +25,20 @@ PATIENCE = 2
 PIVOTING_PIVOT = 1e-6
 """Cholesky pivot below which the rows are too dependent for it."""
 
-ACTIVE_SET_ROWS = 300
+ACTIVE_SET_ROWS = 400
 """Rows up to which an active set is grown one row at a time, if states are among them."""
+
+ACTIVE_SET_CONTROLS = 120
+"""The same where nearly all are controls: an interior point is faster from there on."""
+
+ACTIVE_SET_STEPS = 10
+"""Steps per row after which that has not settled."""
+
+RIDGE = 1e-13
+"""Added to the diagonal, which is 1: nearly parallel rows then share their multipliers."""
+
+CONTENT = 1e-9
+"""Slope left at which its answer is good."""
 
 MOSTLY_CONTROLS = 0.9
 """Share of control rows from which the multipliers are not unique, and an interior point is what survives."""
@@ -54,8 +66,8 @@ def nonnegative_qp(S: Array, d: Array, start: Array, unconstrained: Array | None
     A, b, warm = S * unit[:, None] * unit, d * unit / size, start / unit / size
     controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
     lam = block_pivoting(A, b, warm) if len(d) <= PIVOTING_ROWS else None
-    if lam is None and len(d) <= ACTIVE_SET_ROWS and controls < MOSTLY_CONTROLS:
-        lam = active_set(A, b, warm)
+    if lam is None and len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
+        lam = active_set(A, b)
     content = lam is not None
     if lam is None:
         lam, content = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2)
@@ -82,3 +94,16 @@ def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
         fewest = min(fewest, count)
         active ^= wrong
     return None
+
+
+def active_set(A: Array, b: Array) -> Array | None:
+    """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate."""
+    regular = A + RIDGE * np.eye(len(b))
+    factor, failed = dpotrf(regular, lower=1)
+    if failed:
+        return None
+    try:
+        lam, _ = nnls(factor.T, dtrtrs(factor, -b, lower=1)[0], maxiter=ACTIVE_SET_STEPS * len(b))
+    except RuntimeError:
+        return None
+    return lam if (A @ lam + b).min() > -CONTENT * max(1.0, float(lam.max())) else None

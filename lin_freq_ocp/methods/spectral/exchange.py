@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.methods.spectral.border import SHORTEST_PROXIMAL
 from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.lti import LEAST_SIZE
+from lin_freq_ocp.methods.spectral.neighbourhood import all_controls, around
 from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.violations import Violations
@@ -24,6 +24,12 @@ from lin_freq_ocp.problem.arrays import Array
 
 ROUNDS = 60
 """Rounds after which an exchange ends; 1 to 12 are usual."""
+
+LOCAL_ROUNDS = 6
+"""Times that a step is found again with the rows nearby that it violates, before all signals are evaluated."""
+
+LOCAL_ROWS = 300
+"""Working rows beyond which the small QP costs more than the signals."""
 
 KEEP_ALL_AFTER = 30
 """Rounds after which no row is dropped any more: the exchange is then finite."""
@@ -43,11 +49,17 @@ GAIN_TOLERANCE = 1e-9
 SLACK_TOLERANCE = 1e-9
 """<l, slack> left, relative to the cost: rows with a multiplier hold with equality."""
 
-ACCEPTED_VIOLATION = 1e-9
+ACCEPTED_SLACK = 1e-7
+"""The same where an exchange no longer improves."""
+
+FINE_VIOLATION = 1e-9
+"""Relative violation above which a round that adds a row improves, even if it does not halve the violation."""
+
+ACCEPTED_VIOLATION = 1e-7
 """Relative violation at which an exchange that no longer improves is as accurate as its rounding allows."""
 
 STALLED_ROUNDS = 3
-"""Rounds that neither halve the violation nor, above ACCEPTED_VIOLATION, add a row: it no longer improves."""
+"""Rounds that neither halve the violation nor, above FINE_VIOLATION, add a row: it no longer improves."""
 
 INCONSISTENT = 1e-7
 """Relative residual of the equations from which their dependent rows are asked for a proof of infeasibility."""
@@ -104,7 +116,7 @@ class Outcome:
 class Exchange:
     """One solve: the point, its working rows, and the rules of a round."""
 
-    def __init__(self, structure: Structure, data: Data, first: Rows | None):
+    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
         self.violations = Violations(data.lti)
@@ -113,42 +125,55 @@ class Exchange:
             if first.weights is not None:
                 self.working.weights = first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
-        self.proximal = self.first_proximal = data.lti.curvature_unit
+        self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.unconstrained = _unconstrained_response(structure)
         self.soft = self.border.soft
         self.ray: Ray | None = None
+        self.tolerance = tolerance
+        self.neighbourhood = all_controls(self.border, self.violations)
         self._evaluate()
 
-    def run(self, tolerance: float, rounds: int, stop: Callable[[], str | None]) -> Outcome:
+    def run(self, rounds: int, stop: Callable[[], str | None]) -> Outcome:
         """Exchange until optimal; ``stop`` returns why to stop early, or None."""
-        added, best, stalled = len(self.working), np.inf, 0
+        added = len(self.working)
         for count in range(1, rounds + 1):
             diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
             self._step(ask=diverging or count % ASK_FOR_RAY == 0)
             if self.ray is not None:
                 return self._outcome("infeasible", "no trajectory satisfies all constraints", count)
-            slope = self._relative_slope()
-            worst = self.violations.worst
-            level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gain() <= GAIN_TOLERANCE * self._cost_size()
-            if self.soft and worst < LENIENT and not level:
-                self.proximal = max(self.proximal * LONGER_STEPS, SHORTEST_PROXIMAL * self.first_proximal)
-                if worst < tolerance and np.abs(self.theta).max(initial=0.0) > ENDLESS:
-                    return self._outcome("unbounded", "the cost falls without end", count)
-            improving = worst < best / 2 or (added and worst >= ACCEPTED_VIOLATION)
-            stalled = 0 if improving else stalled + 1
-            best = min(best, worst)
-            reached = tolerance if stalled < STALLED_ROUNDS else max(tolerance, ACCEPTED_VIOLATION)
-            if (
-                worst < reached
-                and (level or (stalled >= STALLED_ROUNDS and slope < ACCEPTED_SLOPE))
-                and self._settled()
-            ):
+            if self._optimal(added):
                 return self._outcome("optimal", "", count)
+            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > ENDLESS:
+                return self._outcome("unbounded", "the cost falls without end", count)
             reason = stop()
             if reason is not None:
                 return self._outcome("limit", reason, count)
-            added = self._exchange_rows(tolerance, count)
+            added = self._exchange_rows(count)
+        if self._accurate():
+            return self._outcome("optimal", "", rounds)
         return self._outcome("numerical_error", f"not settled after {rounds} rounds", rounds)
+
+    def _optimal(self, added: int) -> bool:
+        """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
+        worst, slope = self.violations.worst, self._relative_slope()
+        level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gain() <= GAIN_TOLERANCE * self._cost_size()
+        shortened = self.soft and worst < LENIENT and not level and self._shorten_proximal()
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or shortened
+        self.stalled = 0 if improving else self.stalled + 1
+        self.best = min(self.best, worst)
+        if self.stalled >= STALLED_ROUNDS:
+            return self._accurate()
+        return worst < self.tolerance and level and self._settled(SLACK_TOLERANCE)
+
+    def _accurate(self) -> bool:
+        """Whether a point that no longer improves is good enough; its residuals say how good."""
+        worst, slope = self.violations.worst, self._relative_slope()
+        return worst < ACCEPTED_VIOLATION and slope < ACCEPTED_SLOPE and self._settled(ACCEPTED_SLACK)
+
+    def _shorten_proximal(self) -> bool:
+        """Let the next step go farther along directions of little cost; False if it goes as far as it can."""
+        before, self.proximal = self.proximal, max(self.proximal * LONGER_STEPS, self.border.least_proximal)
+        return self.proximal < before
 
     def _evaluate(self) -> None:
         self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
@@ -174,7 +199,27 @@ class Exchange:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the step of the border, weights and perhaps a ray, with the border eliminated."""
+        """Return the step of the border, weights and perhaps a ray, with the border eliminated.
+
+        Rows near the working ones that the step violates enter at once, and the step is found again.
+        """
+        near, working = self.neighbourhood, self.working
+        guess = working.weights
+        for _ in range(LOCAL_ROUNDS):
+            step, new, ray = self._eliminated_step(right, guess, ask)
+            settled = ray is not None or self.violations.worst < self.tolerance
+            if settled or not 0 < len(working) <= LOCAL_ROWS:
+                break
+            near = near or around(self.border, self.violations, working)
+            if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
+                break
+            self.values = working.values(self.signals.y, self.signals.last)
+            guess = np.append(new, np.zeros(len(working) - len(new)))
+        else:
+            step, new, ray = self._eliminated_step(right, guess, ask)
+        return step, new, ray
+
+    def _eliminated_step(self, right: Array, guess: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         working, inverse = self.working, self.border.inverse
         step = inverse @ right
         if not len(working):
@@ -186,7 +231,7 @@ class Exchange:
         )  # symmetric to the last bit: else it stalls at rounding
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, content = nonnegative_qp(S, d, working.weights, unconstrained)
+        new, content = nonnegative_qp(S, d, guess, unconstrained)
         ray = row_ray(self.structure, self.data, working, S, d, Z, ask or not content)
         return step - Z @ (new - working.weights), new, ray
 
@@ -215,11 +260,13 @@ class Exchange:
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
-        on_rows = self.working.coupling[: self.border.size] @ self.working.weights
-        terms = self.data.h, self.border.H @ self.theta, self.border.E.T @ self.multipliers, on_rows
-        size = sum(float(np.abs(term).max(initial=0.0)) for term in terms)
+        border, working = self.border, self.working
+        terms = (
+            np.abs(self.data.h) + np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
+        )
+        terms += np.abs(working.coupling[: border.size]) @ working.weights
         least = LEAST_SIZE * self.data.lti.curvature_unit
-        return float(np.abs(sum(terms[1:], start=terms[0])).max(initial=0.0)) / max(size, least)
+        return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
     def _gain(self) -> float:
         """Return what the cost could still fall by along the border variables, were they free."""
@@ -236,16 +283,16 @@ class Exchange:
         """Return what a difference in cost is small against."""
         return max(self.data.lti.cost_level, abs(self._cost()))
 
-    def _settled(self) -> bool:
+    def _settled(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
         if self._relative_residual() >= EQUATION_TOLERANCE:
             return False
         slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
-        return bool(slack <= SLACK_TOLERANCE * self._cost_size())
+        return bool(slack <= allowed * self._cost_size())
 
-    def _exchange_rows(self, tolerance: float, count: int) -> int:
+    def _exchange_rows(self, count: int) -> int:
         """Drop rows without multiplier, add violated ones; return how many are new."""
-        entering = self.violations.entering(tolerance)
+        entering = self.violations.entering(self.tolerance)
         if count <= KEEP_ALL_AFTER:
             self.working.keep(self.working.weights > 0)
         added = self.working.add(*entering)

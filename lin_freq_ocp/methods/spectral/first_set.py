@@ -57,8 +57,8 @@ def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
         structure = structures[coarse.horizon]
-        exchange = Exchange(structure, prepare(structure, coarse), first_working_set(coarse, stop, structures))
-        outcome = exchange.run(tolerance, ROUNDS, stop)
+        guess = first_working_set(coarse, stop, structures)
+        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance).run(ROUNDS, stop)
     except (UnsupportedError, np.linalg.LinAlgError):  # a guess is all that is lost
         return None
     if outcome.status != "optimal":

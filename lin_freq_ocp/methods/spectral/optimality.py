@@ -16,8 +16,9 @@ from lin_freq_ocp.transcription.program import Residuals
 def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     """Return the residuals of the maximum principle, each relative to the size of its own terms.
 
-    primal: dynamics, control bands, bounds. dual: adjoint equation, transversality, stationarity in u. gap: multipliers
-    times slacks, and dual residuals times the trajectory. With a convex cost these say optimal.
+    primal: dynamics, ends, bands, bounds (as the exchange measured them). dual: adjoint equation, transversality,
+    stationarity in u. gap: multipliers times slacks, and dual residuals times the trajectory. With a convex cost these
+    say optimal.
     """
     y, last, n = outcome.signals.y, outcome.signals.last, lti.state_dim
     x = np.hstack([y[:n], last[:, None]])
@@ -28,14 +29,27 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     stopped = ~lti.passed
     band = np.abs(fft.rfft(y[n:])[stopped]).max(initial=0.0) if stopped.any() else 0.0
     energy = max(float(np.linalg.norm(y[n:])), LEAST_SIZE)
+    missed = max(_missed_values(lti, y, x), outcome.violation, 0.0)
     adjoint, terms = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
     gap = _complementarity(outcome, lti) + float(np.abs(adjoint * x).sum() + found.leak * np.abs(y[n:]).sum())
     return Residuals(
-        primal=max(float(np.abs(dynamics).max()) / size, float(band) / energy, outcome.violation, 0.0),
+        primal=max(float(np.abs(dynamics).max()) / size, float(band) / energy, missed),
         dual=max(float(np.abs(adjoint).max()) / terms, found.leak / max(through_u, LEAST_SIZE * lti.curvature_unit)),
         gap=gap / max(lti.cost_level, abs(outcome.cost)),
     )
+
+
+def _missed_values(lti: Lti, y: Array, x: Array) -> float:
+    """Return how far x_0, values that bounds fix, and the stopped bins of states are off, relative to the signals."""
+    size = max(float(np.abs(y).max()), LEAST_SIZE)
+    t, f = lti.fixed_points()
+    start = np.where(np.isnan(lti.start), 0.0, lti.start - x[:, 0])
+    missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
+    if not lti.state_stop.any():
+        return missed
+    spectrum = np.abs(fft.rfft(x)).T[lti.state_stop].max()
+    return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), LEAST_SIZE))
 
 
 def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[Array, float]:

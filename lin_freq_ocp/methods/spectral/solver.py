@@ -116,13 +116,17 @@ class SpectralSolver:
         """
         started = time.perf_counter()
         problem, lti = self._with(initial_state, terminal_state, references, bounds)
-        with one_blas_thread(), interrupts_noted() as interrupt:
+        with (
+            one_blas_thread(),
+            interrupts_noted() as interrupt,
+            np.errstate(all="ignore"),
+        ):  # what overflows is no answer
             stop = deadline(time_limit, interrupt.is_set)
-            first = None if warm_start is None else warm_start.active
+            first = None if warm_start is None else _usable(warm_start, problem, lti)
             if first is None:
                 first = first_working_set(lti, stop, self._coarser)
             data = prepare(self._structure, lti)
-            outcome = Exchange(self._structure, data, first).run(tolerance or VIOLATION_TOLERANCE, ROUNDS, stop)
+            outcome = Exchange(self._structure, data, first, tolerance or VIOLATION_TOLERANCE).run(ROUNDS, stop)
             seconds = {"setup": self.setup_seconds, "solve": time.perf_counter() - started}
             return self._solution(problem, data, outcome, seconds, started)
 
@@ -186,6 +190,28 @@ class SpectralSolver:
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
+
+
+def _usable(warm_start: SpectralSolution, problem: OptimalControlProblem, lti: Lti) -> Rows | None:
+    """Return the active rows that still have a bound, or None if there are none."""
+    other, rows = warm_start.problem, warm_start.active
+    if (
+        other is None
+        or (other.horizon, other.state_dim, other.control_dim)
+        != (problem.horizon, problem.state_dim, problem.control_dim)
+        or [len(family.e.T) for family in other.stage_rows] != [len(family.e.T) for family in problem.stage_rows]
+    ):
+        raise ProblemError("warm_start", "a solution of another problem", "one of this SpectralSolver")
+    if rows is None:
+        return None
+    t, f, inner = rows.t, rows.f, rows.t < lti.horizon
+    lower, upper = np.full(len(t), -np.inf), np.full(len(t), np.inf)
+    lower[inner], upper[inner] = lti.lower[f[inner], t[inner]], lti.upper[f[inner], t[inner]]
+    last = np.flatnonzero(~inner)
+    last = last[np.isnan(lti.end[f[last]])]
+    lower[last], upper[last] = lti.last_lower[f[last]], lti.last_upper[f[last]]
+    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
+    return Rows(t[kept], f[kept], rows.sign[kept], None if rows.weights is None else rows.weights[kept])
 
 
 def one_blas_thread() -> Any:

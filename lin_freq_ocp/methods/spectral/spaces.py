@@ -254,14 +254,16 @@ class BinSpaces:
 
 def _inverse_factor(H: ComplexArray) -> ComplexArray:
     """Return L^{-1} with H = L L^*, per bin, (bins, m, m)."""
+    units = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
+    if not (units > 0).all():
+        raise _flat()
     try:
-        factor = np.linalg.cholesky(H)
+        factor = np.linalg.cholesky(H / (units[:, :, None] * units[:, None]))
     except np.linalg.LinAlgError:
         raise _flat() from None
-    pivots = np.diagonal(factor, axis1=1, axis2=2).real ** 2
-    if (pivots.min(1) <= SINGULAR_HESSIAN * np.trace(H, axis1=1, axis2=2).real).any():
+    if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= SINGULAR_HESSIAN:
         raise _flat()
-    return np.asarray(np.linalg.inv(factor), dtype=np.complex128)
+    return np.asarray(np.linalg.inv(factor) / units[:, None], dtype=np.complex128)
 
 
 def _flat() -> UnsupportedError:

@@ -31,12 +31,14 @@ class Violations:
         Of rows at t < T and of x_T; below 0 inside.
     worst : float
         The largest.
+    fixed_keys : (fixed,)
+        f T + t of the rows that equations fix: they cannot be violated.
     """
 
     def __init__(self, lti: Lti):
         self.lti, n = lti, lti.state_dim
         self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
-        self.lower, self.upper = lti.lower[self.rows], lti.upper[self.rows]
+        self.lower, self.upper = _chosen(lti.lower, self.rows), _chosen(lti.upper, self.rows)
         self.state_rows = ~lti.F[self.rows, n:].any(1)
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
@@ -46,9 +48,10 @@ class Violations:
         self.free_end = np.isnan(lti.end)
         t, f = lti.fixed_points()
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
-        self.fixed = np.searchsorted(self.rows, f), np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
+        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
         bounded = np.isin(f, self.rows)
-        self.fixed = self.fixed[0][bounded], self.fixed[1][bounded]
+        self.fixed = np.searchsorted(self.rows, f[bounded]), t[bounded]
+        self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
 
     def measure(self, y: Array, last: Array) -> float:
@@ -75,8 +78,7 @@ class Violations:
         return times, np.concatenate([self.rows[i], ends]), sign
 
     def _mask(self, tolerance: float) -> Mask:
-        nearly = -min(2 * self.worst, NEARLY_ACTIVE) if self.worst < SMALL_VIOLATION else tolerance / 2
-        threshold = np.where(self.state_rows, tolerance / 2, nearly)
+        threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
         mask = self.excess > threshold[:, None]
         states = np.flatnonzero(self.state_rows)
         if mask[states].any():
@@ -92,6 +94,18 @@ class Violations:
         peak[:, 1:] &= excess[:, 1:] >= excess[:, :-1]
         peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
         return peak
+
+
+def _chosen(bounds: Array, rows: Indices) -> Array:
+    """Return rows of bounds (rows, T), without memory where they do not depend on time."""
+    if bounds.strides[1] == 0:
+        return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
+    return bounds[rows]
+
+
+def nearly_active(worst: float, tolerance: float) -> float:
+    """Return the excess from which samples of controls and stage rows enter."""
+    return -min(2 * worst, NEARLY_ACTIVE) if worst < SMALL_VIOLATION else tolerance / 2
 
 
 def _largest_finite(bounds: Array) -> Array:

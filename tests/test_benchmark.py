@@ -1,0 +1,113 @@
+"""The benchmark measures what it says: contenders agree on small problems, and rows hold their residuals. No times."""
+
+import csv
+from dataclasses import replace
+
+import benchmark
+import benchmark_measures
+import benchmark_resolve
+import numpy as np
+import pytest
+from benchmark_cases import FAMILIES, RESOLVE, small
+from benchmark_contenders import CONTENDERS, CvxpyModel, OurResolver
+from benchmark_figure import spread
+
+import lin_freq_ocp as lfo
+
+RESIDUALS = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint")
+LIMIT = 20.0
+
+
+@pytest.mark.parametrize("problem", [small(), FAMILIES["chain"].problem(200)], ids=["small", "chain"])
+def test_all_contenders_agree_and_their_rows_hold_all_residuals(problem):
+    runs = benchmark.race(problem, list(CONTENDERS), repeats=1, limit=LIMIT)
+    rows, reference = benchmark_measures.measured("some family", problem, runs)
+    assert [row.contender for row in rows] == list(CONTENDERS)
+    assert reference is not None
+    assert "NOT" not in str(reference)
+    for row in rows:
+        assert row.status == "optimal", row
+        assert all(abs(getattr(row, name)) < 1e-6 for name in RESIDUALS), row
+        assert row.seconds > 0
+
+
+def test_residuals_see_what_is_wrong():
+    problem = small()
+    good = CONTENDERS["clarabel"](problem, LIMIT)
+    fine = benchmark_measures.residuals(problem, good)
+    u = good.trajectory.u + 0.1 * np.cos(np.pi * np.arange(problem.horizon))[:, None]
+    eta = good.multipliers.eta * np.linspace(1, 1.1, problem.horizon)[:, None]
+    parts = {name: getattr(good.multipliers, name) for name in ("eta_C", "mu", "nu", "rho_u", "rho_x")}
+    bad = benchmark_measures.Answer(
+        "optimal", "", lfo.Trajectory(1.1 * good.trajectory.x, u), lfo.Multipliers(eta=eta, **parts)
+    )
+    wrong = benchmark_measures.residuals(problem, bad)
+    assert max(fine.values()) < 1e-8
+    assert min(wrong.values()) > 1e-3
+
+
+def test_the_cvxpy_model_has_the_multipliers_of_the_theorem():
+    problem = FAMILIES["chain"].problem(200)
+    answer = CvxpyModel(problem, problem.initial_state.lower).solve(LIMIT)
+    certificate = lfo.certify(problem, answer.trajectory, answer.multipliers)
+    assert certificate.pmp == "satisfied", certificate.failed
+
+
+def test_who_was_slow_is_skipped():
+    assert benchmark.skip_reason("clarabel", 480, None, LIMIT) == ""
+    assert benchmark.skip_reason("clarabel", 480, (240, 0.1), LIMIT) == ""
+    assert "> 20 s expected" in benchmark.skip_reason("clarabel", 2400, (240, 0.1), LIMIT)
+    assert "> 20 s at T = 960" in benchmark.skip_reason("osqp", 1000, (960, 21.0), LIMIT)
+    assert "no smaller" in benchmark.skip_reason("clarabel", 100_000, None, LIMIT)
+    assert benchmark.skip_reason("ours", 1_000_000, None, LIMIT) == ""
+    assert benchmark.skip_reason("ours", 100_000, (10_000, 0.1), LIMIT) == ""
+
+
+def test_a_skipped_contender_has_a_row_that_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "skip_reason", lambda name, *_: "" if name == "ours" else "skipped: for a test")
+    rows, notes = benchmark.family_rows("bang-bang", [200], repeats=2, limit=LIMIT)
+    assert [row.status for row in rows] == ["optimal"] + ["skipped"] * (len(CONTENDERS) - 1)
+    assert (rows[0].runs, rows[0].ratio, len(notes)) == (2, 1.0, 1)
+    assert benchmark.table_of("title", rows, notes).row_count == len(rows)
+    benchmark.save_csv(rows, tmp_path / "rows.csv")
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        saved = list(csv.DictReader(file))
+    assert saved[0]["remark"] == ""
+    assert saved[1]["remark"] == "skipped: for a test"
+    assert float(saved[0]["dynamics"]) == rows[0].dynamics
+
+
+def test_failures_are_told_and_not_repeated(monkeypatch):
+    def fail(problem, limit):
+        raise lfo.UnsupportedError("not this one")
+
+    monkeypatch.setitem(CONTENDERS, "piqp", fail)
+    runs = benchmark.race(small(), ["clarabel", "piqp"], repeats=2, limit=LIMIT)
+    rows, _ = benchmark_measures.measured("some family", small(), runs)
+    assert [(row.runs, row.status) for row in rows] == [(2, "optimal"), (1, "failed")]
+    assert rows[1].remark == "UnsupportedError"
+
+
+def test_resolving_shows_the_worst_of_all_initial_states():
+    rows, note = benchmark_resolve.resolve_rows(240, 3, LIMIT)
+    assert {row.contender for row in rows} == {"ours", "cvxpy+clarabel", "clarabel"}
+    assert all(row.family == RESOLVE and row.runs == 3 for row in rows), rows
+    assert all(abs(getattr(row, name)) < 1e-6 for row in rows for name in RESIDUALS), rows
+    assert "3 initial states" in note
+
+
+def test_a_resolve_answers_for_its_own_initial_state():
+    problem = small()
+    moved = replace(small(), initial_state=(0.01, 0.0))
+    answer = OurResolver(problem)(moved, LIMIT)
+    assert lfo.certify(moved, answer.trajectory, answer.multipliers).globally_optimal
+
+
+def test_labels_are_spread():
+    shifted = np.array([0.0, 1.0, 50.0]) + spread(np.array([0.0, 1.0, 50.0]))
+    assert np.diff(shifted).min() >= 10
+
+
+def test_the_machine_is_described():
+    assert "one thread" in benchmark.machine()
+    assert f"lin_freq_ocp {lfo.__version__}" in benchmark.machine()

@@ -1,0 +1,81 @@
+"""Horizons long enough for a first working set guessed from cheaper problems: a wrong guess must do no harm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_spectral_class import END, START, A, B, moving, plant, problem_of, residuals, wave
+
+import lin_freq_ocp as lfo
+
+LONG = 640
+"""A horizon from which a first working set is guessed from cheaper problems."""
+
+SLOW = plant(0.05 * A + 0.95 * np.eye(3), 0.2 * B)
+QUICK = plant(A, B)
+
+
+def limits_at(times: Any, size: float) -> lfo.Box:
+    """Return |u| <= size at the times, and none elsewhere."""
+    upper = np.full((LONG, 2), np.inf)
+    upper[times] = size
+    return lfo.Box(-upper, upper)
+
+
+def fixed_at(times: Any, value: float, size: float) -> lfo.Box:
+    box = limits_at(slice(None), size)
+    lower, upper = box.lower.copy(), box.upper.copy()
+    lower[times] = upper[times] = value
+    return lfo.Box(lower, upper)
+
+
+OTHERS = np.flatnonzero(np.arange(LONG) % 8 != 3)
+LONG_CASES: dict[str, dict[str, Any]] = {
+    "control bounds": {"control_set": lfo.Box(-0.3, 0.3)},
+    "control bounds of quick dynamics": {"control_set": lfo.Box(-0.3, 0.3), "dynamics": QUICK},
+    "bounds per time": {"control_set": moving(LONG, 2, 0.5, 3)},
+    "bounds at half of the times": {"control_set": limits_at(slice(LONG // 2, None), 0.3)},
+    "bounds at most times": {"control_set": limits_at(OTHERS, 0.3)},
+    "values fixed for a while": {"control_set": fixed_at(slice(100, 120), 0.1, 0.3)},
+    "values fixed now and then": {"control_set": fixed_at(slice(3, None, 8), 0.3, 0.3)},
+    "state bounds": {"state_set": lfo.Box(-1.0, 1.0)},
+    "state bounds now and then": {
+        "state_set": [lfo.Everything() if t % 8 != 5 else lfo.Box(-1.0, 1.0) for t in range(LONG + 1)]
+    },
+    "joint rows": {"stage_rows": lfo.StageRows([[0.1, 0, 0]], [[1.0, -1.0]], [0.3])},
+    "joint rows at most times": {
+        "stage_rows": lfo.StageRows(
+            [[0.1, 0, 0]], [[1.0, -1.0]], np.where(np.isin(np.arange(LONG), OTHERS), 0.3, np.inf)[:, None]
+        )
+    },
+    "free ends": {"initial_state": None, "terminal_state": None, "control_set": lfo.Box(-0.3, 0.3)},
+    "boxed ends": {
+        "initial_state": lfo.Box(START - 0.2, START + 0.2),
+        "terminal_state": lfo.Box(END - 0.2, END + 0.2),
+        "control_set": lfo.Box(-0.3, 0.3),
+    },
+    "offset": {"dynamics": plant(SLOW.A, SLOW.B, wave(LONG, 3, 0.02, 3)), "control_set": lfo.Box(-0.3, 0.3)},
+    "state band": {"state_spectrum": lfo.stop_band(bins=range(60, 70), component=1), "dynamics": QUICK},
+}
+
+
+@pytest.mark.parametrize("name", LONG_CASES)
+def test_long_horizons_with_a_guessed_first_working_set(name):
+    target = np.cumsum(wave(LONG + 1, 3, 0.05, 1), axis=0) + np.linspace(START, END, LONG + 1)
+    problem = problem_of(
+        **{
+            "dynamics": SLOW,
+            "horizon": LONG,
+            "cost": lfo.QuadraticCost(Q=0.3, R=1.0, x_ref=target),
+            "control_set": None,
+            "control_spectrum": [lfo.low_pass(2.0, component=0), lfo.high_pass(0.05, component=1)],
+        }
+        | LONG_CASES[name]
+    )
+    result = lfo.solve(problem, method="spectral")
+    assert result.certificate.pmp == "satisfied"
+    assert result.certificate.globally_optimal
+    assert abs(result.gap) < 1e-8
+    assert max(residuals(problem, result.trajectory).values()) < 1e-11
