@@ -328,7 +328,7 @@ def _complaint(result: Result) -> str:
         return f"{name}: stopped before the answer was accurate ({result.message}); the best point is in .result."
     return (
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
-        "solution; what it found is in .result. Try another backend."
+        "solution; what it found is in .result. Try another backend or method."
     )
 
 

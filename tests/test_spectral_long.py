@@ -9,6 +9,8 @@ import pytest
 from test_spectral_class import END, START, A, B, moving, plant, problem_of, residuals, wave
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.spectral.first_set import first_working_set
+from lin_freq_ocp.methods.spectral.lti import lti_problem, natural_units
 
 LONG = 640
 """A horizon from which a first working set is guessed from cheaper problems."""
@@ -79,3 +81,15 @@ def test_long_horizons_with_a_guessed_first_working_set(name):
     assert result.certificate.globally_optimal
     assert abs(result.gap) < 1e-8
     assert max(residuals(problem, result.trajectory).values()) < 1e-11
+
+
+@pytest.mark.parametrize(("horizon", "sampling_time"), [(10_000, 0.01), (1000, 0.0024)])
+def test_the_guess_is_near_what_is_active_in_the_end(horizon, sampling_time):
+    problem = lfo.library.pendulum(horizon=horizon, sampling_time=sampling_time)
+    guess = first_working_set(lti_problem(problem, natural_units(problem)), lambda: None, {})
+    active = lfo.SpectralSolver(problem).solve().active
+    forces = active.t[active.f == 4]
+    near = [(np.abs(guess.t[guess.f == 4] - t) <= 8).any() for t in forces]
+    assert len(forces) > 20
+    assert np.mean(near) > 0.9
+    assert len(guess.t) < 2 * len(active.t)

@@ -226,6 +226,17 @@ def test_a_bordered_answer_is_optimal(size, equations, count, hessian):
     assert cost == pytest.approx(0.5 * point @ P @ point + linear @ point, rel=1e-6, abs=1e-8)
 
 
+def test_a_bordered_answer_does_not_depend_on_the_weights_before():
+    qp, _ = bordered(4, 3, 30, 1e-3)
+    step, weights, _ = qp.solve()
+    before = np.random.default_rng(1).random(30) * weights.max()
+    warm = replace(qp, r=qp.r - qp.C @ before, slack=qp.slack + qp.S @ before, weights=before)
+    same_step, same, content = warm.solve()
+    assert content
+    np.testing.assert_allclose(same, weights, atol=1e-9 * weights.max())
+    np.testing.assert_allclose(same_step, step, atol=1e-9 * np.abs(step).max())
+
+
 def test_a_bordered_step_from_its_answer_is_none():
     qp, _ = bordered(4, 3, 30, 1e-3)
     step, weights, _ = qp.solve()

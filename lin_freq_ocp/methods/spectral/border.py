@@ -250,7 +250,7 @@ def _null_space(rows: Array, gram: Array) -> Array:
     rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
     unseen = V[rank:].T
     eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
-    return unseen @ vectors[:, eigenvalues < EQUATION_ROUNDING * float(np.abs(gram).max())]
+    return unseen @ vectors[:, eigenvalues <= EQUATION_ROUNDING * float(np.abs(gram).max())]
 
 
 def _equilibrated_inverse(matrix: Array) -> Array:

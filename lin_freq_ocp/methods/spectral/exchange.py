@@ -19,7 +19,7 @@ from lin_freq_ocp.methods.spectral.neighbourhood import all_controls, around
 from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.violations import Violations
-from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet
+from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet, bounded
 from lin_freq_ocp.problem.arrays import Array
 
 ROUNDS = 60
@@ -121,6 +121,7 @@ class Exchange:
         self.working = WorkingSet(self.border)
         self.violations = Violations(data.lti)
         if first is not None:
+            first = bounded(first, data.lti)
             self.working.add(first.t, first.f, first.sign)
             if first.weights is not None:
                 self.working.weights = first.weights
@@ -191,11 +192,14 @@ class Exchange:
         working, border = self.working, self.border
         right = np.concatenate([-self._slope(), self.residual])
         step, new, ray = (self._soft_step if self.soft else self._stiff_step)(right, ask)
-        working.weights, self.ray = new, ray
+        self.ray = ray
+        if ray is not None:
+            return
+        working.weights = new
         self.theta = self.theta + step[: border.size]
         self.multipliers = self.multipliers + step[border.size :]
         self._evaluate()
-        if self.ray is None and self._relative_residual() > INCONSISTENT:
+        if self._relative_residual() > INCONSISTENT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:

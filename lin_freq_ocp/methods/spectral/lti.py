@@ -20,6 +20,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 LEAST_SIZE = 1e-4
 """In natural units: what should be zero holds rounding only, and is not measured more finely than this."""
 
+MUCH_SMALLER = 1e-5
+"""Largest value of a component, in its unit, below which that unit was wrong."""
+
+NEGLIGIBLE = 1e-13
+"""Largest value below which the component only holds rounding."""
+
 STATE_BAND_ROWS = 2000
 """Real rows of state bands up to which they may be dense equations of the border."""
 
@@ -136,6 +142,21 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
     rows = np.concatenate([*norms, np.zeros(0)])
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+
+
+def revised_units(units: Units, y: Array) -> Units | None:
+    """Return units from a solution y (n+m, T) in the given ones, or None if those were right.
+
+    Bounds written for "none" (1e9) make units in which everything that happens is rounding.
+    """
+    reached = np.abs(y).max(1)
+    wrong = (reached > NEGLIGIBLE) & (reached < MUCH_SMALLER)
+    if not wrong.any():
+        return None
+    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
+    n = len(units.x)
+    smallest = float(factor[n:].max()) ** 2
+    return Units(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
 
 
 def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:

@@ -119,9 +119,10 @@ def _set_ends(
     first, last = np.zeros(n), np.zeros(n)
     np.add.at(first, border.band_component, on_bands * border.bands[:, 0])
     np.add.at(last, border.band_component, on_bands * border.bands[:, -1])
-    cost = lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
-    first += eta_C * cost + lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
-    last += eta_C * (lti.P @ at.last + lti.p)
+    first += lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
+    if eta_C:
+        first += lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
+        last += lti.P @ at.last + lti.p
     start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
     on_rows[start, 0] = (lti.A.T @ eta[:, 0] - first)[start]
     on_rows[end, -1] = (-eta[:, -1] - last)[end]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -17,7 +17,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
 from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange, Outcome, deadline
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.lti import Lti, lti_problem, natural_units, refusal
+from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.optimality import residuals
 from lin_freq_ocp.methods.spectral.recovery import in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.structure import Data, Structure, prepare
@@ -73,14 +73,8 @@ class SpectralSolver:
         reason = refusal(problem)
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
-        started = time.perf_counter()
         self.problem = problem
-        with one_blas_thread():
-            self._units = natural_units(problem)
-            self._lti = lti_problem(problem, self._units)
-            self._structure = _structure(self._lti)
-        self._coarser: dict[int, Structure] = {}
-        self.setup_seconds = time.perf_counter() - started
+        self._set_up(natural_units(problem))
 
     def solve(
         self,
@@ -116,19 +110,51 @@ class SpectralSolver:
         """
         started = time.perf_counter()
         problem, lti = self._with(initial_state, terminal_state, references, bounds)
+        if warm_start is not None:
+            self._require_own(warm_start)
+        allowed = tolerance or VIOLATION_TOLERANCE
         with (
             one_blas_thread(),
             interrupts_noted() as interrupt,
             np.errstate(all="ignore"),
         ):  # what overflows is no answer
             stop = deadline(time_limit, interrupt.is_set)
-            first = None if warm_start is None else _usable(warm_start, problem, lti)
-            if first is None:
-                first = first_working_set(lti, stop, self._coarser)
-            data = prepare(self._structure, lti)
-            outcome = Exchange(self._structure, data, first, tolerance or VIOLATION_TOLERANCE).run(ROUNDS, stop)
-            seconds = {"setup": self.setup_seconds, "solve": time.perf_counter() - started}
-            return self._solution(problem, data, outcome, seconds, started)
+            first = None if warm_start is None else warm_start.active
+            data, outcome = self._exchange(lti, first, allowed, stop)
+            units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
+            if units is not None:
+                self._set_up(units)
+                data, outcome = self._exchange(lti_problem(problem, units), None, allowed, stop)
+            return self._solution(problem, data, outcome, started)
+
+    def _set_up(self, units: Units) -> None:
+        """Compute everything that does not depend on data, in the given units."""
+        started = time.perf_counter()
+        with one_blas_thread():
+            self._units, self._lti = units, lti_problem(self.problem, units)
+            self._structure = _structure(self._lti)
+        self._coarser: dict[int, Structure] = {}
+        self.setup_seconds = time.perf_counter() - started
+
+    def _exchange(
+        self, lti: Lti, first: Rows | None, tolerance: float, stop: Callable[[], str | None]
+    ) -> tuple[Data, Outcome]:
+        if first is None:
+            first = first_working_set(lti, stop, self._coarser)
+        data = prepare(self._structure, lti)
+        return data, Exchange(self._structure, data, first, tolerance).run(ROUNDS, stop)
+
+    def _require_own(self, warm_start: SpectralSolution) -> None:
+        other, rows = warm_start.problem, sum(family.rows for family in self.problem.stage_rows)
+        shape = self.problem.horizon, self.problem.state_dim, self.problem.control_dim, rows
+        got = None
+        if other is not None:
+            rows = sum(family.rows for family in other.stage_rows)
+            got = other.horizon, other.state_dim, other.control_dim, rows
+        if got != shape:
+            raise ProblemError(
+                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
+            )
 
     def _with(
         self,
@@ -166,7 +192,7 @@ class SpectralSolver:
         return problem, lti
 
     def _solution(
-        self, problem: OptimalControlProblem, data: Data, outcome: Outcome, seconds: dict[str, float], started: float
+        self, problem: OptimalControlProblem, data: Data, outcome: Outcome, started: float
     ) -> SpectralSolution:
         found = recover(self._structure, data, outcome)
         multipliers = in_units(problem, self._structure, self._units, found)
@@ -184,34 +210,12 @@ class SpectralSolver:
             ray=multipliers if infeasible else None,
             residuals=measured,
             words=words,
-            seconds=seconds | {"solve": time.perf_counter() - started},
+            seconds={"setup": self.setup_seconds, "solve": time.perf_counter() - started},
             interrupted=words == "interrupted",
             problem=problem,
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
-
-
-def _usable(warm_start: SpectralSolution, problem: OptimalControlProblem, lti: Lti) -> Rows | None:
-    """Return the active rows that still have a bound, or None if there are none."""
-    other, rows = warm_start.problem, warm_start.active
-    if (
-        other is None
-        or (other.horizon, other.state_dim, other.control_dim)
-        != (problem.horizon, problem.state_dim, problem.control_dim)
-        or [len(family.e.T) for family in other.stage_rows] != [len(family.e.T) for family in problem.stage_rows]
-    ):
-        raise ProblemError("warm_start", "a solution of another problem", "one of this SpectralSolver")
-    if rows is None:
-        return None
-    t, f, inner = rows.t, rows.f, rows.t < lti.horizon
-    lower, upper = np.full(len(t), -np.inf), np.full(len(t), np.inf)
-    lower[inner], upper[inner] = lti.lower[f[inner], t[inner]], lti.upper[f[inner], t[inner]]
-    last = np.flatnonzero(~inner)
-    last = last[np.isnan(lti.end[f[last]])]
-    lower[last], upper[last] = lti.last_lower[f[last]], lti.last_upper[f[last]]
-    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
-    return Rows(t[kept], f[kept], rows.sign[kept], None if rows.weights is None else rows.weights[kept])
 
 
 def one_blas_thread() -> Any:

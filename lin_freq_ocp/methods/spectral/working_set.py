@@ -21,6 +21,21 @@ class Rows(NamedTuple):
     weights: Array | None = None
 
 
+def bounded(rows: Rows, lti: Lti) -> Rows:
+    """Return those of the rows that have a bound, and are no equation."""
+    inner = rows.t < lti.horizon
+    lower, upper = np.full(len(rows.t), -np.inf), np.full(len(rows.t), np.inf)
+    t, f = rows.t[inner], rows.f[inner]
+    lower[inner], upper[inner] = lti.lower[f, t], lti.upper[f, t]
+    last = np.flatnonzero(~inner)
+    last = last[np.isnan(lti.end[rows.f[last]])]
+    lower[last], upper[last] = lti.last_lower[rows.f[last]], lti.last_upper[rows.f[last]]
+    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
+    kept &= (rows.t > 0) | (rows.f >= lti.state_dim) | np.isnan(lti.start[rows.f % lti.state_dim])
+    weights = None if rows.weights is None else rows.weights[kept]
+    return Rows(rows.t[kept], rows.f[kept], rows.sign[kept], weights)
+
+
 class WorkingSet:
     """Rows sign F_f y_t <= limit; at t = T, rows on the free components of x_T.
 
