@@ -15,7 +15,7 @@ import numpy as np
 from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.lti import LEAST_SIZE
-from lin_freq_ocp.methods.spectral.neighbourhood import all_controls, around
+from lin_freq_ocp.methods.spectral.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.violations import Violations
@@ -131,7 +131,6 @@ class Exchange:
         self.soft = self.border.soft
         self.ray: Ray | None = None
         self.tolerance = tolerance
-        self.neighbourhood = all_controls(self.border, self.violations)
         self._evaluate()
 
     def run(self, rounds: int, stop: Callable[[], str | None]) -> Outcome:
@@ -207,8 +206,7 @@ class Exchange:
 
         Rows near the working ones that the step violates enter at once, and the step is found again.
         """
-        near, working = self.neighbourhood, self.working
-        guess = working.weights
+        near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
             step, new, ray = self._eliminated_step(right, guess, ask)
             settled = ray is not None or self.violations.worst < self.tolerance

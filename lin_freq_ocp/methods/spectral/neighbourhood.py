@@ -1,7 +1,6 @@
 """Rows near the working ones, whose values a step changes as kernels say: rounds without FFTs (SPECTRAL.md, section 4).
 
-Between two evaluations of all signals, the small QP is repeated with the rows that its own step violates. Where the
-bounded controls have few samples, the neighbourhood is all of them.
+Between two evaluations of all signals, the small QP is repeated with the rows that its own step violates.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ from lin_freq_ocp.methods.spectral.violations import Violations, nearly_active
 from lin_freq_ocp.methods.spectral.working_set import WorkingSet
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
-ALL_CONTROLS = 600
-"""Bounded samples of controls and stage rows up to which all of them are looked at."""
+WORTHWHILE = 10_000
+"""Horizon from which looking here costs less than FFTs."""
 
 WINDOW = 24
-"""Samples on each side of a working row otherwise."""
+"""Samples on each side of a working row."""
 
 LARGEST = 20_000
 """Rows of a neighbourhood beyond which FFTs are cheaper."""
@@ -37,7 +36,7 @@ class Neighbourhood:
         bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
         free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
         t, f = t[free], f[free]
-        self._border, self._violations, self.t, self.f = border, violations, t, f
+        self._border, self.t, self.f = border, t, f
         self._lower, self._upper, self._scale = lti.lower[f, t], lti.upper[f, t], violations.scale[f]
         self._is_state = ~lti.F[f, lti.state_dim :].any(1)
         self._coupling = np.hstack([border.values(t, f), -border.responses(t, f).T])
@@ -70,19 +69,11 @@ class Neighbourhood:
         return chosen
 
 
-def all_controls(border: Border, violations: Violations) -> Neighbourhood | None:
-    """Return every sample of the bounded rows that are not of states alone; None if they are many."""
-    T = violations.lti.horizon
-    f = violations.rows[~violations.state_rows]
-    if not 0 < len(f) * T <= ALL_CONTROLS:
-        return None
-    rows, times = np.repeat(f, T), np.tile(np.arange(T), len(f))
-    return Neighbourhood(border, violations, times, rows)
-
-
 def around(border: Border, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if they are many or none."""
+    """Return the samples around the working rows; None if they are many or none, or not worthwhile."""
     T, inner = violations.lti.horizon, working.inner
+    if T < WORTHWHILE:
+        return None
     window = np.arange(-WINDOW, WINDOW + 1)
     times = (working.t[inner, None] + window).clip(0, T - 1)
     keys = np.unique((working.f[inner, None] * T + times).ravel())
