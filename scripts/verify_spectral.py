@@ -139,13 +139,12 @@ def check(seed: int) -> Outcome:
     except Exception as error:  # whatever it is, it must not end a run over many problems
         verdict = Verdict.REFUSED if isinstance(error, lfo.UnsupportedError) else Verdict.BROKEN
         return Outcome(seed, type(error).__name__, reference.words, verdict, str(error))
-    far = any(is_far(problem, one.trajectory) for one in (result, reference.point) if one is not None)
+    far = reference.point is not None and is_far(problem, reference.point.trajectory)
     if result.status == "optimal" and reference.point is not None:
         verdict, why, difference = compare_costs(problem, result, reference.point)
         return Outcome(seed, result.status, reference.words, verdict, why, difference, result.certificate, rounds, far)
     verdict = compare_statuses(result.status, reference.status, feasible=witness is not None)
     certificate = result.certificate if result.status == "optimal" else None
-    far = far and reference.status == "solved"
     return Outcome(seed, result.status, reference.words, verdict, result.message, None, certificate, rounds, far)
 
 
@@ -165,10 +164,8 @@ def satisfies(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory) ->
     return all(one.relative <= WITNESS_RESIDUAL for one in conditions if one.label in labels or one.name in labels)
 
 
-def is_far(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory | None) -> bool:
+def is_far(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory) -> bool:
     """Whether a trajectory leaves the range of the sizes in the data."""
-    if trajectory is None:
-        return False
     x, u = stated_sizes(problem)
     return bool((np.abs(trajectory.x) > FAR * x).any() or (np.abs(trajectory.u) > FAR * u).any())
 

@@ -275,6 +275,22 @@ def test_the_optimum_is_that_of_the_sparse_program(name):
     assert plain.cost is None or abs(plain.cost - result.cost) > 1e-4 * max(1.0, abs(result.cost))
 
 
+@pytest.mark.parametrize("horizon", [50, 150, 200, 400])
+@pytest.mark.parametrize("start", [None, lfo.Box(-0.6, -0.4)], ids=["free", "boxed"])
+def test_a_start_that_the_end_has_forgotten(start, horizon):
+    """The cost falls by 0.86^T along it, or not at all: to rounding, any start will do."""
+    reference = wave(horizon, 1, 0.1)
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.86]], [[1.0]]),
+        horizon,
+        lfo.QuadraticCost(R=1.0, u_ref=reference),
+        control_set=lfo.Box(-0.2, 0.2),
+        initial_state=start,
+        terminal_state=[0.5],
+    )
+    assert abs(assert_optimal(problem).gap) < 1e-8
+
+
 SHORT_ENDS = {
     "fixed, free": {"initial_state": [1.0]},
     "fixed, fixed": {"initial_state": [1.0], "terminal_state": [0.3]},

@@ -87,7 +87,7 @@ def dual_balance(result: lfo.Result, u: np.ndarray) -> tuple[float, float]:
     allowed = 0.0
     for box, weights in ((problem.state_tube, ray.mu), (problem.control_tube, ray.nu)):
         bounded = np.isfinite(np.where(weights > 0, box.upper, box.lower))
-        assert np.abs(weights[~bounded]).max(initial=0.0) < 1e-10 * np.abs(ray.mu).max()
+        assert np.abs(weights[~bounded]).max(initial=0.0) <= 1e-10 * np.abs(ray.mu).max()
         allowed += float(box.support_terms(np.where(bounded, weights, 0.0)).sum())
     for rows in problem.stage_rows:
         weights = ray.stage.get(rows.name, np.zeros((T, rows.rows)))
@@ -189,6 +189,20 @@ def test_a_ray_is_found_within_few_rounds(name):
     assert solution.rounds <= 16
     assert solution.ray is not None
     assert (solution.trajectory, solution.multipliers, solution.active) == (None, None, None)
+
+
+@pytest.mark.parametrize(("end", "status"), [(None, "optimal"), ([0.3], "infeasible")])
+def test_a_control_without_any_bin(end, status):
+    with pytest.warns(lfo.BandWarning, match="removes every bin"):
+        problem = lfo.OptimalControlProblem(
+            lfo.LinearDynamics([[0.8]], [[1.0]]),
+            6,
+            lfo.QuadraticCost(R=1.0),
+            initial_state=[1.0],
+            terminal_state=end,
+            control_spectrum=lfo.stop_band(bins=range(4)),
+        )
+    assert lfo.solve(problem, method="spectral", throw=False).status == status
 
 
 def test_a_ray_proves_nothing_of_a_relaxed_problem_nor_with_its_sign_changed():

@@ -123,9 +123,20 @@ class SpectralSolver:
             data, outcome = self._exchange(lti, first, allowed, stop)
             units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
             if units is not None:
-                self._set_up(units)
-                data, outcome = self._exchange(lti_problem(problem, units), None, allowed, stop)
+                better = SpectralSolver._in_units(self.problem, units)
+                revised, second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                if second.status == "optimal":
+                    self.__dict__.update(better.__dict__)
+                    data, outcome = revised, second
             return self._solution(problem, data, outcome, started)
+
+    @classmethod
+    def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
+        """Return a solver for the same problem, set up in other units."""
+        solver = cls.__new__(cls)
+        solver.problem = problem
+        solver._set_up(units)
+        return solver
 
     def _set_up(self, units: Units) -> None:
         """Compute everything that does not depend on data, in the given units."""
