@@ -260,7 +260,9 @@ def _spectral(
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
     result = _judged(problem, candidate, "spectral", None)
-    proven = result.status == "optimal" and result.certificate is not None and result.certificate.pmp == "satisfied"
+    certificate = result.certificate
+    optimal = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
+    proven = result.status == "optimal" and optimal
     return result if required or proven or result.status in ("infeasible", "limit") else None
 
 

@@ -13,6 +13,7 @@ SAYS = {
     "several_controls": "satisfied, normal",
     "certify_somebody_elses": "maximum principle: satisfied",
     "problem_files": "saved answer: satisfied",
+    "long_horizons": "10000 steps by method spectral",
 }
 
 

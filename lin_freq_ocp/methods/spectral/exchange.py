@@ -40,7 +40,7 @@ EQUATION_TOLERANCE = 1e-9
 SLOPE_TOLERANCE = 1e-11
 """Slope left in the border variables, relative to its terms."""
 
-ACCEPTED_SLOPE = 1e-8
+ACCEPTED_SLOPE = 1e-7
 """The same where an exchange no longer improves."""
 
 GAIN_TOLERANCE = 1e-9
@@ -126,7 +126,7 @@ class Exchange:
             if first.weights is not None:
                 self.working.weights = first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
-        self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
+        self.proximal, self.best, self.flattest, self.stalled = data.lti.curvature_unit, np.inf, np.inf, 0
         self.unconstrained = _unconstrained_response(structure)
         self.soft = self.border.soft
         self.ray: Ray | None = None
@@ -157,18 +157,20 @@ class Exchange:
         """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
         worst, slope = self.violations.worst, self._relative_slope()
         level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gain() <= GAIN_TOLERANCE * self._cost_size()
+        flatter = slope < self.flattest / 2
         shortened = self.soft and worst < LENIENT and not level and self._shorten_proximal()
-        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or shortened
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or (shortened and flatter)
         self.stalled = 0 if improving else self.stalled + 1
-        self.best = min(self.best, worst)
+        self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         if self.stalled >= STALLED_ROUNDS:
             return self._accurate()
         return worst < self.tolerance and level and self._settled(SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is good enough; its residuals say how good."""
-        worst, slope = self.violations.worst, self._relative_slope()
-        return worst < ACCEPTED_VIOLATION and slope < ACCEPTED_SLOPE and self._settled(ACCEPTED_SLACK)
+        worth = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))  # of moves as large as the point, and as 1
+        flat = self._relative_slope() < ACCEPTED_SLOPE or worth <= GAIN_TOLERANCE * self._cost_size()
+        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._settled(ACCEPTED_SLACK)
 
     def _shorten_proximal(self) -> bool:
         """Let the next step go farther along directions of little cost; False if it goes as far as it can."""

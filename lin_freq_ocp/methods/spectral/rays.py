@@ -104,7 +104,7 @@ def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -
     at = signals(structure, data, np.zeros(border.size), y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
     moved = sum(np.conj(structure.spaces.N[i]) * at.force[i] for i in range(len(lti.M)))
-    stationarity = float(np.abs(moved).max()) / (float(np.abs(structure.spaces.N).max()) * size)
+    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), TINY) * size)
     slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     value, terms = _value(structure, data, working, y)
