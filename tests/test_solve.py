@@ -485,3 +485,9 @@ def test_results_cannot_be_changed(solved):
     for array in (result.trajectory.x, result.control, result.multipliers.eta, result.multipliers.rho_u):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
+
+
+def test_auto_wants_the_gap_proven_too(monkeypatch):
+    """The maximum principle alone accepts answers far off, where the cost hardly curves."""
+    monkeypatch.setattr("lin_freq_ocp.certificate.verdict.GAP_TOLERANCE", -1.0)
+    assert lfo.solve(lfo.library.two_mass_spring()).method == "convex"
