@@ -53,7 +53,8 @@ def real_array(field: str, value: Any, allow_infinite: bool = False) -> Array:
         raise ProblemError(
             f"{field}{where}", f"{array[bad].flat[0]}", "a finite number" if not allow_infinite else "a number"
         )
-    return frozen(array)
+    array.flags.writeable = False
+    return array
 
 
 def shaped(field: str, value: Any, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:

@@ -98,10 +98,11 @@ class Border:
         lti, e, w = self.lti, self.ends_count, self.spaces.weight
         W, v = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
-        weighted = np.tensordot(lti.M, W, 1)
-        self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
-        self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
-        self.H[:e, e:] = self.H[e:, :e].T
+        if e:
+            weighted = np.tensordot(lti.M, W, 1)
+            self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
+            self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
+            self.H[:e, e:] = self.H[e:, :e].T
         same = self.bins[:, None] == self.bins
         self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
         self.H[np.ix_(self.at_end, self.at_end)] += lti.P[np.ix_(self.free_end, self.free_end)]
@@ -119,6 +120,25 @@ class Border:
         phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
         return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
 
+    def everywhere(self, rows: Indices) -> Array:
+        """Return how the border moves F_f y_t of the given rows at all t < T: (size + equations, len(rows), T)."""
+        F = self.lti.F[rows]
+        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        if self.size:
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
+        moved[:, self.size : self.size + len(self.point_t)] = -self._point_responses(rows)
+        if len(self.bands):
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return moved.swapaxes(0, 1)
+
+    def _point_responses(self, rows: Indices) -> Array:
+        """Return what F_f y_t of some rows, at all t < T, lose by unit forces on the points: (len(rows), points, T)."""
+        responses = self.kernels.table[rows[:, None], self.point_f]
+        for i in np.flatnonzero(self.point_t):
+            responses[:, i] = np.roll(responses[:, i], self.point_t[i], axis=-1)
+        return responses
+
     def add(self, theta: Array, spectrum: ComplexArray) -> None:
         """Add the responses to theta to the spectrum (n+m, bins), in place."""
         for a in range(self.ends_count):
@@ -127,7 +147,7 @@ class Border:
 
     def _set_points(self) -> None:
         n = self.lti.state_dim
-        t, f = self.lti.fixed_points()
+        t, f = self.lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
         if len(self.point_t) > LARGEST_BORDER:
             raise UnsupportedError(
@@ -163,6 +183,7 @@ class Border:
             (i, real_rows(T + 1, lti.state_stop[:, i])) for i in range(lti.state_dim) if lti.state_stop[:, i].any()
         ]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
+        self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
         count = len(self.bands)
         self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
@@ -213,21 +234,29 @@ class Border:
         G = np.zeros((len(self.E), len(self.E)))
         G[:, :points] = self.responses(self.point_t, self.point_f)
         G[:points, first_band:] = G[first_band:, :points].T
-        for i in np.unique(self.band_component):
+        for i in self.band_components:
             mine = first_band + np.flatnonzero(self.band_component == i)
             G[first_band:, mine] = self.band_responses[i] @ self.bands[self.band_component == i, :-1].T
-        self.matrix = np.block([[self.H, self.E.T], [self.E, -(G + G.T) / 2]])
+        self.matrix = np.empty((self.size + len(G), self.size + len(G)))
+        self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
+        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
         self.dependent = _null_space(self.E.T, G)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
-        self.inverse = self.inverse_with(self.least_proximal)
-        at_ends, inside = np.split(np.abs(np.diagonal(self.inverse)[: self.size]), [self.ends_count])
-        unresolved = 0.1 / max(HESSIAN_ROUNDING * stiffest, SHORTEST_PROXIMAL * unit)
-        self.soft = bool(
-            at_ends.max(initial=0.0) > min(SOFT_END / unit, unresolved) or inside.max(initial=0.0) > SOFT / unit
-        )
-        if not self.soft:
+        try:
             self.inverse = self.inverse_with(0.0)
+            self.soft = self._gives_way()
+        except np.linalg.LinAlgError:
+            self.soft = True
+        if self.soft:
+            self.inverse = self.inverse_with(self.least_proximal)
+
+    def _gives_way(self) -> bool:
+        """Whether a border variable responds so much to a force that what is left of others would be rounding."""
+        unit, e = self.lti.curvature_unit, self.ends_count
+        response = np.abs(self.inverse.diagonal()[: self.size])
+        at_ends, inside = response[:e].max(initial=0.0), response[e:].max(initial=0.0)
+        return not (at_ends <= min(SOFT_END / unit, 0.1 / self.least_proximal) and inside <= SOFT / unit)
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -238,19 +267,26 @@ class Border:
     def inverse_with(self, proximal: float) -> Array:
         """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
         matrix, n = self.proximal_matrix(proximal), self.size
-        matrix[n:, n:] -= self.dependent @ self.dependent.T / self.lti.curvature_unit
-        inverse = _equilibrated_inverse(matrix)
-        inverse[n:, n:] += self.lti.curvature_unit * self.dependent @ self.dependent.T
+        if self.dependent.size:
+            onto = self.dependent @ self.dependent.T
+            matrix[n:, n:] -= onto / self.lti.curvature_unit
+            inverse = _equilibrated_inverse(matrix)
+            inverse[n:, n:] += self.lti.curvature_unit * onto
+        else:
+            inverse = _equilibrated_inverse(matrix)
         return (inverse + inverse.T) / 2
 
 
 def _null_space(rows: Array, gram: Array) -> Array:
     """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
+    rounding = EQUATION_ROUNDING * float(np.abs(gram).max())
+    if np.linalg.eigvalsh(gram)[0] > rounding:
+        return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
     rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
     unseen = V[rank:].T
     eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
-    return unseen @ vectors[:, eigenvalues <= EQUATION_ROUNDING * float(np.abs(gram).max())]
+    return unseen @ vectors[:, eigenvalues <= rounding]
 
 
 def _equilibrated_inverse(matrix: Array) -> Array:

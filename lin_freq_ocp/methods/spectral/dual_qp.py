@@ -64,9 +64,11 @@ def nonnegative_qp(S: Array, d: Array, start: Array, unconstrained: Array | None
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
     size = max(float((np.abs(d) * unit).max()), TINY)
     A, b, warm = S * unit[:, None] * unit, d * unit / size, start / unit / size
-    controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
     lam = block_pivoting(A, b, warm) if len(d) <= PIVOTING_ROWS else None
-    if lam is None and len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
+    if lam is not None:
+        return lam * unit * size, True
+    controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
+    if len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
         lam = active_set(A, b)
     content = lam is not None
     if lam is None:

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.spectral.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.violations import Violations
+from lin_freq_ocp.methods.spectral.whole_horizon import Multiplied, WholeHorizon, settled
 from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet, bounded
 from lin_freq_ocp.problem.arrays import Array
 
@@ -93,6 +94,7 @@ class Outcome:
     signals : Signals; theta, multipliers : arrays; working : WorkingSet
         The last point, with the multipliers of equations and rows that made it.
     rounds : int
+        Small QPs that were solved.
     violation : float
         Worst relative violation of a bound.
     cost : float
@@ -114,9 +116,11 @@ class Outcome:
 
 
 class Exchange:
-    """One solve: the point, its working rows, and the rules of a round."""
+    """One solve: the point, its working rows, and the rules of a round; ``stop`` says why to stop early, or None."""
 
-    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float):
+    def __init__(
+        self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Callable[[], str | None]
+    ):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
         self.violations = Violations(data.lti)
@@ -129,29 +133,31 @@ class Exchange:
         self.proximal, self.best, self.flattest, self.stalled = data.lti.curvature_unit, np.inf, np.inf, 0
         self.unconstrained = _unconstrained_response(structure)
         self.soft = self.border.soft
+        self.whole = structure.whole_horizon(self.violations.rows)
         self.ray: Ray | None = None
-        self.tolerance = tolerance
+        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         self._evaluate()
 
-    def run(self, rounds: int, stop: Callable[[], str | None]) -> Outcome:
-        """Exchange until optimal; ``stop`` returns why to stop early, or None."""
+    def run(self, rounds: int) -> Outcome:
+        """Exchange until optimal, evaluating all signals so many times at most."""
         added = len(self.working)
         for count in range(1, rounds + 1):
+            self.rounds += 1
             diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
             self._step(ask=diverging or count % ASK_FOR_RAY == 0)
             if self.ray is not None:
-                return self._outcome("infeasible", "no trajectory satisfies all constraints", count)
+                return self._outcome("infeasible", "no trajectory satisfies all constraints")
             if self._optimal(added):
-                return self._outcome("optimal", "", count)
+                return self._outcome("optimal")
             if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > ENDLESS:
-                return self._outcome("unbounded", "the cost falls without end", count)
-            reason = stop()
+                return self._outcome("unbounded", "the cost falls without end")
+            reason = self.stop()
             if reason is not None:
-                return self._outcome("limit", reason, count)
+                return self._outcome("limit", reason)
             added = self._exchange_rows(count)
         if self._accurate():
-            return self._outcome("optimal", "", rounds)
-        return self._outcome("numerical_error", f"not settled after {rounds} rounds", rounds)
+            return self._outcome("optimal")
+        return self._outcome("numerical_error", f"not settled after {self.rounds} rounds")
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
@@ -192,7 +198,8 @@ class Exchange:
         """Correct the defects of the present point, with the best weights for the working rows."""
         working, border = self.working, self.border
         right = np.concatenate([-self._slope(), self.residual])
-        step, new, ray = (self._soft_step if self.soft else self._stiff_step)(right, ask)
+        whole = None if ask or self.whole is None else self._whole_step(self.whole, right)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(right, ask)
         self.ray = ray
         if ray is not None:
             return
@@ -202,6 +209,25 @@ class Exchange:
         self._evaluate()
         if self._relative_residual() > INCONSISTENT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
+
+    def _whole_step(self, whole: WholeHorizon, right: Array) -> tuple[Array, Array, None] | None:
+        """Return the step of the border and weights after as many rounds as are needed; None if a row is in doubt."""
+        working, step = self.working, self.border.inverse @ right
+        places = whole.places(working.t, working.f)
+        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        if len(working):
+            base += whole.response(places, working.sign * working.weights)
+            step += whole.through[:, places] @ (working.sign * working.weights)
+        start = Multiplied(places, working.sign, working.weights)
+        found = settled(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        rows = Rows(whole.t[found.places], whole.f[found.places], found.sign, found.weights)
+        self.rounds += max(0, found.rounds - 1)
+        if not found.content:
+            working.add(rows.t, rows.f, rows.sign)
+            self.values = working.values(self.signals.y, self.signals.last)
+            return None
+        working.replace(rows, whole.coupling[:, found.places] * found.sign)
+        return step - whole.through[:, found.places] @ (found.sign * found.weights), found.weights, None
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         """Return the step of the border, weights and perhaps a ray, with the border eliminated.
@@ -303,7 +329,7 @@ class Exchange:
         self.values = self.working.values(self.signals.y, self.signals.last)
         return added
 
-    def _outcome(self, status: str, words: str, rounds: int) -> Outcome:
+    def _outcome(self, status: str, words: str = "") -> Outcome:
         return Outcome(
             status,
             words,
@@ -311,7 +337,7 @@ class Exchange:
             self.theta,
             self.multipliers,
             self.working,
-            rounds,
+            self.rounds,
             self.violations.worst,
             self._cost(),
             self.ray,

@@ -29,6 +29,9 @@ FORGOTTEN = 40.0
 ON_CIRCLE = 1e-6
 """|log |lambda|| of a mode that never forgets: it is not counted."""
 
+WORTHWHILE = 8
+"""How many times shorter that horizon must be at least: else samples are held together."""
+
 SHORTEST = 10
 """The shortened horizon is at least this fraction of the whole."""
 
@@ -58,7 +61,7 @@ def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict
             structures[coarse.horizon] = Structure(coarse)
         structure = structures[coarse.horizon]
         guess = first_working_set(coarse, stop, structures)
-        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance).run(ROUNDS, stop)
+        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance, stop).run(ROUNDS)
     except (UnsupportedError, np.linalg.LinAlgError):  # a guess is all that is lost
         return None
     if outcome.status != "optimal":
@@ -72,11 +75,12 @@ def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict
 
 
 def _shortened_horizon(lti: Lti) -> int | None:
-    """Return the horizon at which the ends no longer see each other, if it is much shorter."""
+    """Return the horizon at which the ends no longer see each other, if it is WORTHWHILE."""
     rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
     rate = rate[rate > ON_CIRCLE]
     memory = int(FORGOTTEN / rate.min()) if len(rate) else lti.horizon
-    return max(2 * memory, lti.horizon // SHORTEST) if 2 * memory < lti.horizon else None
+    shorter = max(2 * memory, lti.horizon // SHORTEST)
+    return shorter if shorter <= lti.horizon // WORTHWHILE else None
 
 
 def _shortened(lti: Lti, T: int) -> Lti:

@@ -21,28 +21,30 @@ class Kernels:
     table : (rows, rows, T)
         Entries of pairs that are not ``known`` are undefined, and their memory is never touched.
     known : (rows, rows)
+    complete : bool
+        Whether all are, without asking ``known``.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces):
         self.lti, self.spaces, rows = lti, spaces, len(lti.F)
         self.known = np.zeros((rows, rows), dtype=bool)
-        if rows * rows * lti.horizon <= SMALL_TABLE:
+        self.complete = rows * rows * lti.horizon <= SMALL_TABLE
+        if self.complete:
             NF = np.stack([self._row(f) for f in range(rows)])
             kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
-            self.table = (kernels + np.roll(kernels[:, :, ::-1], 1, axis=2).swapaxes(0, 1)) / 2
-            self.known[:] = True
+            self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
         else:
             self.table = np.empty((rows, rows, lti.horizon))
 
     def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
-        if not self.known.all():
+        if not self.complete:
             self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
-        return self.table[f[:, None], g, (t[:, None] - s) % self.lti.horizon]
+        return self.table[f[:, None], g, t[:, None] - s]  # a negative index counts from the end of the circle
 
     def free_response(self, f: Indices) -> Array:
         """Return K_ff(0) of each row: how far a unit force moves its own row without any equations."""
-        if not self.known.all():
+        if not self.complete:
             self._require([(int(a), int(a)) for a in np.unique(f)])
         return self.table[f, f, 0]
 

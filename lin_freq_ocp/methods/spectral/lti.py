@@ -10,6 +10,7 @@ Units are powers of two: changing to them and back rounds nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -84,22 +85,23 @@ class Lti:
         """Return m."""
         return self.B.shape[1]
 
-    @property
+    @cached_property
     def state_cost(self) -> bool:
         """Whether Q or S is not zero."""
         return bool(self.M[: self.state_dim].any())
 
-    @property
+    @cached_property
     def curvature_unit(self) -> float:
         """Return the mean diagonal entry of R, of Q if R = 0: what a small Hessian is small against."""
         n = self.state_dim
         return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
 
-    @property
+    @cached_property
     def cost_level(self) -> float:
         """Return what a stage or the end costs where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
 
+    @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
         """Return (t, f) of the rows F_f y_t that bounds leave no freedom, other than fixed ends: 0 <= t < T."""
         f, t = np.nonzero(self.lower == self.upper)
@@ -166,7 +168,7 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     y = np.concatenate([x, u])
     rows = [_joined(one.C * x, one.D * u) for one in problem.stage_rows]
     scaled_rows = np.concatenate([*rows, np.zeros((0, len(y)))]) / units.rows[:, None]
-    M = np.block([[cost.Q, cost.S], [cost.S.T, cost.R]]) * y * y[:, None] / units.cost
+    M = cost.stage_hessians()[0] * y * y[:, None] / units.cost
     linear = _linear_terms(problem)
     offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
     states, lower, upper = problem.state_tube, *_bounds(problem, units)
@@ -201,9 +203,10 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
     u_ref = np.atleast_2d(cost.u_ref)
     in_x = np.atleast_2d(cost.q) - x_ref @ cost.Q.T - u_ref @ cost.S.T
     in_u = np.atleast_2d(cost.r) - u_ref @ cost.R.T - x_ref @ cost.S
+    if not (in_x.any() or in_u.any()):
+        return None
     times = max(len(in_x), len(in_u))
-    h = np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
-    return h if h.any() else None
+    return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
 
 
 def _cost_at_zero(problem: OptimalControlProblem) -> float:

@@ -43,7 +43,7 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
 def _missed_values(lti: Lti, y: Array, x: Array) -> float:
     """Return how far x_0, values that bounds fix, and the stopped bins of states are off, relative to the signals."""
     size = max(float(np.abs(y).max()), LEAST_SIZE)
-    t, f = lti.fixed_points()
+    t, f = lti.fixed_points
     start = np.where(np.isnan(lti.start), 0.0, lti.start - x[:, 0])
     missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
     if not lti.state_stop.any():

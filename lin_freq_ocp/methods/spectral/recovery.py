@@ -105,7 +105,7 @@ def _state_band_multipliers(structure: Structure, lti: Lti, y: Array) -> Complex
     border = structure.border
     rho = np.zeros(lti.state_stop.shape, dtype=np.complex128)
     on_bands = y[len(y) - len(border.bands) :]
-    for i in np.unique(border.band_component):
+    for i in border.band_components:
         rho[:, i] = bin_multipliers(lti.horizon + 1, lti.state_stop[:, i], on_bands[border.band_component == i])
     return rho
 

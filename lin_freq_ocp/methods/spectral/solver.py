@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -153,7 +154,7 @@ class SpectralSolver:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         data = prepare(self._structure, lti)
-        return data, Exchange(self._structure, data, first, tolerance).run(ROUNDS, stop)
+        return data, Exchange(self._structure, data, first, tolerance, stop).run(ROUNDS)
 
     def _require_own(self, warm_start: SpectralSolution) -> None:
         other, rows = warm_start.problem, sum(family.rows for family in self.problem.stage_rows)
@@ -196,7 +197,7 @@ class SpectralSolver:
                 raise ProblemError(
                     field, "other fixed components than in the problem", "the same ones", "Make a new SpectralSolver."
                 )
-        if not all(np.array_equal(a, b) for a, b in zip(self._lti.fixed_points(), lti.fixed_points(), strict=True)):
+        if not all(np.array_equal(a, b) for a, b in zip(self._lti.fixed_points, lti.fixed_points, strict=True)):
             raise ProblemError(
                 "bounds", "other values fixed by lower == upper", "the same ones", "Make a new SpectralSolver."
             )
@@ -229,14 +230,23 @@ class SpectralSolver:
         )
 
 
-def one_blas_thread() -> Any:
-    """Return a context in which linear algebra uses one thread."""
-    return _controller().limit(limits=1, user_api="blas")
+@contextmanager
+def one_blas_thread() -> Generator[None]:
+    """Let linear algebra use one thread."""
+    threads = [(library, library.num_threads) for library in _blas_libraries()]
+    several = [(library, before) for library, before in threads if before != 1]
+    for library, _ in several:
+        library.set_num_threads(1)
+    try:
+        yield
+    finally:
+        for library, before in several:
+            library.set_num_threads(before)
 
 
 @cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()
+def _blas_libraries() -> list[Any]:
+    return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def _structure(lti: Lti) -> Structure:

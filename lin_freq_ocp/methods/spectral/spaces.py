@@ -193,22 +193,20 @@ class BinSpaces:
         """Yield near bins that share a passed mask and are all real or all complex."""
         if not len(self.near):
             return
-        labels = np.vstack([self.lti.passed[:, self.near], self.weight[self.near] == 1])
-        patterns, which = np.unique(labels, axis=1, return_inverse=True)
-        for i, pattern in enumerate(patterns.T):
-            yield self.near[which.ravel() == i], pattern[:-1]
+        labels = np.vstack([self.lti.passed[:, self.near], self.weight[self.near] == 1]).T
+        alike: dict[bytes, list[int]] = {}
+        for i, label in enumerate(labels):
+            alike.setdefault(label.tobytes(), []).append(i)
+        for places in alike.values():
+            yield self.near[places], labels[places[0], :-1]
 
     def _decompose(self, k: Indices, passed: Mask) -> tuple[NearBins, ComplexArray, Array]:
         """Return the decomposition, and null vectors (count, n+m, columns) that diagonalise M, with their costs."""
         lti, n = self.lti, self.lti.state_dim
         allowed = np.concatenate([np.arange(n), n + np.flatnonzero(passed)])
-        F = np.concatenate(
-            [
-                self.z[k][:, None, None] * np.eye(n) - lti.A,
-                np.broadcast_to(-lti.B[:, passed], (len(k), n, int(passed.sum()))),
-            ],
-            axis=2,
-        )
+        F = np.empty((len(k), n, len(allowed)), dtype=np.complex128)
+        F[:, :, :n], F[:, :, n:] = -lti.A, -lti.B[:, passed]
+        F[:, np.arange(n), np.arange(n)] += self.z[k, None]
         left, sigma, right = np.linalg.svd(F.real if self.weight[k[0]] == 1 else F)
         V = np.zeros((len(k), len(lti.M), len(allowed)), dtype=right.dtype)
         V[:, allowed] = right.conj().swapaxes(1, 2)
@@ -216,7 +214,10 @@ class BinSpaces:
         sigma = np.where(sigma < ZERO_SINGULAR_VALUE * largest, 0.0, sigma)
         group = NearBins(k, left, sigma, V[:, :, :n], sigma > SMALL_SINGULAR_VALUE * largest)
         null = V[:, :, n:]
-        h, vectors = np.linalg.eigh(null.conj().swapaxes(1, 2) @ lti.M @ null)
+        cost = null.conj().swapaxes(1, 2) @ lti.M @ null
+        if cost.shape[1] == 1:
+            return group, null, cost.real[:, 0]
+        h, vectors = np.linalg.eigh(cost)
         return group, null @ vectors, h
 
     def _border_threshold(self, costs: Array) -> float:
@@ -235,14 +236,22 @@ class BinSpaces:
         if lti.state_cost:
             response -= self.project(np.tensordot(lti.M, response, 1))
         elif len(self.near):  # elsewhere the response has u = 0, and M sees u only
-            at_near = np.tensordot(lti.M, response[:, :, self.near], 1)
-            response[:, :, self.near] -= self.project(at_near, self.near)
+            at_near = response[:, :, self.near]
+            weighted = (lti.M @ at_near.reshape(len(at_near), -1)).reshape(at_near.shape)
+            response[:, :, self.near] = at_near - self.project(weighted, self.near)
         return response
 
     def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:
         """Return K g = N N^* g, for g (n+m, columns, bins)."""
         N = self.N[:, :, bins]
         return np.einsum("iak,ack->ick", N, np.einsum("iak,ick->ack", N.conj(), g))
+
+    def response(self, force: ComplexArray) -> ComplexArray:
+        """Return N N^* force, shape (n+m, bins)."""
+        if self.lti.control_dim == 1:
+            N = self.N[:, 0]
+            return N * (N.conj() * force).sum(0)
+        return self.project(force[:, None])[:, 0]
 
     def respond(self, force: ComplexArray, used: Mask, spectrum: ComplexArray) -> None:
         """Subtract N N^* force from the spectrum (n+m, bins), in place; only the ``used`` components are not zero."""

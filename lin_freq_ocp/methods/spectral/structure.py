@@ -11,8 +11,9 @@ from lin_freq_ocp.methods.spectral.border import Border
 from lin_freq_ocp.methods.spectral.kernels import Kernels
 from lin_freq_ocp.methods.spectral.lti import Lti
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.working_set import WorkingSet
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
 
 
 class Structure:
@@ -22,6 +23,16 @@ class Structure:
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
         self.border = Border(lti, self.spaces, self.kernels)
+        self._whole: WholeHorizon | None = None
+
+    def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
+        """Return the responses of all values of the given rows of F; None if they are many, or the border is soft."""
+        T = self.border.lti.horizon
+        if self.border.soft or not self.kernels.complete or not len(rows) or len(rows) * T > LARGEST:
+            return None
+        if self._whole is None or not np.array_equal(self._whole.rows, rows):
+            self._whole = WholeHorizon(self.border, rows)
+        return self._whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +112,19 @@ def _forces(structure: Structure, lti: Lti, multipliers: Array, working: Working
     np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
     np.add.at(pulses, (border.point_f, border.point_t), multipliers[: len(border.point_t)])
     acting = np.zeros(len(lti.F), dtype=bool)
-    acting[working.f[inner]] = acting[border.point_f] = True
+    acting[working.f[inner]] = True
+    acting[border.point_f] |= bool(multipliers.any())
     force = pulses[:dimension]
     if acting[dimension:].any():
         force += lti.F[dimension:].T @ pulses[dimension:]
         acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
     used = acting[:dimension]
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
-    spectrum[used] = fft.rfft(force[used])
+    if used.any():
+        spectrum[used] = fft.rfft(force[used])
     if len(border.bands):
         on_bands = multipliers[-len(border.bands) :]
-        for i in np.unique(border.band_component):
+        for i in border.band_components:
             mine = border.band_component == i
             spectrum[i] += on_bands[mine] @ border.band_hat[mine]
             used[i] = True

@@ -40,29 +40,40 @@ class Violations:
         self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
         self.lower, self.upper = _chosen(lti.lower, self.rows), _chosen(lti.upper, self.rows)
         self.state_rows = ~lti.F[self.rows, n:].any(1)
+        self._states = np.flatnonzero(self.state_rows)
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         ends = np.stack([lti.last_lower, lti.last_upper])
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, largest, 1.0)
+        self._row_scale = self.scale[self.rows, None]
         self.free_end = np.isnan(lti.end)
-        t, f = lti.fixed_points()
+        t, f = lti.fixed_points
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
         t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
-        bounded = np.isin(f, self.rows)
-        self.fixed = np.searchsorted(self.rows, f[bounded]), t[bounded]
+        place = np.full(len(lti.F), -1)
+        place[self.rows] = np.arange(len(self.rows))
+        bounded = place[f] >= 0
+        self.fixed = place[f[bounded]], t[bounded]
         self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
 
     def measure(self, y: Array, last: Array) -> float:
         """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
+        return self.measure_values(self.values(y), last)
+
+    def values(self, y: Array) -> Array:
+        """Return F y of the bounded rows, shape (bounded, T)."""
+        return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
+
+    def measure_values(self, values: Array, last: Array) -> float:
+        """Measure what ``values`` returned, and last = x_T; return the worst excess."""
         lti, n = self.lti, self.lti.state_dim
-        values = y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y
         np.subtract(values, self.upper, out=self.excess)
-        np.subtract(self.lower, values, out=values)
-        self.above = self.excess >= values
-        np.maximum(self.excess, values, out=self.excess)
-        self.excess /= self.scale[self.rows, None]
+        below = self.lower - values
+        self.above = self.excess >= below
+        np.maximum(self.excess, below, out=self.excess)
+        self.excess /= self._row_scale
         self.excess[self.fixed] = ABSENT
         over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
         self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
@@ -77,10 +88,22 @@ class Violations:
         times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
         return times, np.concatenate([self.rows[i], ends]), sign
 
+    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+        """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
+        mask = np.concatenate([self._mask(tolerance).ravel(), self.last > tolerance / 2])
+        above = np.concatenate([self.above.ravel(), self.last_above])
+        index = np.flatnonzero(mask)
+        return index, np.where(above[index], 1.0, -1.0)
+
+    def flat_bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds over the same."""
+        lti = self.lti
+        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
+
     def _mask(self, tolerance: float) -> Mask:
         threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
         mask = self.excess > threshold[:, None]
-        states = np.flatnonzero(self.state_rows)
+        states = self._states
         if mask[states].any():
             mask[states] &= self._peaks(self.excess[states])
             heights = self.excess[states][mask[states]]

@@ -46,8 +46,6 @@ class WorkingSet:
         Their multipliers, >= 0.
     coupling : (size + equations, count)
         C = [dG/dtheta'; -S_EW].
-    gram : (count, count)
-        S_W, without the border's part.
     """
 
     def __init__(self, border: Border):
@@ -57,11 +55,18 @@ class WorkingSet:
         self.sign: Array = np.zeros(0)
         self.weights: Array = np.zeros(0)
         self.coupling: Array = np.zeros((len(border.matrix), 0))
-        self.gram: Array = np.zeros((0, 0))
+        self._known_gram: Array | None = None
         self._present = np.zeros((2, len(border.lti.F), border.lti.horizon + 1), dtype=bool)
 
     def __len__(self) -> int:
         return len(self.t)
+
+    @property
+    def gram(self) -> Array:
+        """Return S_W, without the border's part, shape (count, count)."""
+        if self._known_gram is None:
+            self._known_gram = self._gram()
+        return self._known_gram
 
     @property
     def inner(self) -> Mask:
@@ -84,25 +89,28 @@ class WorkingSet:
             self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
             self.t, self.f = self.t[kept], self.f[kept]
             self.sign, self.weights = self.sign[kept], self.weights[kept]
-            self.coupling, self.gram = self.coupling[:, kept], self.gram[np.ix_(kept, kept)]
+            self.coupling = self.coupling[:, kept]
+            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
 
     def add(self, t: Indices, f: Indices, sign: Array) -> int:
         """Add the rows that are not here yet, with weight 0; return how many."""
         new = ~self._present[(sign > 0).astype(np.intp), f, t]
         t, f, sign = t[new], f[new], sign[new]
-        before, count = len(self), len(self) + len(t)
-        if count == before:
+        if not len(t):
             return 0
         self._mark(t, f, sign, True)
-        gram = np.zeros((count, count))
-        gram[:before, :before] = self.gram
-        gram[before:, before:] = self._gram(t, f, sign, t, f, sign)
-        gram[before:, :before] = self._gram(t, f, sign, *self.rows())
-        gram[:before, before:] = gram[before:, :before].T
-        self.gram, self.coupling = gram, np.hstack([self.coupling, self._coupling(t, f, sign)])
+        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling(t, f, sign)]), None
         self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
         self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
-        return count - before
+        return len(t)
+
+    def replace(self, rows: Rows, coupling: Array) -> None:
+        """Take other rows, with their coupling."""
+        self._mark(self.t, self.f, self.sign, False)
+        self.t, self.f, self.sign = rows.t, rows.f, rows.sign
+        self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
+        self.coupling, self._known_gram = coupling, None
+        self._mark(self.t, self.f, self.sign, True)
 
     def limits(self, lti: Lti) -> Array:
         """Return the right-hand sides of the rows, shape (count,)."""
@@ -124,14 +132,11 @@ class WorkingSet:
     def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
         self._present[(sign > 0).astype(np.intp), f, t] = present
 
-    def _gram(self, t: Indices, f: Indices, sign: Array, s: Indices, g: Indices, other: Array) -> Array:
-        T = self._border.lti.horizon
-        first, second = t < T, s < T
-        if first.all() and second.all():
-            return self._border.kernels.gram(t, f, s, g) * sign[:, None] * other
-        result = np.zeros((len(t), len(s)))
-        result[np.ix_(first, second)] = self._border.kernels.gram(t[first], f[first], s[second], g[second])
-        return result * sign[:, None] * other
+    def _gram(self) -> Array:
+        inner, gram = self.inner, np.zeros((len(self), len(self)))
+        t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
+        gram[np.ix_(inner, inner)] = self._border.kernels.gram(t, f, t, f) * sign[:, None] * sign
+        return gram
 
     def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
         border, inner = self._border, t < self._border.lti.horizon
