@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import Mask, brief, positive_integer, real_array
+from lin_freq_ocp.problem.arrays import Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.sets import Box, end_set, stacked
@@ -78,7 +79,29 @@ class OptimalControlProblem:
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
-        _ = self.state_tube, self.control_tube, self.control_stop, self.state_stop  # validated here, kept for later
+        _ = self.ends, self.control_tube, self.control_stop, self.state_stop  # validated here, kept for later
+
+    def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
+        """Return the same problem with other ends; nothing else is looked at again.
+
+        Parameters
+        ----------
+        initial_state, terminal_state : (n,) or Box, optional
+            None keeps what the problem has; a free end is Everything().
+
+        Raises
+        ------
+        ProblemError
+            If an end does not fit the problem.
+        """
+        problem, ends = copy(self), list(self.ends)
+        for t, field, given in ((0, "initial_state", initial_state), (-1, "terminal_state", terminal_state)):
+            if given is not None:
+                assign(problem, **{field: end_set(field, given, self.state_dim)})
+                ends[t] = getattr(problem, field).intersection(self.state_boxes.at(t), field)
+        problem.__dict__["ends"] = tuple(ends)
+        problem.__dict__.pop("state_tube", None)
+        return problem
 
     @property
     def state_dim(self) -> int:
@@ -106,13 +129,25 @@ class OptimalControlProblem:
         return tuple(self.dynamics.control_names or ())
 
     @cached_property
+    def state_boxes(self) -> Box:
+        """The state set of each time, bounds of shape (T+1, n), without the initial and the terminal set."""
+        return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
+
+    @cached_property
+    def ends(self) -> tuple[Box, Box]:
+        """X_0 and X_T, bounds of shape (n,): the initial and the terminal set, within the state sets of their times."""
+        boxes = self.state_boxes
+        return (
+            self.initial_state.intersection(boxes.at(0), "initial_state"),
+            self.terminal_state.intersection(boxes.at(-1), "terminal_state"),
+        )
+
+    @cached_property
     def state_tube(self) -> Box:
         """X_0 .. X_T, bounds of shape (T+1, n): the state set of each time, with the initial and terminal sets."""
-        tube = stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
-        lower, upper = tube.lower.copy(), tube.upper.copy()
-        for t, field, end in ((0, "initial_state", self.initial_state), (-1, "terminal_state", self.terminal_state)):
-            both = end.intersection(Box(lower[t], upper[t]), field)
-            lower[t], upper[t] = both.lower, both.upper
+        lower, upper = self.state_boxes.lower.copy(), self.state_boxes.upper.copy()
+        for t, end in zip((0, -1), self.ends, strict=True):
+            lower[t], upper[t] = end.lower, end.upper
         return Box(lower, upper)
 
     @cached_property

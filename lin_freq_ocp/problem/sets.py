@@ -60,7 +60,7 @@ class Box:
 
     def intersection(self, other: Box, field: str) -> Box:
         """Return the box of points in both; ProblemError where there is none."""
-        lower, upper = np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper)
+        lower, upper = frozen(np.maximum(self.lower, other.lower)), frozen(np.minimum(self.upper, other.upper))
         if (lower > upper).any():
             i = int(np.argmax(lower > upper))
             raise ProblemError(
@@ -69,7 +69,11 @@ class Box:
                 f"a point within the bounds [{other.lower[i]:g}, {other.upper[i]:g}] of that time",
                 "Widen the bounds or move the point.",
             )
-        return Box(lower, upper)
+        return _checked(lower, upper)
+
+    def at(self, t: int) -> Box:
+        """Return the box of one time, of bounds (times, n)."""
+        return _checked(self.lower[t], self.upper[t])
 
     @property
     def fixed(self) -> Mask:
@@ -168,6 +172,13 @@ def end_set(field: str, given: Any, dimension: int) -> Box:
     box = given.at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
+    return box
+
+
+def _checked(lower: Array, upper: Array) -> Box:
+    """Return a box of bounds that are already known to be good, without looking at them again."""
+    box = Box.__new__(Box)
+    assign(box, lower=lower, upper=upper)
     return box
 
 

@@ -18,8 +18,7 @@ from lin_freq_ocp.methods.spectral.lti import LEAST_SIZE
 from lin_freq_ocp.methods.spectral.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
-from lin_freq_ocp.methods.spectral.violations import Violations
-from lin_freq_ocp.methods.spectral.whole_horizon import Multiplied, WholeHorizon, settled
+from lin_freq_ocp.methods.spectral.whole_horizon import WholeHorizon, settled
 from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet, bounded
 from lin_freq_ocp.problem.arrays import Array
 
@@ -123,17 +122,17 @@ class Exchange:
     ):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
-        self.violations = Violations(data.lti)
-        if first is not None:
-            first = bounded(first, data.lti)
-            self.working.add(first.t, first.f, first.sign)
-            if first.weights is not None:
-                self.working.weights = first.weights
+        self.violations = structure.violations(data.lti)
+        self.whole = structure.whole_horizon(self.violations.rows)
+        self.first = None if first is None else bounded(first, data.lti)
+        if self.first is not None and self.whole is None:
+            self.working.add(self.first.t, self.first.f, self.first.sign)
+            if self.first.weights is not None:
+                self.working.weights = self.first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.flattest, self.stalled = data.lti.curvature_unit, np.inf, np.inf, 0
-        self.unconstrained = _unconstrained_response(structure)
+        self.unconstrained = structure.unconstrained
         self.soft = self.border.soft
-        self.whole = structure.whole_horizon(self.violations.rows)
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         self._evaluate()
@@ -213,12 +212,12 @@ class Exchange:
     def _whole_step(self, whole: WholeHorizon, right: Array) -> tuple[Array, Array, None] | None:
         """Return the step of the border and weights after as many rounds as are needed; None if a row is in doubt."""
         working, step = self.working, self.border.inverse @ right
-        places = whole.places(working.t, working.f)
         base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
         if len(working):
-            base += whole.response(places, working.sign * working.weights)
-            step += whole.through[:, places] @ (working.sign * working.weights)
-        start = Multiplied(places, working.sign, working.weights)
+            places, mu = whole.places(working.t, working.f), working.sign * working.weights
+            base += whole.response(places, mu)
+            step += whole.through[:, places] @ mu
+        start, self.first = whole.multiplied(self.first or Rows(*working.rows(), working.weights)), None
         found = settled(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.places], whole.f[found.places], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
@@ -354,14 +353,3 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Callable
         return "time limit" if time.perf_counter() > end else None
 
     return stop
-
-
-def _unconstrained_response(structure: Structure) -> Array | None:
-    """Return 1/R for control rows and 0 for others, where diag(1/R) - S >= 0: R diagonal, S = 0."""
-    lti, n = structure.border.lti, structure.border.lti.state_dim
-    R = lti.M[n:, n:]
-    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
-        return None
-    response = np.zeros(len(lti.F))
-    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
-    return response

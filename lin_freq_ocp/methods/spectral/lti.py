@@ -9,7 +9,7 @@ Units are powers of two: changing to them and back rounds nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
 
 LEAST_SIZE = 1e-4
 """In natural units: what should be zero holds rounding only, and is not measured more finely than this."""
@@ -171,8 +172,8 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     M = cost.stage_hessians()[0] * y * y[:, None] / units.cost
     linear = _linear_terms(problem)
     offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
-    states, lower, upper = problem.state_tube, *_bounds(problem, units)
-    start, end = (np.where(states.fixed[t], states.lower[t], np.nan) / x for t in (0, T))
+    lower, upper = _bounds(problem, units)
+    start, end = (_point(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     return Lti(
         A=dynamics.A * x / x[:, None],
@@ -190,10 +191,27 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
         lower=lower,
         upper=upper,
-        last_lower=states.lower[T] / x,
-        last_upper=states.upper[T] / x,
+        last_lower=problem.ends[1].lower / x,
+        last_upper=problem.ends[1].upper / x,
         constant=_cost_at_zero(problem) / units.cost,
     )
+
+
+def with_ends(lti: Lti, problem: OptimalControlProblem, units: Units) -> Lti:
+    """Return what ``lti_problem`` does, from its answer for other ends; x_0 is a point in both."""
+    start, end = problem.ends
+    return replace(
+        lti,
+        start=start.lower / units.x,
+        end=_point(end) / units.x,
+        last_lower=end.lower / units.x,
+        last_upper=end.upper / units.x,
+    )
+
+
+def _point(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
 
 
 def _linear_terms(problem: OptimalControlProblem) -> Array | None:

@@ -80,8 +80,7 @@ def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) ->
     spaces, border, n = structure.spaces, structure.border, structure.border.lti.state_dim
     with np.errstate(all="ignore"):
         eta = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
-    for group in spaces.groups:
-        eta[:, group.k] = -group.adjoint(gradient[:, group.k])
+    eta[:, spaces.near.k] = -spaces.near.adjoint(gradient[:, spaces.near.k])
     place = len(border.point_t)
     for scale, singular in zip(border.singular_scale, spaces.singular, strict=True):
         weight = spaces.weight[singular.k]

@@ -18,7 +18,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
 from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange, Outcome, deadline
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
 from lin_freq_ocp.methods.spectral.optimality import residuals
 from lin_freq_ocp.methods.spectral.recovery import in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.structure import Data, Structure, prepare
@@ -177,18 +177,18 @@ class SpectralSolver:
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
         changes: dict[str, Any] = dict(_known("bounds", bounds, BOUNDS))
-        if initial_state is not None:
-            changes["initial_state"] = initial_state
-        if terminal_state is not None:
-            changes["terminal_state"] = terminal_state
         if references:
             cost, known = self.problem.cost, _known("references", references, REFERENCES)
             terms = {name: getattr(cost, name) for name in ("Q", "R", "S", "q", "r", "P", "p", *REFERENCES)}
             changes["cost"] = QuadraticCost(**(terms | dict(known)))
-        if not changes:
+        problem = replace(self.problem, **changes) if changes else self.problem
+        moved = initial_state is not None or terminal_state is not None
+        if moved:
+            problem = problem.with_ends(initial_state, terminal_state)
+        if not (changes or moved):
             return self.problem, self._lti
-        problem = replace(self.problem, **changes)
-        lti = lti_problem(problem, self._units)
+        points = all(one.ends[0].fixed.all() for one in (self.problem, problem))
+        lti = lti_problem(problem, self._units) if changes or not points else with_ends(self._lti, problem, self._units)
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),

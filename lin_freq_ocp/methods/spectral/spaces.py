@@ -44,9 +44,8 @@ SINGULAR_HESSIAN = 1e-13
 """Relative eigenvalue of N^*MN at which the cost does not see a direction, and the method refuses."""
 
 
-@dataclass(frozen=True, eq=False)
 class NearBins:
-    """F_k = L diag(sigma) V^* at some near bins that share a passed mask.
+    """F_k = L diag(sigma) V^* at the near bins.
 
     Attributes
     ----------
@@ -55,25 +54,60 @@ class NearBins:
         Rows of stopped controls in ``right`` are zero.
     good : (count, n)
         Which singular values are divided by.
+    null : (count, n+m, m); cost : (count, m)
+        Null vectors of F_k that diagonalise M, and their costs; zero, and inf, where a control is stopped.
     """
 
-    k: Indices
-    left: ComplexArray
-    sigma: Array
-    right: ComplexArray
-    good: Mask
+    def __init__(self, lti: Lti, k: Indices, z: ComplexArray):
+        self.k, n, m = k, lti.state_dim, lti.control_dim
+        self.left = np.empty((len(k), n, n), dtype=np.complex128)
+        self.sigma = np.empty((len(k), n))
+        self.right = np.zeros((len(k), n + m, n), dtype=np.complex128)
+        self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
+        self.cost = np.full((len(k), m), np.inf)
+        for places, passed, real in _alike(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
+            self._decompose(lti, places, passed, z[k[places]].real if real else z[k[places]])
+        largest = np.maximum(1.0, self.sigma[:, :1])
+        self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
+        self.good = self.sigma > SMALL_SINGULAR_VALUE * largest
+        self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
+
+    def _decompose(self, lti: Lti, places: Indices, passed: Mask, z: Array | ComplexArray) -> None:
+        """Fill in bins that share a passed mask, in real arithmetic where z is real."""
+        n = lti.state_dim
+        allowed = np.concatenate([np.ones(n, dtype=bool), passed])
+        F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
+        self.left[places], self.sigma[places], right = np.linalg.svd(F[:, :, allowed])
+        V = np.zeros((len(z), len(lti.M), right.shape[1]), dtype=z.dtype)
+        V[:, allowed] = right.conj().swapaxes(1, 2)
+        self.right[places], null = V[:, :, :n], V[:, :, n:]
+        columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
+        if columns == 1:
+            self.null[places, :, :1], self.cost[places, :1] = null, cost.real[:, 0]
+        else:
+            h, vectors = np.linalg.eigh(cost)
+            self.null[places, :, :columns], self.cost[places, :columns] = null @ vectors, h
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return the pseudo-inverse applied to rhs (n, columns, count), shape (n+m, columns, count)."""
-        inverse = np.where(self.good, 1 / np.where(self.good, self.sigma, 1.0), 0.0)
-        projected = np.einsum("kij,ick->kjc", self.left.conj(), rhs) * inverse[:, :, None]
+        projected = np.einsum("kij,ick->kjc", self.left.conj(), rhs) * self._inverse[:, :, None]
         return np.einsum("kij,kjc->ick", self.right, projected)
 
     def adjoint(self, rhs: ComplexArray) -> ComplexArray:
         """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, count), shape (n, count)."""
-        inverse = np.where(self.good, 1 / np.where(self.good, self.sigma, 1.0), 0.0)
-        projected = np.einsum("kij,ik->kj", self.right.conj(), rhs) * inverse
+        projected = np.einsum("kij,ik->kj", self.right.conj(), rhs) * self._inverse
         return np.einsum("kij,kj->ik", self.left, projected)
+
+
+def _alike(passed: Mask, real: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
+    """Yield (places, mask, real) of bins that share a passed mask and are all real or all complex."""
+    groups: dict[bytes, list[int]] = {}
+    labels = np.vstack([passed, real]).T
+    for place, label in enumerate(labels):
+        groups.setdefault(label.tobytes(), []).append(place)
+    for places in groups.values():
+        label = labels[places[0]]
+        yield np.array(places), label[:-1], bool(label[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +139,10 @@ class BinSpaces:
         self.z = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
-        self.near = self._near_bins()
+        self.near = NearBins(lti, self._near_bins(), self.z)
         self.N = self._far_null_spaces()
-        self.groups: list[NearBins] = []
         self.singular: list[Singular] = []
-        self.border_bin: Indices = np.zeros(0, dtype=np.intp)
-        self.border_vector: ComplexArray = np.zeros((len(lti.M), 0), dtype=np.complex128)
-        self._treat_near_bins()
+        self._set_border()
 
     def _near_bins(self) -> Indices:
         distance = np.full(len(self.z), np.inf)
@@ -126,7 +157,7 @@ class BinSpaces:
         """Return N normalised at far bins, zero at near ones."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         passed = np.array(lti.passed)
-        passed[:, self.near] = False
+        passed[:, self.near.k] = False
         N = np.zeros((n + m, m, len(self.z)), dtype=np.complex128)
         with np.errstate(all="ignore"):
             B = lti.B[:, :, None].astype(np.complex128)
@@ -163,64 +194,24 @@ class BinSpaces:
         factors = _inverse_factor(H)[which.ravel()]
         return np.einsum("iak,kba->ibk", N, factors.conj())
 
-    def _treat_near_bins(self) -> None:
-        """Decompose F_k at the near bins, choose the border directions, and complete N."""
-        null_groups = [self._decompose(k, allowed) for k, allowed in self._near_groups()]
-        threshold = self._border_threshold(np.concatenate([*[h.ravel() for *_, h in null_groups], np.zeros(0)]))
-        bins, vectors = list[Indices](), list[ComplexArray]()
-        for group, null, h in null_groups:
-            regular = h > threshold
-            scaled = null / np.sqrt(np.where(regular, h, np.inf))[:, None, :]
-            self.N[:, : h.shape[1], group.k] = scaled.transpose(1, 2, 0)
-            self.groups.append(group)
-            row, column = np.nonzero(~regular)
-            bins.append(group.k[row])
-            vectors.append(null[row, :, column].T)
-            first = sum(map(len, bins))
-            row, column = np.nonzero(~group.good)
-            for j, (i, c) in enumerate(zip(row, column, strict=True)):
-                entry = Singular(int(group.k[i]), group.left[i, :, c], float(group.sigma[i, c]), first + j)
-                self.singular.append(entry)
-            bins.append(group.k[row])
-            vectors.append(group.right[row, :, column].T)
-        if bins:
-            self.border_bin, border = np.concatenate(bins), np.hstack(vectors)
-            weighted = (self.lti.M @ border)[:, None]
-            at = self.N[:, :, self.border_bin]
-            self.border_vector = border - np.einsum("iak,ak->ik", at, np.einsum("iak,ick->ak", at.conj(), weighted))
+    def _set_border(self) -> None:
+        """Choose the border directions among those of the near bins, and complete N by the others."""
+        near = self.near
+        regular = near.cost > self._border_threshold()
+        scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
+        self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
+        small, column = np.nonzero(~regular)
+        bad, which = np.nonzero(~near.good)
+        for place, (i, j) in enumerate(zip(bad, which, strict=True), start=len(small)):
+            self.singular.append(Singular(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), place))
+        self.border_bin = near.k[np.concatenate([small, bad])]
+        border = np.vstack([near.null[small, :, column], near.right[bad, :, which]]).T
+        at = self.N[:, :, self.border_bin]
+        seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
+        self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
 
-    def _near_groups(self) -> Iterator[tuple[Indices, Mask]]:
-        """Yield near bins that share a passed mask and are all real or all complex."""
-        if not len(self.near):
-            return
-        labels = np.vstack([self.lti.passed[:, self.near], self.weight[self.near] == 1]).T
-        alike: dict[bytes, list[int]] = {}
-        for i, label in enumerate(labels):
-            alike.setdefault(label.tobytes(), []).append(i)
-        for places in alike.values():
-            yield self.near[places], labels[places[0], :-1]
-
-    def _decompose(self, k: Indices, passed: Mask) -> tuple[NearBins, ComplexArray, Array]:
-        """Return the decomposition, and null vectors (count, n+m, columns) that diagonalise M, with their costs."""
-        lti, n = self.lti, self.lti.state_dim
-        allowed = np.concatenate([np.arange(n), n + np.flatnonzero(passed)])
-        F = np.empty((len(k), n, len(allowed)), dtype=np.complex128)
-        F[:, :, :n], F[:, :, n:] = -lti.A, -lti.B[:, passed]
-        F[:, np.arange(n), np.arange(n)] += self.z[k, None]
-        left, sigma, right = np.linalg.svd(F.real if self.weight[k[0]] == 1 else F)
-        V = np.zeros((len(k), len(lti.M), len(allowed)), dtype=right.dtype)
-        V[:, allowed] = right.conj().swapaxes(1, 2)
-        largest = np.maximum(1.0, sigma[:, :1])
-        sigma = np.where(sigma < ZERO_SINGULAR_VALUE * largest, 0.0, sigma)
-        group = NearBins(k, left, sigma, V[:, :, :n], sigma > SMALL_SINGULAR_VALUE * largest)
-        null = V[:, :, n:]
-        cost = null.conj().swapaxes(1, 2) @ lti.M @ null
-        if cost.shape[1] == 1:
-            return group, null, cost.real[:, 0]
-        h, vectors = np.linalg.eigh(cost)
-        return group, null @ vectors, h
-
-    def _border_threshold(self, costs: Array) -> float:
+    def _border_threshold(self) -> float:
+        costs = self.near.cost[np.isfinite(self.near.cost)]
         unit = self.lti.curvature_unit
         smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
         return unit * max(LEAST_HESSIAN, min(SMALL_HESSIAN, smallest / unit))
@@ -231,14 +222,14 @@ class BinSpaces:
         response = np.zeros((len(lti.M), *rhs.shape[1:]), dtype=np.complex128)
         with np.errstate(all="ignore"):
             response[:n] = self.resolvent.apply(self.z, rhs)
-        for group in self.groups:
-            response[:, :, group.k] = group.particular(rhs[:, :, group.k])
+        k = self.near.k
+        response[:, :, k] = self.near.particular(rhs[:, :, k])
         if lti.state_cost:
             response -= self.project(np.tensordot(lti.M, response, 1))
-        elif len(self.near):  # elsewhere the response has u = 0, and M sees u only
-            at_near = response[:, :, self.near]
+        else:  # but at near bins the response has u = 0, and M sees u only
+            at_near = response[:, :, k]
             weighted = (lti.M @ at_near.reshape(len(at_near), -1)).reshape(at_near.shape)
-            response[:, :, self.near] = at_near - self.project(weighted, self.near)
+            response[:, :, k] = at_near - self.project(weighted, k)
         return response
 
     def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:

@@ -11,19 +11,38 @@ from lin_freq_ocp.methods.spectral.border import Border
 from lin_freq_ocp.methods.spectral.kernels import Kernels
 from lin_freq_ocp.methods.spectral.lti import Lti
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.violations import Violations
 from lin_freq_ocp.methods.spectral.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.working_set import WorkingSet
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
 
 
 class Structure:
-    """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free."""
+    """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free.
+
+    Attributes
+    ----------
+    spaces : BinSpaces; kernels : Kernels; border : Border
+    jumps : (n, (n+m) bins) or None
+        On short horizons: what the jumps x_0 - x_T of one unit make of y.
+    unconstrained : (rows of F,) or None
+        1/R for control rows and 0 for others, where diag(1/R) - S >= 0: R diagonal, S = 0.
+    """
 
     def __init__(self, lti: Lti):
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
         self.border = Border(lti, self.spaces, self.kernels)
+        self.jumps = None if len(lti.M) * lti.horizon > LARGEST else _unit_jumps(lti, self.spaces)
+        self.unconstrained = _unconstrained_response(lti)
         self._whole: WholeHorizon | None = None
+        self._violations: Violations | None = None
+
+    def violations(self, lti: Lti) -> Violations:
+        """Return what measures the bounds of ``lti``; the one before, if they are the same."""
+        if self._violations is None or not self._violations.take(lti):
+            self._violations = Violations(lti)
+        return self._violations
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
         """Return the responses of all values of the given rows of F; None if they are many, or the border is soft."""
@@ -32,7 +51,24 @@ class Structure:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.border, rows)
+        else:
+            self._whole.tabulate()
         return self._whole
+
+
+def _unconstrained_response(lti: Lti) -> Array | None:
+    n = lti.state_dim
+    R = lti.M[n:, n:]
+    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
+        return None
+    response = np.zeros(len(lti.F))
+    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
+    return response
+
+
+def _unit_jumps(lti: Lti, spaces: BinSpaces) -> ComplexArray:
+    jumps = spaces.particular(spaces.z * np.eye(lti.state_dim, dtype=np.complex128)[:, :, None])
+    return jumps.swapaxes(0, 1).reshape(lti.state_dim, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +102,10 @@ def prepare(structure: Structure, lti: Lti) -> Data:
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
     linear = None if lti.linear is None else fft.rfft(lti.linear)
-    base = spaces.particular(jump[:, None])[:, 0]
+    if structure.jumps is None or lti.offset is not None:
+        base = spaces.particular(jump[:, None])[:, 0]
+    else:
+        base = ((start - end) @ structure.jumps).reshape(len(lti.M), -1)
     h = border.gradient(lti.M @ base + (0 if linear is None else linear))
     h[border.at_end] += (lti.P @ end + lti.p)[border.free_end]
     if linear is not None:

@@ -43,11 +43,11 @@ class Violations:
         self._states = np.flatnonzero(self.state_rows)
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
-        ends = np.stack([lti.last_lower, lti.last_upper])
+        self.free_end = np.isnan(lti.end)
+        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, largest, 1.0)
         self._row_scale = self.scale[self.rows, None]
-        self.free_end = np.isnan(lti.end)
         t, f = lti.fixed_points
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
         t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
@@ -57,6 +57,17 @@ class Violations:
         self.fixed = place[f[bounded]], t[bounded]
         self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
+
+    def take(self, lti: Lti) -> bool:
+        """Whether these are the bounds of another problem, too, which differs in its fixed ends only: then take it."""
+        before, free = self.lti, self.free_end
+        same = lti.lower is before.lower and lti.upper is before.upper and np.array_equal(free, np.isnan(lti.end))
+        same = same and np.array_equal(np.isnan(lti.start), np.isnan(before.start))
+        same = same and np.array_equal(lti.last_lower[free], before.last_lower[free])
+        same = same and np.array_equal(lti.last_upper[free], before.last_upper[free])
+        if same:
+            self.lti = lti
+        return same
 
     def measure(self, y: Array, last: Array) -> float:
         """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""

@@ -15,10 +15,14 @@ from scipy import fft
 from lin_freq_ocp.methods.spectral.border import Border
 from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.violations import Violations
+from lin_freq_ocp.methods.spectral.working_set import Rows
 from lin_freq_ocp.problem.arrays import Array, Indices
 
 LARGEST = 10_000
 """Bounded values up to which what they need of the border is made at once."""
+
+LARGEST_TABLE = 2000
+"""Bounded values up to which all their responses to each other are kept for solving again: 32 MB."""
 
 ROUNDS = 12
 """Rounds after which the true signals are asked."""
@@ -53,14 +57,33 @@ class WholeHorizon:
         self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
         self.coupling[border.at_end, self._inner + border.free_end] = 1.0
         self.through = border.inverse @ self.coupling
+        self._S: Array | None = None
 
     def places(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; of x_T's component f at t = T."""
         T = self._border.lti.horizon
         return np.where(t < T, self._place[f] * T + t, self._inner + f)
 
+    def multiplied(self, rows: Rows) -> Multiplied:
+        """Return the same rows as places."""
+        places, once = np.unique(self.places(rows.t, rows.f), return_index=True)
+        weights = np.zeros(len(places)) if rows.weights is None else rows.weights[once]
+        return Multiplied(places, rows.sign[once], weights)
+
+    def tabulate(self) -> None:
+        """Keep S from now on, if it is not large: solving again is then faster."""
+        n, count = self._border.lti.state_dim, len(self.t)
+        if self._S is not None or count > LARGEST_TABLE:
+            return
+        self._S = self.coupling.T @ self.through
+        kernels = self._border.kernels.everywhere(self.rows)
+        self._S[:-n, :-n] += kernels.reshape(count - n, count - n)
+
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
+        if self._S is not None:
+            S = self._S[index[:, None], index]
+            return (S + S.T) / 2
         t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
@@ -72,6 +95,8 @@ class WholeHorizon:
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
+        if self._S is not None:
+            return mu @ self._S[index]
         lti, pulses = self._border.lti, np.zeros(len(self.t))
         pulses[index] = mu
         forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
