@@ -70,7 +70,7 @@ class Result:
     message : str
         In words, how it ended.
     interrupted : bool
-        Whether it was stopped by Ctrl-C; what was found until then is here.
+        Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
     """
 
     problem: OptimalControlProblem
@@ -263,7 +263,8 @@ def _spectral(
     certificate = result.certificate
     optimal = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
     proven = result.status == "optimal" and optimal
-    return result if required or proven or result.status in ("infeasible", "limit") else None
+    ended = proven or result.interrupted or result.status in ("infeasible", "limit")
+    return result if required or ended else None
 
 
 def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:

@@ -674,6 +674,21 @@ def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, meth
     assert 0 < min(bounds) <= max(bounds) < optimum
 
 
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="Ctrl-C is the main thread's")
+@pytest.mark.parametrize("method", ["auto", "spectral"])
+def test_ctrl_c_after_the_last_round_is_not_lost(monkeypatch, method):
+    """The answer is complete, and said to be; who waits for the exit status is told of Ctrl-C all the same."""
+    recover = solver.recover
+
+    def pressing(*found):
+        signal.raise_signal(signal.SIGINT)
+        return recover(*found)
+
+    monkeypatch.setattr(solver, "recover", pressing)
+    status, out, _ = run("solve", "pendulum", "--method", method, "--json")
+    assert (status, parsed(out)["status"]) == (130, "optimal")
+
+
 def press_ctrl_c(monkeypatch, rounds):
     """Send SIGINT in that round of the next spectral solve; return a list that grows with the rounds."""
     asked = []

@@ -10,6 +10,8 @@ import pytest
 from test_spectral_class import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.spectral.structure import Structure
+from lin_freq_ocp.methods.spectral.working_set import Rows
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}
 
@@ -153,6 +155,29 @@ def test_a_warm_start_saves_rounds_where_the_active_rows_stay():
     assert cost_of(warm) == pytest.approx(cost_of(cold), rel=1e-10)
 
 
+@pytest.mark.parametrize("sampling_time", [0.01, 0.1])
+def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
+    """From the second solve on, all responses of all bounded values are kept: another path than the first one."""
+    problem = lfo.library.pendulum(sampling_time=sampling_time)
+    solver, rng = lfo.SpectralSolver(problem), np.random.default_rng(3)
+    solution = solver.solve()
+    for _ in range(6):
+        start = problem.initial_state.lower + np.array([0.001, 0.002, 0.01, 0.02]) * rng.standard_normal(4)
+        solution = solver.solve(initial_state=start, warm_start=solution)
+        scratch = lfo.SpectralSolver(problem.with_ends(initial_state=start)).solve()
+        assert (solution.status, scratch.status) == ("optimal", "optimal")
+        assert solution.residuals.worst < 1e-9
+        assert cost_of(solution) == pytest.approx(cost_of(scratch), rel=1e-10)
+
+
+def test_a_warm_start_may_name_both_bounds_of_a_row(solver):
+    cold = solver.solve(bounds={"control_set": TIGHT})
+    t, f, sign, weights = cold.active
+    both = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]), np.tile(weights, 2))
+    warm = solver.solve(bounds={"control_set": TIGHT}, warm_start=replace(cold, active=both))
+    assert cost_of(warm) == pytest.approx(cost_of(cold), rel=1e-10)
+
+
 def test_a_warm_start_from_far_away_is_harmless(solver):
     far = solver.solve(initial_state=[-1.2, 0.6, -0.3], terminal_state=[1.0, -0.6, 0.3], bounds={"control_set": None})
     tight = solver.solve(bounds={"control_set": TIGHT}, warm_start=far)
@@ -181,6 +206,9 @@ REFUSED = {
     "references in a list": ({"references": [REFERENCE["x_ref"]]}, "references"),
     "bounds that are no mapping": ({"bounds": TIGHT}, "bounds"),
     "bounds of the wrong size": ({"bounds": {"control_set": lfo.Box([-1.0], [1.0])}}, "control_set"),
+    "a tolerance below zero": ({"tolerance": -1.0}, "tolerance"),
+    "no time at all": ({"time_limit": 0.0}, "time_limit"),
+    "a warm start from elsewhere": ({"warm_start": np.zeros(3)}, "warm_start"),
     "values that are now fixed": ({"bounds": {"control_set": lfo.Box([-1.0, 0.0], [1.0, 0.0])}}, "bounds"),
 }
 

@@ -23,6 +23,7 @@ from lin_freq_ocp.methods.spectral.optimality import residuals
 from lin_freq_ocp.methods.spectral.recovery import in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.structure import Data, Structure, prepare
 from lin_freq_ocp.methods.spectral.working_set import Rows
+from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
@@ -107,9 +108,12 @@ class SpectralSolver:
         Raises
         ------
         ProblemError
-            If new data do not fit the problem.
+            If new data do not fit the problem, or the tolerance or time limit is not above zero.
         """
         started = time.perf_counter()
+        for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
+            if value is not None:
+                positive_number(field, value)
         problem, lti = self._with(initial_state, terminal_state, references, bounds)
         if warm_start is not None:
             self._require_own(warm_start)
@@ -129,7 +133,7 @@ class SpectralSolver:
                 if second.status == "optimal":
                     self.__dict__.update(better.__dict__)
                     data, outcome = revised, second
-            return self._solution(problem, data, outcome, started)
+            return replace(self._solution(problem, data, outcome, started), interrupted=interrupt.is_set())
 
     @classmethod
     def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
@@ -157,6 +161,8 @@ class SpectralSolver:
         return data, Exchange(self._structure, data, first, tolerance, stop).run(ROUNDS)
 
     def _require_own(self, warm_start: SpectralSolution) -> None:
+        if not isinstance(warm_start, SpectralSolution):
+            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
         other, rows = warm_start.problem, sum(family.rows for family in self.problem.stage_rows)
         shape = self.problem.horizon, self.problem.state_dim, self.problem.control_dim, rows
         got = None
@@ -223,7 +229,6 @@ class SpectralSolver:
             residuals=measured,
             words=words,
             seconds={"setup": self.setup_seconds, "solve": time.perf_counter() - started},
-            interrupted=words == "interrupted",
             problem=problem,
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,

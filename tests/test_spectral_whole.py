@@ -1,0 +1,96 @@
+"""Short horizons: the model of all bounded values at once, against what working rows say of each other one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_spectral_class import LARGE_BOX, START, T, problem_of
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.spectral import whole_horizon
+from lin_freq_ocp.methods.spectral.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.structure import Structure
+from lin_freq_ocp.methods.spectral.violations import Violations
+from lin_freq_ocp.methods.spectral.whole_horizon import WholeHorizon
+from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet
+
+JOINT = lfo.StageRows([[1.0, 0, 0.5]], [[1.0, -1.0]], [1.0])
+COST = lfo.QuadraticCost(Q=0.3, R=np.diag([1.0, 2.0]), P=np.eye(3))
+FIXED_INSIDE = [LARGE_BOX] * 9 + [lfo.Box([-1.4, 0.1, -0.4], [1.2, 0.1, 0.4])] + [LARGE_BOX] * (T - 9)
+
+PROBLEMS = {
+    "controls": {},
+    "controls and joint rows": {"stage_rows": JOINT},
+    "states, the end in a box": {"state_set": LARGE_BOX, "cost": COST, "terminal_state": lfo.Box([-1, 0.1, -1], 0.5)},
+    "states, the end free, a state band": {
+        "state_set": LARGE_BOX,
+        "cost": COST,
+        "terminal_state": None,
+        "state_spectrum": lfo.stop_band(bins=[11, 12], component=2),
+    },
+    "a value fixed inside": {"state_set": FIXED_INSIDE, "stage_rows": JOINT},
+    "an integrator": {"dynamics": lfo.LinearDynamics(np.diag([1.0, 0.5, 0.2]), np.ones((3, 2)) + np.eye(3, 2))},
+}
+
+
+@pytest.fixture(params=PROBLEMS)
+def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
+    """Return a structure, the model of its bounded values, and all of these as working rows."""
+    problem = problem_of(**({"initial_state": START} | PROBLEMS[request.param]))
+    lti = lti_problem(problem, natural_units(problem))
+    structure = Structure(lti)
+    assert not structure.border.soft
+    whole = structure.whole_horizon(Violations(lti).rows)
+    assert whole is not None
+    working = WorkingSet(structure.border)
+    acting = np.flatnonzero((whole.t < T) | np.isnan(lti.end[np.where(whole.t < T, 0, whole.f)]))
+    working.add(whole.t[acting], whole.f[acting], np.ones(len(acting)))
+    np.testing.assert_array_equal(whole.places(working.t, working.f), acting)
+    return structure, whole, working
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_the_model_says_what_working_rows_say(model, kept):
+    structure, whole, working = model
+    if kept:
+        whole.tabulate()
+    places = whole.places(working.t, working.f)
+    np.testing.assert_allclose(whole.coupling[:, places], working.coupling, rtol=0, atol=1e-12)
+    expected = working.gram + working.coupling.T @ structure.border.inverse @ working.coupling
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(whole.gram(places), expected, rtol=0, atol=1e-11 * size)
+    some = np.random.default_rng(0).choice(len(places), 7, replace=False)
+    mu = np.random.default_rng(1).standard_normal(7)
+    np.testing.assert_allclose(
+        whole.response(places[some], mu)[places], expected[:, some] @ mu, rtol=0, atol=1e-11 * size
+    )
+
+
+def test_a_large_model_keeps_no_table(model, monkeypatch):
+    _, whole, working = model
+    monkeypatch.setattr(whole_horizon, "LARGEST_TABLE", len(whole.t) - 1)
+    before = whole.gram(whole.places(working.t, working.f))
+    whole.tabulate()
+    np.testing.assert_array_equal(whole.gram(whole.places(working.t, working.f)), before)
+
+
+def test_rows_named_twice_count_once(model):
+    _, whole, working = model
+    t, f, sign = working.rows()
+    twice = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]))
+    multiplied = whole.multiplied(twice)
+    np.testing.assert_array_equal(np.sort(multiplied.places), np.sort(whole.places(t, f)))
+    np.testing.assert_array_equal(multiplied.weights, 0.0)
+
+
+def test_bounds_that_appear_make_another_model():
+    """A solver keeps the model for the rows that have bounds; new bounds on other rows need another one."""
+    problem = problem_of()
+    solver = lfo.SpectralSolver(problem)
+    assert solver.solve().status == "optimal"
+    bounded = solver.solve(bounds={"state_set": lfo.Box([-1.1, -0.53, -0.3], [1.05, 0.65, 0.42])})
+    reference = lfo.solve(bounded.problem, method="convex")
+    assert bounded.status == "optimal"
+    cost = bounded.problem.cost.value(bounded.trajectory.x, bounded.trajectory.u)
+    assert cost == pytest.approx(reference.cost, rel=1e-8)
+    assert cost > 1.001 * lfo.solve(problem).cost
