@@ -10,7 +10,6 @@ import pytest
 from test_spectral_class import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.structure import Structure
 from lin_freq_ocp.methods.spectral.working_set import Rows
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}

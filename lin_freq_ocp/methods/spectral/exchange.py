@@ -37,14 +37,20 @@ KEEP_ALL_AFTER = 30
 EQUATION_TOLERANCE = 1e-9
 """Residual of the border's equations, relative to the largest signal."""
 
-SLOPE_TOLERANCE = 1e-11
+SLOPE_TOLERANCE = 1e-10
 """Slope left in the border variables, relative to its terms."""
 
 ACCEPTED_SLOPE = 1e-7
 """The same where an exchange no longer improves."""
 
-GAIN_TOLERANCE = 1e-9
-"""What the cost could still fall by along border variables, relative to it (at least 1)."""
+GAIN_TOLERANCE = 1e-15
+"""What the cost could still fall by along border variables, were they free, relative to it (at least its level)."""
+
+WORTH_TOLERANCE = 1e-9
+"""The same by moves as large as the point: along flat directions rounding alone promises a gain without end."""
+
+SMALL_COST = 1e-6
+"""Cost, relative to that of states and controls of order 1, that is not measured more finely than this."""
 
 SLACK_TOLERANCE = 1e-9
 """<l, slack> left, relative to the cost: rows with a multiplier hold with equality."""
@@ -130,7 +136,8 @@ class Exchange:
             if self.first.weights is not None:
                 self.working.weights = self.first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
-        self.proximal, self.best, self.flattest, self.stalled = data.lti.curvature_unit, np.inf, np.inf, 0
+        self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
+        self.flattest, self.farthest = np.inf, 0.0
         self.unconstrained = structure.unconstrained
         self.soft = self.border.soft
         self.ray: Ray | None = None
@@ -161,26 +168,27 @@ class Exchange:
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
         worst, slope = self.violations.worst, self._relative_slope()
-        level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gain() <= GAIN_TOLERANCE * self._cost_size()
-        flatter = slope < self.flattest / 2
-        shortened = self.soft and worst < LENIENT and not level and self._shorten_proximal()
-        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or (shortened and flatter)
+        level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gains_nothing()
+        far = float(np.abs(self.theta).max(initial=0.0))
+        moving = slope < self.flattest / 2 or far > 2 * self.farthest
+        if self.soft and worst < LENIENT and not level:
+            self._shorten_proximal()
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or (self.soft and moving)
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
+        self.farthest = max(self.farthest, far)
         if self.stalled >= STALLED_ROUNDS:
             return self._accurate()
         return worst < self.tolerance and level and self._settled(SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is good enough; its residuals say how good."""
-        worth = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))  # of moves as large as the point, and as 1
-        flat = self._relative_slope() < ACCEPTED_SLOPE or worth <= GAIN_TOLERANCE * self._cost_size()
+        flat = self._relative_slope() < ACCEPTED_SLOPE or self._worth() <= WORTH_TOLERANCE * self._cost_size()
         return self.violations.worst < ACCEPTED_VIOLATION and flat and self._settled(ACCEPTED_SLACK)
 
-    def _shorten_proximal(self) -> bool:
-        """Let the next step go farther along directions of little cost; False if it goes as far as it can."""
-        before, self.proximal = self.proximal, max(self.proximal * LONGER_STEPS, self.border.least_proximal)
-        return self.proximal < before
+    def _shorten_proximal(self) -> None:
+        """Let the next step go farther along directions of little cost."""
+        self.proximal = max(self.proximal * LONGER_STEPS, self.border.least_proximal)
 
     def _evaluate(self) -> None:
         self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
@@ -297,10 +305,17 @@ class Exchange:
         least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
-    def _gain(self) -> float:
-        """Return what the cost could still fall by along the border variables, were they free."""
-        slope, border = self._slope(), self.border
-        return float(abs(slope @ border.inverse[: border.size, : border.size] @ slope))
+    def _worth(self) -> float:
+        """Return what moves of the border variables as large as the point, and as 1, could gain."""
+        return float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
+
+    def _gains_nothing(self) -> bool:
+        """Whether the cost can hardly fall along the border variables, were they free, or by such moves."""
+        slope, border, level = self._slope(), self.border, self.data.lti.cost_level
+        gain = abs(slope @ border.inverse[: border.size, : border.size] @ slope)
+        if gain <= GAIN_TOLERANCE * self._cost_size():
+            return True
+        return self._worth() <= WORTH_TOLERANCE * max(abs(self._cost()), SMALL_COST * level)
 
     def _cost(self) -> float:
         lti, at = self.data.lti, self.signals
