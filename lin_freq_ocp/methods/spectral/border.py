@@ -9,6 +9,8 @@ fix, compatibility at singular bins, state bands. They meet in one symmetric ind
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy import fft
 
@@ -264,9 +266,19 @@ class Border:
         matrix[diagonal, diagonal] += proximal
         return matrix
 
+    @cached_property
+    def stiffened(self) -> Array:
+        """The inverse of K_b with a unit Hessian in place of H."""
+        matrix = self.matrix.copy()
+        matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
+        return self._inverse_of(matrix)
+
     def inverse_with(self, proximal: float) -> Array:
         """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
-        matrix, n = self.proximal_matrix(proximal), self.size
+        return self._inverse_of(self.proximal_matrix(proximal))
+
+    def _inverse_of(self, matrix: Array) -> Array:
+        n = self.size
         if self.dependent.size:
             onto = self.dependent @ self.dependent.T
             matrix[n:, n:] -= onto / self.lti.curvature_unit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.lti import LEAST_SIZE
 from lin_freq_ocp.methods.spectral.neighbourhood import around
-from lin_freq_ocp.methods.spectral.rays import Ray, elastic_ray, equation_ray, row_ray
+from lin_freq_ocp.methods.spectral.rays import Ray, equation_ray, row_ray, stiffened_ray
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.whole_horizon import WholeHorizon, settled
 from lin_freq_ocp.methods.spectral.working_set import Rows, WorkingSet, bounded
@@ -39,6 +39,9 @@ EQUATION_TOLERANCE = 1e-9
 
 SLOPE_TOLERANCE = 1e-10
 """Slope left in the border variables, relative to its terms."""
+
+STRICT_SLOPE = 1e-13
+"""The same where a point that was flat enough had residuals that were not."""
 
 ACCEPTED_SLOPE = 1e-7
 """The same where an exchange no longer improves."""
@@ -137,7 +140,7 @@ class Exchange:
                 self.working.weights = self.first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
-        self.flattest, self.farthest = np.inf, 0.0
+        self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, SLOPE_TOLERANCE
         self.unconstrained = structure.unconstrained
         self.soft = self.border.soft
         self.ray: Ray | None = None
@@ -168,7 +171,7 @@ class Exchange:
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
         worst, slope = self.violations.worst, self._relative_slope()
-        level = worst < LENIENT and slope < SLOPE_TOLERANCE and self._gains_nothing()
+        level = worst < LENIENT and slope < self.slope_tolerance and self._gains_nothing()
         far = float(np.abs(self.theta).max(initial=0.0))
         moving = slope < self.flattest / 2 or far > 2 * self.farthest
         if self.soft and worst < LENIENT and not level:
@@ -283,14 +286,7 @@ class Exchange:
         step, new, content = qp.solve()
         if not (ask or not content):
             return step, new, None
-        point = np.concatenate([self.theta, self.multipliers])
-        cold = replace(
-            qp,
-            r=right + border.matrix @ point + working.coupling @ working.weights,
-            slack=slack + working.coupling.T @ point - working.gram @ working.weights,
-            weights=np.zeros(len(working)),
-        )
-        return step, new, elastic_ray(self.structure, self.data, working, cold)
+        return step, new, stiffened_ray(self.structure, self.data, working)
 
     def _relative_residual(self) -> float:
         return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))

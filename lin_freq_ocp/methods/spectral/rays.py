@@ -6,11 +6,10 @@ weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.working_set import WorkingSet
@@ -30,10 +29,6 @@ DECIDED_VIOLATION = 1e-8
 
 CONFLICT = 1e-4
 """tau of the homogeneous dual, 1 where rows can be reconciled and 0 where they conflict, below which they conflict."""
-
-
-ELASTIC = 1e-8
-"""How much rows give way, relative to their own response to a force, where they are asked whether they conflict."""
 
 
 TINY = 1e-150
@@ -86,17 +81,17 @@ def row_ray(
     return _verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
 
 
-def elastic_ray(structure: Structure, data: Data, working: WorkingSet, qp: BorderedQp) -> Ray | None:
-    """Return a ray from rows that give way at a small price: if they conflict, their forces are the ray.
-
-    ``qp`` is the QP at the point without forces, with weights 0.
-    """
-    elastic = ELASTIC * float(np.diagonal(qp.S).max())
-    y, weights, _ = replace(qp, S=qp.S + elastic * np.eye(len(qp.weights))).solve()
-    largest = float(weights.max(initial=0.0))
-    if largest == 0:
-        return None
-    return _verified(structure, data, working.weighted(weights / largest), y[structure.border.size :] / largest)
+def stiffened_ray(structure: Structure, data: Data, working: WorkingSet) -> Ray | None:
+    """Return a ray of working rows where the border is soft: what can be satisfied does not depend on what it costs."""
+    border, nothing = structure.border, WorkingSet(structure.border)
+    theta = np.zeros(border.size)
+    c = signals(structure, data, theta, np.zeros(len(data.e)), nothing)
+    step = border.stiffened @ np.concatenate([theta, equation_residual(structure, data, theta, c)])
+    Z = border.stiffened @ working.coupling
+    through_border = working.coupling.T @ Z
+    S = working.gram + (through_border + through_border.T) / 2
+    d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
+    return row_ray(structure, data, working, S, d, Z, ask=True)
 
 
 def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:

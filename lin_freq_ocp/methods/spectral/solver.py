@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -16,16 +16,17 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
-from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange, Outcome, deadline
+from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, deadline
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
 from lin_freq_ocp.methods.spectral.optimality import residuals
-from lin_freq_ocp.methods.spectral.recovery import in_units, recover, trajectory
-from lin_freq_ocp.methods.spectral.structure import Data, Structure, prepare
+from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units, recover, trajectory
+from lin_freq_ocp.methods.spectral.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.working_set import Rows
 from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transcription.program import Residuals
 
 VIOLATION_TOLERANCE = 1e-12
 """Relative violation of a bound at which an exchange stops; rounding of the signals is near 1e-15."""
@@ -51,6 +52,19 @@ class SpectralSolution(Candidate):
     problem: OptimalControlProblem | None = None
     active: Rows | None = None
     rounds: int = 0
+
+
+class Answer(NamedTuple):
+    """How an exchange ended, with the multipliers and residuals of its point (or its ray, without residuals)."""
+
+    outcome: Outcome
+    found: Recovered
+    measured: Residuals | None
+
+    @property
+    def accurate(self) -> bool:
+        """Whether the point is a solution by its residuals."""
+        return self.measured is not None and self.measured.worst <= SOLVED_TOLERANCE
 
 
 class SpectralSolver:
@@ -125,15 +139,16 @@ class SpectralSolver:
         ):  # what overflows is no answer
             stop = deadline(time_limit, interrupt.is_set)
             first = None if warm_start is None else warm_start.active
-            data, outcome = self._exchange(lti, first, allowed, stop)
-            units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
+            answer = self._exchange(lti, first, allowed, stop)
+            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
+            units = revised_units(self._units, y) if optimal else None
             if units is not None:
                 better = SpectralSolver._in_units(self.problem, units)
-                revised, second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                if second.status == "optimal":
+                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                if second.outcome.status == "optimal":
                     self.__dict__.update(better.__dict__)
-                    data, outcome = revised, second
-            return replace(self._solution(problem, data, outcome, started), interrupted=interrupt.is_set())
+                    answer = second
+            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
     @classmethod
     def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
@@ -152,13 +167,21 @@ class SpectralSolver:
         self._coarser: dict[int, Structure] = {}
         self.setup_seconds = time.perf_counter() - started
 
-    def _exchange(
-        self, lti: Lti, first: Rows | None, tolerance: float, stop: Callable[[], str | None]
-    ) -> tuple[Data, Outcome]:
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Callable[[], str | None]) -> Answer:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
-        data = prepare(self._structure, lti)
-        return data, Exchange(self._structure, data, first, tolerance, stop).run(ROUNDS)
+        exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
+        answer = self._measured(exchange, exchange.run(ROUNDS))
+        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
+            exchange.slope_tolerance = STRICT_SLOPE
+            second = self._measured(exchange, exchange.run(ROUNDS))
+            answer = second if second.accurate else answer
+        return answer
+
+    def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
+        found = recover(self._structure, exchange.data, outcome)
+        infeasible = outcome.status == "infeasible"
+        return Answer(outcome, found, None if infeasible else residuals(exchange.data.lti, outcome, found))
 
     def _require_own(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):
@@ -209,15 +232,12 @@ class SpectralSolver:
             )
         return problem, lti
 
-    def _solution(
-        self, problem: OptimalControlProblem, data: Data, outcome: Outcome, started: float
-    ) -> SpectralSolution:
-        found = recover(self._structure, data, outcome)
-        multipliers = in_units(problem, self._structure, self._units, found)
+    def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
+        outcome, measured = answer.outcome, answer.measured
+        multipliers = in_units(problem, self._structure, self._units, answer.found)
         infeasible = outcome.status == "infeasible"
-        measured = None if infeasible else residuals(data.lti, outcome, found)
         status, words = outcome.status, outcome.words
-        if status == "optimal" and measured is not None and not measured.worst <= SOLVED_TOLERANCE:
+        if status == "optimal" and measured is not None and not answer.accurate:
             status, words = "numerical_error", f"settled with residuals of {measured.worst:.1e}"
         active = outcome.working.weights > 0
         t, f, sign = outcome.working.rows()
