@@ -173,10 +173,10 @@ class Exchange:
         worst, slope = self.violations.worst, self._relative_slope()
         level = worst < LENIENT and slope < self.slope_tolerance and self._gains_nothing()
         far = float(np.abs(self.theta).max(initial=0.0))
-        moving = slope < self.flattest / 2 or far > 2 * self.farthest
+        moving = self.soft and not self._worthless() and (slope < self.flattest / 2 or far > 2 * self.farthest)
         if self.soft and worst < LENIENT and not level:
             self._shorten_proximal()
-        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or (self.soft and moving)
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moving
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
@@ -186,7 +186,7 @@ class Exchange:
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is good enough; its residuals say how good."""
-        flat = self._relative_slope() < ACCEPTED_SLOPE or self._worth() <= WORTH_TOLERANCE * self._cost_size()
+        flat = self._relative_slope() < ACCEPTED_SLOPE or self._worthless()
         return self.violations.worst < ACCEPTED_VIOLATION and flat and self._settled(ACCEPTED_SLACK)
 
     def _shorten_proximal(self) -> None:
@@ -301,17 +301,16 @@ class Exchange:
         least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
-    def _worth(self) -> float:
-        """Return what moves of the border variables as large as the point, and as 1, could gain."""
-        return float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
+    def _worthless(self) -> bool:
+        """Whether moves of the border variables as large as the point, and as 1, can hardly gain anything."""
+        worth = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
+        return worth <= WORTH_TOLERANCE * max(abs(self._cost()), SMALL_COST * self.data.lti.cost_level)
 
     def _gains_nothing(self) -> bool:
         """Whether the cost can hardly fall along the border variables, were they free, or by such moves."""
-        slope, border, level = self._slope(), self.border, self.data.lti.cost_level
+        slope, border = self._slope(), self.border
         gain = abs(slope @ border.inverse[: border.size, : border.size] @ slope)
-        if gain <= GAIN_TOLERANCE * self._cost_size():
-            return True
-        return self._worth() <= WORTH_TOLERANCE * max(abs(self._cost()), SMALL_COST * level)
+        return gain <= GAIN_TOLERANCE * self._cost_size() or self._worthless()
 
     def _cost(self) -> float:
         lti, at = self.data.lti, self.signals

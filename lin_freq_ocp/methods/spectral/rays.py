@@ -61,11 +61,9 @@ def row_ray(
     rows conflict.
     """
     inner = working.inner
-    free = np.ones(len(working))
+    free = np.full(len(working), 1 / data.lti.curvature_unit)  # x_T moves by itself
     free[inner] = structure.kernels.free_response(working.f[inner])
-    decided = (
-        inner & (np.diagonal(S) < DECIDED * free) & (d < -DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti))))
-    )
+    decided = (np.diagonal(S) < DECIDED * free) & (d < -DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti))))
     if decided.any():
         weights = np.zeros(len(d))
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
