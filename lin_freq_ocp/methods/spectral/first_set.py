@@ -29,8 +29,11 @@ FORGOTTEN = 40.0
 ON_CIRCLE = 1e-6
 """|log |lambda|| of a mode that never forgets: it is not counted."""
 
-WORTHWHILE = 8
-"""How many times shorter that horizon must be at least: else samples are held together."""
+LEAST_SHORTENING = 2
+"""How many times shorter that horizon must be at least; HELD times, where samples may be held together instead."""
+
+HELD_GROWTH = 4.0
+"""Growth of the fastest mode over held samples up to which they may be held together."""
 
 SHORTEST = 10
 """The shortened horizon is at least this fraction of the whole."""
@@ -54,8 +57,10 @@ def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict
     if lti.horizon < LEAST_HORIZON:
         return None
     shorter = _shortened_horizon(lti)
-    coarse = _held(lti) if shorter is None else _shortened(lti, shorter)
-    tolerance = HELD_TOLERANCE if shorter is None else SHORT_TOLERANCE
+    hold = shorter * HELD > lti.horizon and _may_be_held(lti)
+    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
+        return None
+    coarse, tolerance = (_held(lti), HELD_TOLERANCE) if hold else (_shortened(lti, shorter), SHORT_TOLERANCE)
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
@@ -69,18 +74,22 @@ def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict
     active = outcome.working.weights > 0
     working = outcome.working
     t, f, sign = working.t[active], working.f[active], working.sign[active]
-    if shorter is None:
+    if hold:
         return _spread(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
 
 
-def _shortened_horizon(lti: Lti) -> int | None:
-    """Return the horizon at which the ends no longer see each other, if it is WORTHWHILE."""
+def _may_be_held(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow while a control is held: else it could not hold them back."""
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HELD <= HELD_GROWTH
+
+
+def _shortened_horizon(lti: Lti) -> int:
+    """Return the horizon at which the ends no longer see each other; as it is if they always do."""
     rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
     rate = rate[rate > ON_CIRCLE]
     memory = int(FORGOTTEN / rate.min()) if len(rate) else lti.horizon
-    shorter = max(2 * memory, lti.horizon // SHORTEST)
-    return shorter if shorter <= lti.horizon // WORTHWHILE else None
+    return max(2 * memory, lti.horizon // SHORTEST)
 
 
 def _shortened(lti: Lti, T: int) -> Lti:
