@@ -8,8 +8,8 @@ All contenders run in one process with one thread (BLAS and solvers), in turns, 
 problem down for the solver is timed with the solve, as are multipliers; constructing the OptimalControlProblem is not.
 Who is expected to need longer than the limit is skipped, and the table says so. Next to the times stand the residuals
 of every answer, relative and computed from the problem's data, and its certificate; what each figure is, is written in
-``benchmark_measures.Row``, and who runs with which settings in ``benchmark_contenders``. The family "resolve" solves
-one problem from many new initial states, and shows the worst residuals of all.
+``benchmark_measures.Row``, and who runs with which settings in ``benchmark_contenders``. The families "resolve" and
+"resolve-slow" solve one problem from many new initial states, and show the worst residuals of all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from benchmark_cases import FAMILIES, RESOLVE, RESOLVE_SIZES, RESOLVE_WORDS, small
+from benchmark_cases import FAMILIES, RESOLVE_SIZES, RESOLVED, small
 from benchmark_contenders import CONTENDERS
 from benchmark_figure import draw
 from benchmark_measures import Row, Runs, measured, timed
@@ -193,12 +193,14 @@ def save_csv(rows: Sequence[Row], path: Path) -> None:
 def parsed() -> argparse.Namespace:
     """Return the options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    families = [*FAMILIES, RESOLVE]
+    families = [*FAMILIES, *RESOLVED]
     parser.add_argument("--family", action="append", choices=families, help="repeatable; default: all")
     parser.add_argument("--sizes", type=int, nargs="+", metavar="T", help="horizons instead of the family's own")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--limit-s", type=float, default=20.0, metavar="SECONDS")
-    parser.add_argument("--resolves", type=int, default=200, metavar="N", help="initial states of the family resolve")
+    parser.add_argument(
+        "--resolves", type=int, default=200, metavar="N", help="initial states of the families resolve..."
+    )
     parser.add_argument("--full", action="store_true", help="all horizons; long")
     parser.add_argument("--memory", action="store_true", help="peak memory instead of times")
     parser.add_argument("--csv", type=Path, metavar="FILE")
@@ -215,10 +217,11 @@ def main() -> None:
     if options.list:
         for name, family in FAMILIES.items():
             console.print(f"{name:14} {family.words}; T = {family.sizes}, --full {family.full}")
-        console.print(f"{RESOLVE:14} {RESOLVE_WORDS}; T = {RESOLVE_SIZES}")
+        for name, solved in RESOLVED.items():
+            console.print(f"{name:14} {solved}, again and again from new initial states; T = {RESOLVE_SIZES}")
         return
     console.print(machine(), highlight=False)
-    names, rows = options.family or [*FAMILIES, RESOLVE], list[Row]()
+    names, rows = options.family or [*FAMILIES, *RESOLVED], list[Row]()
     if options.memory:
         console.print(memory_table([name for name in names if name in FAMILIES], options.sizes, options.limit_s))
         return
@@ -227,9 +230,10 @@ def main() -> None:
             timed(contender, small(), options.limit_s)
         gc.freeze()  # what is loaded by now is not looked through again before every run
         for name in names:
-            if name == RESOLVE:
-                words, sizes = RESOLVE_WORDS, options.sizes or RESOLVE_SIZES
-                found = [resolve_rows(T, options.resolves, options.limit_s) for T in sizes]
+            if name in RESOLVED:
+                words = f"{FAMILIES[RESOLVED[name]].words}; again and again from new initial states"
+                sizes = options.sizes or RESOLVE_SIZES
+                found = [resolve_rows(name, T, options.resolves, options.limit_s) for T in sizes]
                 some, notes = [row for part, _ in found for row in part], [note for _, note in found]
             else:
                 family = FAMILIES[name]

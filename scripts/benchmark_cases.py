@@ -97,8 +97,9 @@ FAMILIES = {
     "state-arcs": Family("double integrator, speed limit active for long", state_arcs, (200,), (200, 400, 800, 4000)),
 }
 
-RESOLVE = "resolve"
-RESOLVE_WORDS = "pendulum on a cart, 0.01 s, solved again and again from new initial states"
+RESOLVED = {"resolve": "pendulum", "resolve-slow": "pendulum-slow"}
+"""Families solved again and again from new initial states."""
+
 RESOLVE_SIZES = (240,)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from benchmark_cases import FAMILIES, RESOLVE, moved
+from benchmark_cases import FAMILIES, RESOLVED, moved
 from benchmark_contenders import RESOLVERS, Answer
 from benchmark_measures import Row, measured, timed
 
@@ -18,20 +18,20 @@ NONZERO = 1e-9
 WORST = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint", "iterations")
 
 
-def resolve_rows(horizon: int, count: int, limit: float) -> tuple[list[Row], str]:
+def resolve_rows(family: str, horizon: int, count: int, limit: float) -> tuple[list[Row], str]:
     """Return a row per contender over ``count`` initial states, and what is said below the table.
 
     Setting up for the first problem, and solving it once, is not timed. Times are medians over the initial states that
     the contender found a trajectory for; every other figure is the worst of them.
     """
-    print(f"{RESOLVE}, T = {horizon}, {count} initial states", file=sys.stderr)
-    problem = FAMILIES["pendulum"].problem(horizon)
+    print(f"{family}, T = {horizon}, {count} initial states", file=sys.stderr)
+    problem = FAMILIES[RESOLVED[family]].problem(horizon)
     contenders = {name: prepare(problem) for name, prepare in RESOLVERS.items()}
     rows: dict[str, list[Row]] = {name: [] for name in RESOLVERS}
     gaps, active = list[float](), list[np.ndarray]()
     for one in moved(problem, count):
         runs = {name: timed(contender, one, limit) for name, contender in contenders.items()}
-        some, best = measured(RESOLVE, one, runs)
+        some, best = measured(family, one, runs)
         for row in some:
             rows[row.contender].append(row)
         if best is not None:

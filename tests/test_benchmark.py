@@ -8,7 +8,7 @@ import benchmark_measures
 import benchmark_resolve
 import numpy as np
 import pytest
-from benchmark_cases import FAMILIES, RESOLVE, small
+from benchmark_cases import FAMILIES, small
 from benchmark_contenders import CONTENDERS, CvxpyModel, OurResolver
 from benchmark_figure import spread
 
@@ -88,10 +88,11 @@ def test_failures_are_told_and_not_repeated(monkeypatch):
     assert rows[1].remark == "UnsupportedError"
 
 
-def test_resolving_shows_the_worst_of_all_initial_states():
-    rows, note = benchmark_resolve.resolve_rows(240, 3, LIMIT)
+@pytest.mark.parametrize("family", ["resolve", "resolve-slow"])
+def test_resolving_shows_the_worst_of_all_initial_states(family):
+    rows, note = benchmark_resolve.resolve_rows(family, 240, 3, LIMIT)
     assert {row.contender for row in rows} == {"ours", "cvxpy+clarabel", "clarabel"}
-    assert all(row.family == RESOLVE and row.runs == 3 for row in rows), rows
+    assert all(row.family == family and row.runs == 3 for row in rows), rows
     assert all(abs(getattr(row, name)) < 1e-6 for row in rows for name in RESIDUALS), rows
     assert "3 initial states" in note
 
