@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, assign, brief, frozen, real_array
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, assign, brief, real_array
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -84,7 +84,8 @@ class Multipliers:
             if rho.dtype.kind not in "iufc" or not np.isfinite(rho).all():
                 raise ProblemError(f"multipliers.{field}", brief(value), "finite complex numbers")
             rho = rho.astype(np.complex128)
-            assign(self, **{field: frozen(rho)})
+            rho.flags.writeable = False
+            assign(self, **{field: rho})
         for field in ("eta", "nu"):
             if getattr(self, field).ndim != 2:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", "two dimensions")

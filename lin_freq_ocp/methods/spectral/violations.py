@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.methods.spectral.lti import Lti
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.arrays import Array, Indices
 
 STATE_PEAKS = 40
 """Violated local maxima of states that enter in one round: all samples of a long arc would be nearly dependent rows."""
@@ -40,7 +40,6 @@ class Violations:
         self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
         self.lower, self.upper = _chosen(lti.lower, self.rows), _chosen(lti.upper, self.rows)
         self.state_rows = ~lti.F[self.rows, n:].any(1)
-        self._states = np.flatnonzero(self.state_rows)
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         self.free_end = np.isnan(lti.end)
@@ -93,7 +92,7 @@ class Violations:
 
     def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
-        i, t = np.nonzero(self._mask(tolerance))
+        i, t = self._places(tolerance)
         ends = np.flatnonzero(self.last > tolerance / 2)
         sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
         times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
@@ -101,33 +100,33 @@ class Violations:
 
     def chosen(self, tolerance: float) -> tuple[Indices, Array]:
         """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        mask = np.concatenate([self._mask(tolerance).ravel(), self.last > tolerance / 2])
-        above = np.concatenate([self.above.ravel(), self.last_above])
-        index = np.flatnonzero(mask)
-        return index, np.where(above[index], 1.0, -1.0)
+        i, t = self._places(tolerance)
+        index, above = i * self.lti.horizon + t, self.above[i, t]
+        if self.free_end.any():
+            ends = np.flatnonzero(self.last > tolerance / 2)
+            index = np.concatenate([index, self.excess.size + ends])
+            above = np.concatenate([above, self.last_above[ends]])
+        return index, np.where(above, 1.0, -1.0)
 
     def flat_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds over the same."""
         lti = self.lti
         return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
 
-    def _mask(self, tolerance: float) -> Mask:
+    def _places(self, tolerance: float) -> tuple[Indices, Indices]:
+        """Return (i, t) of the entries of ``excess`` that enter."""
         threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
-        mask = self.excess > threshold[:, None]
-        states = self._states
-        if mask[states].any():
-            mask[states] &= self._peaks(self.excess[states])
-            heights = self.excess[states][mask[states]]
-            if len(heights) > STATE_PEAKS:
-                mask[states] &= self.excess[states] >= np.partition(heights, -STATE_PEAKS)[-STATE_PEAKS]
-        return mask
-
-    @staticmethod
-    def _peaks(excess: Array) -> Mask:
-        peak = np.ones(excess.shape, dtype=bool)
-        peak[:, 1:] &= excess[:, 1:] >= excess[:, :-1]
-        peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
-        return peak
+        i, t = np.nonzero(self.excess > threshold[:, None])
+        states = self.state_rows[i]
+        if not states.any():
+            return i, t
+        here, last = self.excess[i, t], self.lti.horizon - 1
+        lower = (here < self.excess[i, np.maximum(t - 1, 0)]) | (here < self.excess[i, np.minimum(t + 1, last)])
+        peaks = states & ~lower
+        if np.count_nonzero(peaks) > STATE_PEAKS:
+            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
+        kept = peaks | ~states
+        return i[kept], t[kept]
 
 
 def _chosen(bounds: Array, rows: Indices) -> Array:
