@@ -309,7 +309,7 @@ class Exchange:
     def _gains_nothing(self) -> bool:
         """Whether the cost can hardly fall along the border variables, were they free, or by such moves."""
         slope, border = self._slope(), self.border
-        gain = abs(slope @ border.inverse[: border.size, : border.size] @ slope)
+        gain = abs(float(slope @ border.inverse[: border.size, : border.size] @ slope))
         return gain <= GAIN_TOLERANCE * self._cost_size() or self._worthless()
 
     def _cost(self) -> float:

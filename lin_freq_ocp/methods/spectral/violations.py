@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.methods.spectral.lti import Lti
-from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
 STATE_PEAKS = 40
 """Violated local maxima of states that enter in one round: all samples of a long arc would be nearly dependent rows."""
@@ -121,8 +121,8 @@ class Violations:
         if not states.any():
             return i, t
         here, last = self.excess[i, t], self.lti.horizon - 1
-        lower = (here < self.excess[i, np.maximum(t - 1, 0)]) | (here < self.excess[i, np.minimum(t + 1, last)])
-        peaks = states & ~lower
+        beside = np.maximum(self.excess[i, np.maximum(t - 1, 0)], self.excess[i, np.minimum(t + 1, last)])
+        peaks: Mask = np.asarray(states & (here >= beside))
         if np.count_nonzero(peaks) > STATE_PEAKS:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states
