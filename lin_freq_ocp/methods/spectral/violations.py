@@ -39,7 +39,7 @@ class Violations:
         self.lti, n = lti, lti.state_dim
         self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
         self.lower, self.upper = _chosen(lti.lower, self.rows), _chosen(lti.upper, self.rows)
-        self.state_rows = ~lti.F[self.rows, n:].any(1)
+        self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         self.free_end = np.isnan(lti.end)
@@ -122,7 +122,7 @@ class Violations:
             return i, t
         here, last = self.excess[i, t], self.lti.horizon - 1
         beside = np.maximum(self.excess[i, np.maximum(t - 1, 0)], self.excess[i, np.minimum(t + 1, last)])
-        peaks: Mask = np.asarray(states & (here >= beside))
+        peaks = states & (here >= beside)
         if np.count_nonzero(peaks) > STATE_PEAKS:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states
