@@ -2,7 +2,8 @@
 
 Read in the order of the data: ``problem`` describes, ``transcription`` turns a problem into a program, ``backends`` and
 ``methods`` solve it, ``certificate`` judges the answer without knowing how it was found, ``solve`` ties these together,
-``comparison`` sets it beside filtering, ``report`` shows it, and ``interchange`` carries it in and out of files.
+``explain`` says why there is no answer, ``comparison`` sets it beside filtering, ``report`` shows it, and
+``interchange`` carries it in and out of files.
 """
 
 from lin_freq_ocp import library
@@ -20,6 +21,7 @@ from lin_freq_ocp.errors import (
     UnboundedError,
     UnsupportedError,
 )
+from lin_freq_ocp.explain import Cure, Explanation, explain
 from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
@@ -41,7 +43,9 @@ __all__ = [
     "Box",
     "Certificate",
     "Comparison",
+    "Cure",
     "Everything",
+    "Explanation",
     "InfeasibleError",
     "LimitError",
     "LinFreqOCPError",
@@ -65,6 +69,7 @@ __all__ = [
     "band_pass",
     "certify",
     "compare",
+    "explain",
     "high_pass",
     "library",
     "load",

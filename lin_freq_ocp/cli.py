@@ -37,7 +37,7 @@ from lin_freq_ocp.interchange.summary import (
 )
 from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import Result, certify, solve
+from lin_freq_ocp.solve import EXPLAIN_SECONDS, Result, certify, explained, solve
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -108,6 +108,9 @@ def solve_command(
         require_writable(save, problem)
     with _progress(f"solving {description.name or problem}"):
         result = solve(description, method, backend, time_limit, tolerance, throw=False)
+    if result.status == "infeasible":
+        with _progress("looking for what would help"):
+            result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
     if save is not None and result.trajectory is not None:
         result.save(save)
     elif save is not None:
@@ -328,6 +331,8 @@ def _print_json(summary: Mapping[str, Any]) -> None:
 def _print_conflict(result: Result) -> None:
     for one in result.conflict or ():
         out.print(f"conflict  {one}", markup=False, highlight=False)
+    if result.explanation is not None:
+        out.print(str(result.explanation), markup=False, highlight=False)
 
 
 def _print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:

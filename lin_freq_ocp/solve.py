@@ -11,6 +11,7 @@ from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import (
     InfeasibleError,
     LimitError,
+    LinFreqOCPError,
     NumericalError,
     SolveError,
     UnboundedError,
@@ -30,11 +31,16 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from lin_freq_ocp.explain import Explanation
+
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
 
 LEAST_TIME = 1e-3
 """Seconds that are left to a second method when the first one has used them all: it ends at once, with its words."""
+
+EXPLAIN_SECONDS = 5.0
+"""Time for saying why a problem has no solution, unless a time limit leaves less."""
 
 METHODS = ("auto", "convex", "spectral")
 
@@ -71,6 +77,8 @@ class Result:
         In words, how it ended.
     interrupted : bool
         Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
+    explanation : Explanation or None
+        If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
     """
 
     problem: OptimalControlProblem
@@ -85,6 +93,7 @@ class Result:
     ray: Multipliers | None = field(default=None, repr=False)
     message: str = ""
     interrupted: bool = False
+    explanation: Explanation | None = None
 
     @property
     def primal(self) -> bool:
@@ -219,6 +228,9 @@ def solve(
     if result is None:
         left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
         result = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    if throw and result.status == "infeasible":
+        left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
+        result = explained(result, min(left, EXPLAIN_SECONDS))
     if throw and result.status != "optimal":
         raise ERRORS[result.status](_complaint(result), result)
     return result
@@ -271,13 +283,13 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
     """Return what the sparse program ends with."""
     candidate = solve_convex(problem, backend, tolerance, time_limit)
     if candidate.status not in ("optimal", "limit") and backend != PROVER:
-        candidate = _explained(problem, candidate, time_limit)
+        candidate = _accounted(problem, candidate, time_limit)
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
     return _judged(problem, candidate, "convex", backend)
 
 
-def _explained(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
+def _accounted(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
     """Return the prover's account of a problem that another backend did not solve, if it has one."""
     account = solve_convex(problem, PROVER, None, time_limit)
     return account if account.status in ("infeasible", "unbounded") else candidate
@@ -317,13 +329,23 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, b
     )
 
 
+def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
+    """Return an infeasible result with its explanation, if one was found in that time."""
+    from lin_freq_ocp.explain import explain
+
+    try:
+        return replace(result, explanation=explain(result.problem, seconds) if seconds > 0 else None)
+    except LinFreqOCPError:  # the proof stands without it
+        return result
+
+
 def _complaint(result: Result) -> str:
     name = result.problem.name or "the problem"
     if result.status == "infeasible":
         blocks = "; ".join(str(one) for one in result.conflict or ())
-        return (
-            f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. "
-            "Relax one of these."
+        cures = "; or ".join(str(one) for one in result.explanation.cures) if result.explanation else ""
+        return f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. " + (
+            f"Least change that helps: {cures}." if cures else "Relax one of these."
         )
     if result.status == "unbounded":
         return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."

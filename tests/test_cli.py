@@ -82,6 +82,9 @@ CERTIFICATE = {
 }
 VALUES = {"cost": (float, None), "lower_bound": (float, None), "gap": (float, None), "bound": (str, None)}
 CERTIFY = {**HEAD, **VALUES, "certificate": CERTIFICATE}
+TOO_WEAK = ("--set", "horizon=60", "--set", "control_bound=1")
+"""An infeasible pendulum that is explained in less than the time there is for it."""
+
 SOLVE = {
     **HEAD,
     **VALUES,
@@ -93,6 +96,10 @@ SOLVE = {
     "seconds": {"setup": float, "solve": float, "certify": float},
     "certificate": (CERTIFICATE, None),
     "conflict": ([{"block": str, "share": float, "times": [int]}], None),
+    "explanation": (
+        {"family": [str], "irreducible": bool, "cures": [{"block": str, "amount": float, "words": str}]},
+        None,
+    ),
     "message": (str, None),
 }
 MEASURES = {
@@ -285,11 +292,14 @@ def test_json_of_solve_says_what_the_library_says(method, backend):
 
 @pytest.mark.parametrize("method", ["auto", "convex"])
 def test_json_of_an_infeasible_problem_names_the_conflict(method):
-    summary = parsed(once("solve", "pendulum", "--set", "control_bound=1", "--method", method, "--json")[1])
+    summary = parsed(once("solve", "pendulum", *TOO_WEAK, "--method", method, "--json")[1])
     with pytest.raises(lfo.InfeasibleError) as caught:
-        lfo.solve(lfo.library.pendulum(control_bound=1), method=method)
+        lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1), method=method)
     assert [one["block"] for one in summary["conflict"]] == [one.block for one in caught.value.result.conflict]
     assert [one["times"] for one in summary["conflict"]] == [list(one.times) for one in caught.value.result.conflict]
+    said = caught.value.result.explanation
+    assert summary["explanation"]["family"] == list(said.family)
+    assert [one["words"] for one in summary["explanation"]["cures"]] == [one.words for one in said.cures]
     assert (summary["primal"], summary["dual"]) == (False, True)
 
 
@@ -504,9 +514,11 @@ def test_every_problem_of_the_library_is_proven(name):
 
 
 def test_a_conflict_is_shown():
-    status, out, err = once("solve", "pendulum", "--set", "control_bound=1")
+    status, out, err = once("solve", "pendulum", *TOO_WEAK)
     assert (status, err) == (1, "")
     assert "conflict initial state, t = 0" in " ".join(out.split())
+    assert "together initial state, terminal state" in " ".join(out.split())
+    assert "cure control bound on" in " ".join(out.split())
     assert "control bound on force [N]" in " ".join(out.split())
 
 

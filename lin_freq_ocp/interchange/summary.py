@@ -36,6 +36,7 @@ def result_summary(result: Result) -> dict[str, Any]:
             "seconds": result.seconds,
             "certificate": _certificate(result.certificate),
             "conflict": conflict,
+            "explanation": None if result.explanation is None else asdict(result.explanation),
             "message": result.message or None,
         }
     )

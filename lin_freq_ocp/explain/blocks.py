@@ -1,0 +1,133 @@
+"""The constraints of a problem as named blocks, each of which can be taken away or made wider."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.spectrum import Band, stop_band
+from lin_freq_ocp.problem.stage_rows import StageRows
+
+ENDS = ("initial state", "terminal state")
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block of constraints.
+
+    Attributes
+    ----------
+    kind : str
+        "initial state", "terminal state", "state bound", "control bound", "row", "state stop band" or
+        "control stop band".
+    name : str
+        As it stands in a Conflict.
+    index : int
+        The component, or the row of its family.
+    family : str
+        Of a row: the name of its stage rows.
+    """
+
+    kind: str
+    name: str
+    index: int = 0
+    family: str = ""
+
+
+def blocks(problem: OptimalControlProblem) -> list[Block]:
+    """Return all blocks that constrain anything, apart from the dynamics."""
+    return [*_ends(problem), *_bounds(problem), *_bands(problem)]
+
+
+def _ends(problem: OptimalControlProblem) -> Iterator[Block]:
+    for kind, end in zip(ENDS, (problem.initial_state, problem.terminal_state), strict=True):
+        if _bounded(end).any():
+            yield Block(kind, kind)
+
+
+def _bounds(problem: OptimalControlProblem) -> Iterator[Block]:
+    for i in np.flatnonzero(_bounded(problem.state_boxes)):
+        yield Block("state bound", f"state bound on {problem.state_names[i]}", int(i))
+    for j in np.flatnonzero(_bounded(problem.control_tube)):
+        yield Block("control bound", f"control bound on {problem.control_names[j]}", int(j))
+    for rows in problem.stage_rows:
+        for i in range(rows.rows):
+            yield Block("row", f"row {i} of {rows.name}", i, rows.name)
+
+
+def _bands(problem: OptimalControlProblem) -> Iterator[Block]:
+    for i in np.flatnonzero(problem.state_stop.any(0)):
+        yield Block("state stop band", f"state stop band on {problem.state_names[i]}", int(i))
+    for j in np.flatnonzero(problem.control_stop.any(0)):
+        yield Block("control stop band", f"control stop band on {problem.control_names[j]}", int(j))
+
+
+def _bounded(box: Box) -> Mask:
+    """Return which components have a bound at some time."""
+    finite = np.isfinite(box.lower) | np.isfinite(box.upper)
+    return np.asarray(np.atleast_2d(finite).any(0))
+
+
+def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
+    """Return the problem without these blocks."""
+    for block in dropped:
+        problem = widened(problem, block, np.inf)
+    return problem
+
+
+def widened(problem: OptimalControlProblem, block: Block, amount: float | Array) -> OptimalControlProblem:
+    """Return the problem with a block moved outwards by an amount, or taken away if it is infinite.
+
+    Ends take an amount per state; stop bands the number of their outermost bins that are passed.
+    """
+    if block.kind in ENDS:
+        field = block.kind.replace(" ", "_")
+        end = getattr(problem, field)
+        return replace(problem, **{field: Box(end.lower - amount, end.upper + amount)})
+    if block.kind == "row":
+        return replace(problem, stage_rows=[_moved(rows, block, amount) for rows in problem.stage_rows])
+    if block.kind.endswith("stop band"):
+        return _narrowed(problem, block, amount)
+    field = "state_set" if block.kind == "state bound" else "control_set"
+    tube = problem.state_boxes if block.kind == "state bound" else problem.control_tube
+    lower, upper = tube.lower.copy(), tube.upper.copy()
+    lower[:, block.index] -= amount
+    upper[:, block.index] += amount
+    return replace(problem, **{field: Box(lower, upper)})
+
+
+def _moved(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
+    if rows.name != block.family:
+        return rows
+    limits = rows.e.copy()
+    limits[..., block.index] += amount
+    return StageRows(rows.C, rows.D, limits, rows.name)
+
+
+def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
+    """Return the problem with the stopped bins of one component that lie within ``bins`` of passed ones passed, too."""
+    field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
+    stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
+    stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
+    return replace(problem, **{field: bands(stop)})
+
+
+def kept_stopped(stopped: Mask, bins: float) -> Mask:
+    """Return which stopped bins lie farther than ``bins`` from every passed one; all bins, if none is passed."""
+    if not np.isfinite(bins):
+        return np.zeros_like(stopped)
+    k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
+    if not len(passed):
+        return stopped & (k >= bins)  # nothing is passed: begin at the lowest bins
+    return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
+
+
+def bands(stop: Mask) -> Sequence[Band]:
+    """Return stop bands for which bins (k, components) are removed."""
+    components = np.flatnonzero(stop.any(0))
+    return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]

@@ -1,0 +1,113 @@
+"""Which constraints cannot hold together, none of them to spare, and the least change of each one that helps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.explain.blocks import Block, blocks, without
+from lin_freq_ocp.explain.relaxation import Cure, least_cure
+from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solve import Result, solve
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a problem has no solution.
+
+    Attributes
+    ----------
+    family : tuple of str
+        Blocks of constraints that, with the dynamics, cannot hold together.
+    irreducible : bool
+        Whether each was taken away in turn, and the others could then hold together; False only where a solver was
+        unsure or the time was over.
+    cures : tuple of Cure
+        For each block of the family that cures the whole problem by giving way alone: the least by which it must.
+    """
+
+    family: tuple[str, ...]
+    irreducible: bool
+    cures: tuple[Cure, ...]
+
+    def __str__(self) -> str:
+        lines = [f"together  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
+        lines += [f"cure      {cure}" for cure in self.cures]
+        return "\n".join(lines)
+
+
+def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> Explanation:
+    """Explain why a problem has no solution.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    time_limit : float, optional
+        Seconds after which nothing more is tried; what was found until then is returned.
+
+    Returns
+    -------
+    Explanation
+
+    Raises
+    ------
+    UnsupportedError
+        If the problem has a solution, or none of the methods could prove that it has none.
+    """
+    search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)
+    result = search.solved(problem)
+    if result.status != "infeasible":
+        raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
+    family = search.family(result)
+    cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
+    return Explanation(tuple(block.name for block in family), search.sure, cures)
+
+
+class _Search:
+    """Solves variants of one problem; ``sure`` until a solver was not, or the time was over."""
+
+    def __init__(self, problem: OptimalControlProblem, end: float):
+        cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
+        self.problem, self.end, self.sure = replace(problem, cost=cost), end, True
+        self.blocks = blocks(problem)
+
+    def solved(self, problem: OptimalControlProblem) -> Result:
+        """Return how a variant ends; its cost is a plain one, as only feasibility matters."""
+        left = None if np.isinf(self.end) else max(self.end - time.perf_counter(), 1e-3)
+        return solve(replace(problem, cost=self.problem.cost), time_limit=left, throw=False)
+
+    def feasible(self, problem: OptimalControlProblem) -> bool | None:
+        """Whether a variant has a solution; None where that is not known."""
+        status = self.solved(problem).status
+        return {"optimal": True, "infeasible": False}.get(status)
+
+    def family(self, result: Result) -> list[Block]:
+        """Return blocks none of which can be spared: each is taken away in turn, for good if the others still clash."""
+        named = {one.block: one.share for one in result.conflict or ()}
+        some = [block for block in self.blocks if block.name in named]
+        family = some if self._clash(some) else list(self.blocks)
+        for block in sorted(family, key=lambda block: named.get(block.name, 0.0)):
+            rest = [one for one in family if one is not block]
+            if self._clash(rest):
+                family = rest
+        return family
+
+    def _clash(self, kept: Iterable[Block]) -> bool:
+        """Whether these blocks alone are known to have no solution."""
+        kept = list(kept)
+        if time.perf_counter() > self.end:
+            self.sure = False
+            return False
+        found = self.feasible(without(self.problem, [block for block in self.blocks if block not in kept]))
+        self.sure &= found is not None
+        return found is False
+
+    def cure(self, block: Block) -> Cure | None:
+        """Return the least change of a block that cures the problem, if it does and there is time."""
+        return None if time.perf_counter() > self.end else least_cure(self.problem, block, self.feasible)

@@ -1,0 +1,222 @@
+"""The least by which one block must give way for a problem to have a solution.
+
+For bounds, joint rows and ends the problem is extended by a state delta, constant in time, by which the block's rows
+give way; least delta is then a problem of the same kind as every other one here.
+For a stop band it is a search over its bins, passed one after the other from its edges inwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.explain.blocks import ENDS, Block, bands, kept_stopped, widened
+from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.solve import solve
+
+MARGINS = (1e-6, 1e-4, 1e-2)
+"""Parts of the least amount by which more is given: the first that cures counts, so that rounding does not decide."""
+
+CONTROL_PRICE = 1e-6
+"""Cost of controls of their stated sizes, relative to that of a delta as large: a flat program is hard on solvers."""
+
+LARGEST = 1e6
+"""An amount beyond this many times the sizes in the data is no cure."""
+
+
+@dataclass(frozen=True)
+class Cure:
+    """The least change of one block, all others as they are, after which there is a solution.
+
+    Attributes
+    ----------
+    block : str
+        In words, as in a Conflict.
+    amount : float
+        By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
+        relative to its size; for a stop band, how many of its bins are passed on each edge.
+    words : str
+        From what to what.
+    """
+
+    block: str
+    amount: float
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.block}: {self.words}"
+
+
+def least_cure(
+    problem: OptimalControlProblem, block: Block, feasible: Callable[[OptimalControlProblem], bool | None]
+) -> Cure | None:
+    """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
+    if block.kind.endswith("stop band"):
+        return _least_narrowing(problem, block, feasible)
+    result = solve(_elastic(problem, block), method="convex", throw=False)
+    if result.trajectory is None:  # however inaccurate: what it says is tried
+        return None
+    least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)
+    if least > LARGEST * max(map(np.max, sizes)):
+        return None
+    end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
+    for margin in MARGINS:
+        amount = least * (1 + margin)
+        cured = widened(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
+        if feasible(cured):
+            return Cure(block.name, amount, _words(problem, cured, block, amount, end))
+    return None
+
+
+def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
+    """Return the problem of the least delta >= 0, its last state, by which the block must give way."""
+    n, T, A, B = problem.state_dim, problem.horizon, problem.dynamics.A, problem.dynamics.B
+    rows = _giving_way(problem, block)
+    held = widened(problem, block, np.inf)
+    extended = np.zeros((*A.shape[:-2], n + 1, n + 1))
+    extended[..., :n, :n], extended[..., n, n] = A, 1.0
+    dynamics = LinearDynamics(
+        extended,
+        np.concatenate([B, np.zeros((*B.shape[:-2], 1, B.shape[-1]))], axis=-2),
+        offset=np.concatenate([problem.dynamics.offset, np.zeros((*problem.dynamics.offset.shape[:-1], 1))], axis=-1),
+    )
+    families = [
+        StageRows(np.concatenate([one.C, np.zeros((*one.C.shape[:-1], 1))], axis=-1), one.D, one.e, one.name)
+        for one in held.stage_rows
+    ]
+    delta, price = (np.zeros(T + 1), np.full(T + 1, np.inf)), np.zeros((n + 1, n + 1))
+    price[n, n] = _unit(problem, block) ** -2
+    boxes = held.state_boxes
+    return OptimalControlProblem(
+        dynamics,
+        T,
+        QuadraticCost(R=np.diag(CONTROL_PRICE / T / stated_sizes(problem)[1] ** 2), P=price),
+        control_set=held.control_tube,
+        state_set=Box(np.column_stack([boxes.lower, delta[0]]), np.column_stack([boxes.upper, delta[1]])),
+        initial_state=_extended(held.initial_state),
+        terminal_state=_extended(held.terminal_state),
+        control_spectrum=bands(held.control_stop),
+        state_spectrum=bands(held.state_stop),
+        stage_rows=[*families, rows],
+        name=f"least change of the {block.name}",
+    )
+
+
+def _unit(problem: OptimalControlProblem, block: Block) -> float:
+    """Return the size of what the block bounds."""
+    x, u = stated_sizes(problem)
+    if block.kind == "row":
+        rows = next(one for one in problem.stage_rows if one.name == block.family)
+        return float(rows.sizes(x, u)[..., block.index].max())
+    return {"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index]
+
+
+def _extended(end: Box) -> Box:
+    return Box(np.append(end.lower, 0.0), np.append(end.upper, np.inf))
+
+
+def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:
+    """Return the block's rows, each less delta times its size; those on x_T as rows on A x + B u of the step before."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
+    x, u = np.eye(n), np.eye(m)
+    A, B, d = problem.dynamics.at(T - 1)
+    none = np.full((T, 1), np.inf)
+    parts: list[tuple[Array, Array, Array, float]] = []  # C, D, limits (T, 1), how much of delta
+
+    def add(C: Array, D: Array, upper: Array, lower: Array, size: float = 1.0) -> None:
+        parts.append((C, D, upper, size))
+        parts.append((-C, -D, -lower, size))
+
+    def at(t: int, value: float, absent: float) -> Array:
+        limits = np.full((T, 1), absent)
+        limits[t] = value
+        return limits
+
+    i = block.index
+    if block.kind == "control bound":
+        tube = problem.control_tube
+        add(np.zeros(n), u[i], tube.upper[:, [i]], tube.lower[:, [i]])
+    elif block.kind == "state bound":
+        tube = problem.state_boxes
+        add(x[i], np.zeros(m), tube.upper[:T, [i]], tube.lower[:T, [i]])
+        add(A[i], B[i], at(T - 1, tube.upper[T, i] - d[i], np.inf), at(T - 1, tube.lower[T, i] - d[i], -np.inf))
+    elif block.kind == "row":
+        rows = next(one for one in problem.stage_rows if one.name == block.family)
+        C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[:, i] for part in (rows.C, rows.D))
+        limits = np.broadcast_to(rows.e, (T, rows.rows))[:, [i]]
+        matrix = np.concatenate([C, np.full((T, 1), -1.0)], axis=1)[:, None]
+        return StageRows(matrix, D[:, None], limits, "giving way")
+    else:
+        sizes, first = stated_sizes(problem)[0], block.kind == ENDS[0]
+        end = problem.initial_state if first else problem.terminal_state
+        for j in range(n):
+            if first:
+                add(x[j], np.zeros(m), at(0, end.upper[j], np.inf), at(0, end.lower[j], -np.inf), sizes[j])
+            else:
+                upper, lower = at(T - 1, end.upper[j] - d[j], np.inf), at(T - 1, end.lower[j] - d[j], -np.inf)
+                add(A[j], B[j], upper, lower, sizes[j])
+    C = np.array([np.append(C, -size) for C, _, _, size in parts])
+    limits = np.hstack([limits for _, _, limits, _ in parts]) if parts else none
+    return StageRows(C, np.array([D for _, D, _, _ in parts]), limits, "giving way")
+
+
+def _least_narrowing(
+    problem: OptimalControlProblem, block: Block, feasible: Callable[[OptimalControlProblem], bool | None]
+) -> Cure | None:
+    """Return the fewest bins to pass at the edges of a stop band, by bisection."""
+    stopped = (problem.state_stop if block.kind == "state stop band" else problem.control_stop)[:, block.index]
+    most = len(stopped)
+    if not feasible(widened(problem, block, most)):
+        return None
+    least = 0  # bins that do not suffice
+    while most - least > 1:
+        middle = (least + most) // 2
+        if feasible(widened(problem, block, middle)):
+            most = middle
+        else:
+            least = middle
+    return Cure(block.name, float(most), _band_words(problem, stopped, most, "state" in block.kind))
+
+
+def _band_words(problem: OptimalControlProblem, stopped: Mask, bins: int, state: bool) -> str:
+    length = problem.horizon + state
+    passed = [np.flatnonzero(mask == 0) for mask in (stopped, kept_stopped(stopped, bins))]
+    if len(passed[0]) and stopped[passed[0].max() + 1 :].all() and not stopped[: passed[0].max()].any():
+        Ts = problem.sampling_time
+        unit, word = (2 * np.pi, "rad/sample") if Ts is None else (1 / Ts, "Hz")
+        first, second = (f"{unit * one.max() / length:.6g}" for one in passed)
+        return f"cut-off {first} -> {second} {word}"
+    return f"{len(passed[0])} -> {len(passed[1])} passed bins of {len(stopped)}"
+
+
+def _words(
+    problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
+) -> str:
+    if block.kind in ENDS:
+        before = problem.initial_state if block.kind == ENDS[0] else problem.terminal_state
+        return f"{_point(before)} -> {np.array2string(end, precision=6, separator=', ')}"
+    if block.kind == "row":
+        limits = next(one for one in problem.stage_rows if one.name == block.family).e[..., block.index]
+        if np.ptp(limits) == 0:
+            return f"<= {np.max(limits):.6g} -> {np.max(limits) + amount:.6g}"
+        return f"limits higher by {amount:.6g}"
+    tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
+    lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
+    if (lower == lower[0]).all() and (upper == upper[0]).all():
+        shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
+        return " -> ".join(shown)
+    return f"bounds wider by {amount:.6g}"
+
+
+def _point(end: Box) -> str:
+    if end.fixed.all():
+        return np.array2string(end.lower, precision=6, separator=", ")
+    return " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(end.lower, end.upper, strict=True))

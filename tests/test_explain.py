@@ -1,0 +1,191 @@
+"""Why there is no solution: the family cannot spare a block, and each cure helps and is the least that does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.explain import explanation as explanation_module
+from lin_freq_ocp.explain.blocks import blocks, widened, without
+
+H, T = 0.1, 20
+NEEDED = 1.0 / (H * T / 2) ** 2
+"""Acceleration that takes the double integrator one metre in T steps, from rest to rest: bang, bang."""
+
+
+def carriage(**changes: Any) -> lfo.OptimalControlProblem:
+    """One metre from rest to rest, with less acceleration than it takes."""
+    fields = {
+        "dynamics": lfo.LinearDynamics(
+            [[1.0, H], [0.0, 1.0]],
+            [[H**2 / 2], [H]],
+            sampling_time=H,
+            state_names=["position [m]", "speed [m/s]"],
+            control_names=["acceleration [m/s^2]"],
+        ),
+        "horizon": T,
+        "cost": lfo.QuadraticCost(R=1.0),
+        "control_set": lfo.Box(-0.7 * NEEDED, 0.7 * NEEDED),
+        "initial_state": [0.0, 0.0],
+        "terminal_state": [1.0, 0.0],
+    }
+    return lfo.OptimalControlProblem(**(fields | changes))
+
+
+ENDS = ["initial state", "terminal state"]
+CONTROL, SPEED = "control bound on acceleration [m/s^2]", "state bound on speed [m/s]"
+PLENTY = lfo.Box(-50.0, 50.0)
+INFEASIBLE = {  # name: changes, family, {block: amount}
+    "a control bound": ({}, [*ENDS, CONTROL], {CONTROL: 0.3 * NEEDED}),
+    "a control bound, with others that do not matter": (
+        {"state_set": lfo.Box([-5.0, -9.0], [5.0, 9.0]), "control_spectrum": lfo.stop_band(bins=[9])},
+        [*ENDS, CONTROL],
+        {},
+    ),
+    "a speed limit": (
+        {"control_set": PLENTY, "state_set": lfo.Box([None, -0.3], [None, 0.3])},
+        [*ENDS, SPEED],
+        {SPEED: 1 / (H * (T - 1)) - 0.3},
+    ),
+    "a joint row": (
+        {"control_set": PLENTY, "stage_rows": lfo.StageRows([[0.0, 1.0]], None, [0.3], name="speed limit")},
+        [*ENDS, "row 0 of speed limit"],
+        {"row 0 of speed limit": 1 / (H * (T - 1)) - 0.3},
+    ),
+    "a stop band": (
+        {"control_set": None, "control_spectrum": lfo.stop_band(bins=range(1, 11))},
+        [*ENDS, "control stop band on acceleration [m/s^2]"],
+        {},
+    ),
+    "bounds per time": (
+        {"control_set": lfo.Box(np.full((T, 1), -0.7 * NEEDED), np.linspace(0.5, 0.7, T)[:, None] * NEEDED)},
+        [*ENDS, CONTROL],
+        {},
+    ),
+    "an end in a box": (
+        {"terminal_state": lfo.Box([1.0, -0.1], [1.2, 0.1]), "control_set": lfo.Box(-0.5 * NEEDED, 0.5 * NEEDED)},
+        [*ENDS, CONTROL],
+        {},
+    ),
+}
+
+
+def feasible(problem: lfo.OptimalControlProblem) -> bool:
+    """Another method than the explanation's own, which is our Fourier-domain one here."""
+    result = lfo.solve(replace(problem, cost=lfo.QuadraticCost()), method="convex", throw=False)
+    assert result.status in ("optimal", "infeasible")
+    return result.status == "optimal"
+
+
+@pytest.fixture(params=INFEASIBLE)
+def case(request) -> tuple[lfo.OptimalControlProblem, lfo.Explanation, list[str], dict[str, float]]:
+    changes, family, amounts = INFEASIBLE[request.param]
+    problem = carriage(**changes)
+    return problem, lfo.explain(problem), family, amounts
+
+
+def test_the_family_clashes_and_can_spare_no_block(case):
+    problem, explanation, family, _ = case
+    assert sorted(explanation.family) == sorted(family)
+    assert explanation.irreducible
+    named = {block.name: block for block in blocks(problem)}
+    others = [block for name, block in named.items() if name not in family]
+    assert not feasible(without(problem, others))
+    for name in family:
+        assert feasible(without(problem, [*others, named[name]])), name
+
+
+def test_a_cure_helps_and_less_does_not(case):
+    problem, explanation, _, amounts = case
+    named = {block.name: block for block in blocks(problem)}
+    cures = {cure.block: cure for cure in explanation.cures}
+    assert cures
+    for name, cure in cures.items():
+        block, units = named[name], 1.0
+        if block.kind in ENDS:
+            units = np.array([1.0, 1.0]) if problem.state_set is None else np.array([1.0, 0.3])
+            if isinstance(problem.state_set, lfo.Box) and problem.state_set.upper[-1] == 9.0:
+                units = np.array([1.0, 9.0])
+        if "stop band" in name:
+            assert feasible(widened(problem, block, cure.amount))
+            assert not feasible(widened(problem, block, cure.amount - 1))
+        elif block.kind not in ENDS:
+            assert feasible(widened(problem, block, 1.001 * cure.amount * units))
+            assert not feasible(widened(problem, block, 0.98 * cure.amount * units))
+    for name, amount in amounts.items():
+        assert cures[name].amount == pytest.approx(amount, rel=1e-3)
+
+
+def test_a_nearest_end_can_be_reached_and_a_nearer_one_cannot():
+    problem = carriage()
+    cures = {cure.block: cure for cure in lfo.explain(problem).cures}
+    reached = np.array([float(v) for v in cures["terminal state"].words.split("-> [")[1].strip("]").split(",")])
+    assert feasible(replace(problem, terminal_state=reached - np.array([1e-5, 0.0])))
+    away = reached - problem.terminal_state.lower
+    assert np.abs(away).max() > 0.05
+    assert not feasible(replace(problem, terminal_state=problem.terminal_state.lower + 0.9 * away))
+
+
+def test_cures_are_told_in_the_units_of_the_problem():
+    said = str(lfo.explain(carriage()))
+    assert f"control bound on acceleration [m/s^2]: [-0.7, 0.7] -> [-{NEEDED:g}" in said
+    assert "terminal state: [1., 0.] -> [" in said
+    row = lfo.explain(carriage(**INFEASIBLE["a joint row"][0]))
+    assert any("<= 0.3 -> 0.526" in str(cure) for cure in row.cures)
+    varying = lfo.explain(carriage(**INFEASIBLE["bounds per time"][0]))
+    assert any("bounds wider by" in cure.words for cure in varying.cures)
+
+
+@pytest.mark.parametrize("sampling_time", [H, None])
+def test_a_low_pass_is_cured_by_another_cut_off(sampling_time):
+    problem = carriage(control_set=lfo.Box(-1.05 * NEEDED, 1.05 * NEEDED), control_spectrum=lfo.low_pass(cutoff=0.4))
+    plant = replace(problem.dynamics, sampling_time=sampling_time)
+    cures = [cure for cure in lfo.explain(replace(problem, dynamics=plant)).cures if "stop band" in cure.block]
+    assert len(cures) == 1
+    before, after, unit = cures[0].words.removeprefix("cut-off ").replace("-> ", "").split()
+    assert unit == ("Hz" if sampling_time else "rad/sample")
+    factor = 2 * np.pi * H if sampling_time else 1.0
+    assert float(before) * factor == pytest.approx(2 * np.pi / T, rel=1e-5)  # the highest bin that 0.4 rad lets pass
+    cured = replace(problem, control_spectrum=lfo.low_pass(cutoff=float(after) * factor + 1e-4))
+    assert feasible(cured)
+    assert not feasible(replace(problem, control_spectrum=lfo.low_pass(cutoff=float(after) * factor - 1e-3)))
+
+
+def test_time_varying_dynamics_and_state_bands_are_explained_too():
+    A = np.broadcast_to(carriage().dynamics.A, (T, 2, 2)) * np.linspace(1.0, 0.99, T)[:, None, None]
+    plant = lfo.LinearDynamics(A, carriage().dynamics.B)
+    problem = carriage(dynamics=plant, state_spectrum=lfo.stop_band(bins=[1], component=1))
+    explanation = lfo.explain(problem)
+    assert explanation.irreducible
+    named = {block.name: block for block in blocks(problem)}
+    others = [block for name, block in named.items() if name not in explanation.family]
+    assert not feasible(without(problem, others))
+    assert all(feasible(without(problem, [*others, named[name]])) for name in explanation.family)
+
+
+def test_a_problem_with_a_solution_is_not_explained():
+    with pytest.raises(lfo.UnsupportedError, match="not proven infeasible, it ended as 'optimal'"):
+        lfo.explain(carriage(control_set=None))
+
+
+def test_without_time_no_more_is_claimed_than_is_known(monkeypatch):
+    clock = iter(np.arange(0.0, 1e4, 0.4))
+    monkeypatch.setattr(explanation_module, "time", SimpleNamespace(perf_counter=lambda: float(next(clock))))
+    explanation = lfo.explain(carriage(), time_limit=1.0)
+    assert not explanation.irreducible
+    assert "perhaps fewer" in str(explanation)
+
+
+def test_the_error_names_the_least_change():
+    with pytest.raises(lfo.InfeasibleError, match=r"Least change that helps: .*\[-0\.7, 0\.7\] -> \[-1") as caught:
+        lfo.solve(carriage())
+    assert caught.value.result.explanation.irreducible
+
+
+def test_without_throw_nothing_more_is_solved():
+    assert lfo.solve(carriage(), throw=False).explanation is None
