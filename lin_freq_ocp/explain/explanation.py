@@ -16,6 +16,12 @@ from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solve import Result, solve
 
+DECIDED = {"optimal": True, "infeasible": False}
+"""Whether a problem has a solution, by the words that say so."""
+
+LEAST_TIME = 1e-3
+"""Seconds left to a solver when the time is over: it then says so."""
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -78,14 +84,18 @@ class _Search:
         self.blocks = blocks(problem)
 
     def solved(self, problem: OptimalControlProblem) -> Result:
-        """Return how a variant ends; its cost is a plain one, as only feasibility matters."""
-        left = None if np.isinf(self.end) else max(self.end - time.perf_counter(), 1e-3)
-        return solve(replace(problem, cost=self.problem.cost), time_limit=left, throw=False)
+        """Return how a variant ends; its cost is a plain one, or none, as only feasibility matters."""
+        result = solve(replace(problem, cost=self.problem.cost), time_limit=self._left(), throw=False)
+        if result.status in DECIDED:
+            return result
+        return solve(replace(problem, cost=QuadraticCost()), method="convex", time_limit=self._left(), throw=False)
+
+    def _left(self) -> float | None:
+        return None if np.isinf(self.end) else max(self.end - time.perf_counter(), LEAST_TIME)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
         """Whether a variant has a solution; None where that is not known."""
-        status = self.solved(problem).status
-        return {"optimal": True, "infeasible": False}.get(status)
+        return DECIDED.get(self.solved(problem).status)
 
     def family(self, result: Result) -> list[Block]:
         """Return blocks none of which can be spared: each is taken away in turn, for good if the others still clash."""
