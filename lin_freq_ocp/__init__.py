@@ -30,6 +30,7 @@ from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -59,6 +60,7 @@ __all__ = [
     "QuadraticCost",
     "Result",
     "SavedSolution",
+    "Sensitivities",
     "SolveError",
     "SpectralSolution",
     "SpectralSolver",

@@ -24,6 +24,7 @@ from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 if TYPE_CHECKING:
@@ -129,6 +130,13 @@ class Result:
     def control(self) -> Array | None:
         """Return u, shape (T, m)."""
         return None if self.trajectory is None else self.trajectory.u
+
+    @property
+    def sensitivities(self) -> Sensitivities:
+        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
+        if self.status != "optimal" or self.multipliers is None:
+            raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
+        return sensitivities(self.problem, self.multipliers)
 
     def __str__(self) -> str:
         certificate = self.certificate
