@@ -30,6 +30,7 @@ from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
@@ -77,6 +78,7 @@ __all__ = [
     "load",
     "low_pass",
     "notch",
+    "rate_limited",
     "read_problem",
     "simulate",
     "solve",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import Band, stop_band
+from lin_freq_ocp.problem.spectrum import bands_of
 from lin_freq_ocp.problem.stage_rows import StageRows
 
 ENDS = ("initial state", "terminal state")
@@ -114,7 +114,7 @@ def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array)
     field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
     stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
     stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
-    return replace(problem, **{field: bands(stop)})
+    return replace(problem, **{field: bands_of(stop)})
 
 
 def kept_stopped(stopped: Mask, bins: float) -> Mask:
@@ -125,9 +125,3 @@ def kept_stopped(stopped: Mask, bins: float) -> Mask:
     if not len(passed):
         return stopped & (k >= bins)  # nothing is passed: begin at the lowest bins
     return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
-
-
-def bands(stop: Mask) -> Sequence[Band]:
-    """Return stop bands for which bins (k, components) are removed."""
-    components = np.flatnonzero(stop.any(0))
-    return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]

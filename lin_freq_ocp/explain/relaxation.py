@@ -8,14 +8,14 @@ For a stop band it is a search over its bins, passed one after the other from it
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.explain.blocks import ENDS, Block, bands, kept_stopped, widened
+from lin_freq_ocp.explain.blocks import ENDS, Block, kept_stopped, widened
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.extension import FurtherStates, extended
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
@@ -78,36 +78,13 @@ def least_cure(
 
 def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
     """Return the problem of the least delta >= 0, its last state, by which the block must give way."""
-    n, T, A, B = problem.state_dim, problem.horizon, problem.dynamics.A, problem.dynamics.B
-    rows = _giving_way(problem, block)
-    held = widened(problem, block, np.inf)
-    extended = np.zeros((*A.shape[:-2], n + 1, n + 1))
-    extended[..., :n, :n], extended[..., n, n] = A, 1.0
-    dynamics = LinearDynamics(
-        extended,
-        np.concatenate([B, np.zeros((*B.shape[:-2], 1, B.shape[-1]))], axis=-2),
-        offset=np.concatenate([problem.dynamics.offset, np.zeros((*problem.dynamics.offset.shape[:-1], 1))], axis=-1),
-    )
-    families = [
-        StageRows(np.concatenate([one.C, np.zeros((*one.C.shape[:-1], 1))], axis=-1), one.D, one.e, one.name)
-        for one in held.stage_rows
-    ]
-    delta, price = (np.zeros(T + 1), np.full(T + 1, np.inf)), np.zeros((n + 1, n + 1))
-    price[n, n] = _unit(problem, block) ** -2
-    boxes = held.state_boxes
-    return OptimalControlProblem(
-        dynamics,
-        T,
-        QuadraticCost(R=np.diag(CONTROL_PRICE / T / stated_sizes(problem)[1] ** 2), P=price),
-        control_set=held.control_tube,
-        state_set=Box(np.column_stack([boxes.lower, delta[0]]), np.column_stack([boxes.upper, delta[1]])),
-        initial_state=_extended(held.initial_state),
-        terminal_state=_extended(held.terminal_state),
-        control_spectrum=bands(held.control_stop),
-        state_spectrum=bands(held.state_stop),
-        stage_rows=[*families, rows],
-        name=f"least change of the {block.name}",
-    )
+    m, T = problem.control_dim, problem.horizon
+    delta = FurtherStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
+    held = replace(widened(problem, block, np.inf), cost=QuadraticCost(), name=f"least change of the {block.name}")
+    elastic = extended(held, delta)
+    price = np.diag(np.append(np.zeros(problem.state_dim), _unit(problem, block) ** -2))
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / stated_sizes(problem)[1] ** 2), P=price)
+    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _giving_way(problem, block)])
 
 
 def _unit(problem: OptimalControlProblem, block: Block) -> float:
@@ -117,10 +94,6 @@ def _unit(problem: OptimalControlProblem, block: Block) -> float:
         rows = next(one for one in problem.stage_rows if one.name == block.family)
         return float(rows.sizes(x, u)[..., block.index].max())
     return {"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index]
-
-
-def _extended(end: Box) -> Box:
-    return Box(np.append(end.lower, 0.0), np.append(end.upper, np.inf))
 
 
 def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:

@@ -205,6 +205,12 @@ def stopped_bins(
     return stopped
 
 
+def bands_of(stop: Mask) -> list[Band]:
+    """Return bands that remove just these bins (k, components)."""
+    components = np.flatnonzero(stop.any(0))
+    return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
+
+
 def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     k = np.arange(length // 2 + 1)

@@ -1,0 +1,82 @@
+"""Limits on how much a control may change from one step to the next: joint rows on the state (x_t, u_{t-1})."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Bound, brief, real_array
+from lin_freq_ocp.problem.extension import FurtherStates, extended
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.stage_rows import StageRows
+
+NAME = "rate limit"
+
+
+def rate_limited(
+    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
+) -> OptimalControlProblem:
+    """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    limit : float or (m,)
+        Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
+    previous : (m,), optional
+        The control before the first, u_{-1}; without it, the first control is free of the limit.
+
+    Returns
+    -------
+    OptimalControlProblem
+        With one more state for each limited control, named after it, and stage rows "rate limit".
+
+    Raises
+    ------
+    ProblemError
+        If the limit or the previous control does not fit the problem.
+    """
+    m = problem.control_dim
+    limits = _limits(limit, m)
+    limited = np.flatnonzero(np.isfinite(limits))
+    if not len(limited):
+        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+    if any(rows.name == NAME for rows in problem.stage_rows):
+        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{NAME}'")
+    k, chosen = len(limited), np.eye(m)[limited]
+    before = (
+        np.full((2, k), [[-np.inf], [np.inf]]) if previous is None else np.tile(_previous(previous, m)[limited], (2, 1))
+    )
+    names = [f"{problem.control_names[j]} before" for j in limited]
+    further = FurtherStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    remembering = extended(problem, further)
+    of_x = np.zeros((k, problem.state_dim))
+    rows = StageRows(
+        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
+        np.vstack([chosen, -chosen]),
+        np.tile(limits[limited], 2),
+        name=NAME,
+    )
+    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+
+
+def _limits(limit: Any, m: int) -> np.ndarray:
+    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+    if limits.shape not in ((), (m,)) or (limits < 0).any():
+        raise ProblemError(
+            "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
+        )
+    return np.broadcast_to(limits, m)
+
+
+def _previous(previous: ArrayLike, m: int) -> np.ndarray:
+    before = real_array("previous", previous)
+    if before.shape != (m,):
+        raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")
+    return before

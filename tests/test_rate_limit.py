@@ -1,0 +1,141 @@
+"""Rate limits against CVXPY programs written by hand, and everything of a problem that must survive the extension."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+T, N, M = 30, 3, 2
+A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
+B = np.array([[0.5, 0.0], [0.2, 0.6], [0.3, -0.4]])
+Q, R = np.diag([0.3, 0.1, 0.2]), np.diag([1.0, 2.0])
+START, END = np.array([1.0, -0.5, 0.3]), np.array([-0.4, 0.6, 0.2])
+BINS = [5, 6, 7]
+
+
+def problem_of(**changes: Any) -> lfo.OptimalControlProblem:
+    fields = {
+        "dynamics": lfo.LinearDynamics(A, B, control_names=["force [N]", "torque [N m]"]),
+        "horizon": T,
+        "cost": lfo.QuadraticCost(Q=Q, R=R, u_ref=[0.2, 0.0]),
+        "control_set": lfo.Box(-0.7, 0.7),
+        "initial_state": START,
+        "terminal_state": END,
+        "control_spectrum": lfo.stop_band(bins=BINS, component=0),
+    }
+    return lfo.OptimalControlProblem(**(fields | changes))
+
+
+def by_hand(limit: np.ndarray, previous: np.ndarray | None, plants: list[np.ndarray] | None = None) -> float:
+    """Return the optimal cost of a program that knows nothing of further states."""
+    x, u = cp.Variable((T + 1, N)), cp.Variable((T, M))
+    plants = plants or [A] * T
+    constraints = [x[0] == START, x[T] == END, cp.abs(u) <= 0.7]
+    constraints += [x[t + 1] == plants[t] @ x[t] + B @ u[t] for t in range(T)]
+    t = np.arange(T)
+    for k in BINS:
+        constraints += [np.cos(2 * np.pi * k * t / T) @ u[:, 0] == 0, np.sin(2 * np.pi * k * t / T) @ u[:, 0] == 0]
+    for j in np.flatnonzero(np.isfinite(limit)):
+        constraints.append(cp.abs(u[1:, j] - u[:-1, j]) <= limit[j])
+        if previous is not None:
+            constraints.append(cp.abs(u[0, j] - previous[j]) <= limit[j])
+    deviation = u - np.tile([0.2, 0.0], (T, 1))
+    cost = sum(0.5 * cp.quad_form(x[s], Q) + 0.5 * cp.quad_form(deviation[s], R) for s in range(T))
+    program = cp.Problem(cp.Minimize(cost), constraints)
+    program.solve(solver="CLARABEL")
+    assert program.status == "optimal"
+    return float(program.value)
+
+
+LIMITS = {  # name: limit as given, as numbers, previous control
+    "one for all": (0.25, [0.25, 0.25], None),
+    "each its own": ([0.3, 0.2], [0.3, 0.2], None),
+    "one control free": ([0.2, None], [0.2, np.inf], None),
+    "from a given control": (0.25, [0.25, 0.25], [0.0, 0.1]),
+    "one control free, from a given one": ([np.inf, 0.2], [np.inf, 0.2], [9.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("method", ["auto", "convex"])
+@pytest.mark.parametrize("name", LIMITS)
+def test_the_optimum_is_that_of_a_program_written_by_hand(name, method):
+    given, numbers, previous = LIMITS[name]
+    problem = problem_of()
+    limited = lfo.rate_limited(problem, given, previous)
+    result = lfo.solve(limited, method=method)
+    before = None if previous is None else np.array(previous)
+    assert result.cost == pytest.approx(by_hand(np.array(numbers), before), rel=1e-6)
+    assert result.certificate.pmp == "satisfied"
+    assert result.certificate.globally_optimal
+    assert result.cost > lfo.solve(problem).cost * (1 + 1e-3)
+    changes = np.abs(np.diff(result.control, axis=0)).max(0)
+    assert (changes <= np.array(numbers) + 1e-8).all()
+    if previous is not None:
+        assert (np.abs(result.control[0] - previous) <= np.array(numbers) + 1e-8).all()
+    assert result.method == ("spectral" if method == "auto" else "convex")
+
+
+def test_further_states_are_the_controls_before_and_the_others_as_they_were():
+    limited = lfo.rate_limited(problem_of(), [None, 0.2])
+    assert limited.state_names == ("x_0", "x_1", "x_2", "torque [N m] before")
+    result = lfo.solve(limited)
+    x, u = result.trajectory.x, result.control
+    np.testing.assert_allclose(x[1:, N], u[:, 1], atol=1e-12)
+    np.testing.assert_allclose(x[1:, :N], x[:-1, :N] @ A.T + u @ B.T, atol=1e-12)
+    np.testing.assert_allclose(x[[0, -1], :N], [START, END], atol=1e-12)
+
+
+def test_time_varying_dynamics_keep_their_times():
+    plants = [A * (1 - 0.005 * t) for t in range(T)]
+    limited = lfo.rate_limited(problem_of(dynamics=lfo.LinearDynamics(np.array(plants), B)), 0.25)
+    assert lfo.solve(limited).cost == pytest.approx(by_hand(np.full(M, 0.25), None, plants), rel=1e-6)
+
+
+def test_all_that_constrains_and_costs_survives():
+    """Without its limit being active, the limited problem has the optimum of the problem, whatever that consists of."""
+    rng = np.random.default_rng(0)
+    varying = {"x_ref": 0.1 * rng.standard_normal((T + 1, N)), "u_ref": 0.1 * rng.standard_normal((T, M))}
+    problem = problem_of(
+        dynamics=lfo.LinearDynamics(A, B, offset=0.02 * rng.standard_normal((T, N)), sampling_time=0.1),
+        cost=lfo.QuadraticCost(
+            Q=Q, R=R, S=0.05 * np.ones((N, M)), q=[0.1, 0, 0], r=[0.1, 0], P=np.eye(N), p=[0.2, 0, 0], **varying
+        ),
+        state_set=lfo.Box(-1.6, 1.6),
+        terminal_state=lfo.Box(END - 0.1, END + 0.1),
+        state_spectrum=lfo.stop_band(bins=[9], component=1),
+        stage_rows=lfo.StageRows([[1.0, 0, 0]], [[0.5, 0]], [1.3]),
+    )
+    loose = lfo.rate_limited(problem, 50.0)
+    assert lfo.solve(loose).cost == pytest.approx(lfo.solve(problem).cost, rel=1e-8)
+    assert loose.sampling_time == 0.1
+    np.testing.assert_array_equal(loose.state_stop[:, :N], problem.state_stop)
+    assert not loose.state_stop[:, N:].any()
+
+
+@pytest.mark.parametrize(
+    ("limit", "previous", "field"),
+    [
+        (-0.1, None, "rate_limit"),
+        ([0.1], None, "rate_limit"),
+        (None, None, "rate_limit"),
+        ([None, None], None, "rate_limit"),
+        ("fast", None, "rate_limit"),
+        (np.nan, None, "rate_limit"),
+        (0.1, [0.0], "previous"),
+        (0.1, [0.0, np.inf], "previous[1]"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(limit, previous, field):
+    with pytest.raises(lfo.ProblemError) as caught:
+        lfo.rate_limited(problem_of(), limit, previous)
+    assert caught.value.field == field
+
+
+def test_a_problem_is_limited_once():
+    with pytest.raises(lfo.ProblemError, match="a problem without stage rows named 'rate limit'"):
+        lfo.rate_limited(lfo.rate_limited(problem_of(), 0.3), 0.2)
