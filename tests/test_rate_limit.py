@@ -57,7 +57,7 @@ LIMITS = {  # name: limit as given, as numbers, previous control
     "each its own": ([0.3, 0.2], [0.3, 0.2], None),
     "one control free": ([0.2, None], [0.2, np.inf], None),
     "from a given control": (0.25, [0.25, 0.25], [0.0, 0.1]),
-    "one control free, from a given one": ([np.inf, 0.06], [np.inf, 0.06], [9.0, 0.0]),
+    "one control free, from a given one": ([np.inf, 0.04], [np.inf, 0.04], [9.0, 0.0]),
 }
 
 
