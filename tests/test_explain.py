@@ -12,6 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.explain import explanation as explanation_module
 from lin_freq_ocp.explain.blocks import blocks, widened, without
+from lin_freq_ocp.solve import solve
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -179,6 +180,21 @@ def test_without_time_no_more_is_claimed_than_is_known(monkeypatch):
     explanation = lfo.explain(carriage(), time_limit=1.0)
     assert not explanation.irreducible
     assert "perhaps fewer" in str(explanation)
+
+
+def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
+    solved = []
+
+    def interrupted(problem, **options):
+        solved.append(problem)
+        result = solve(problem, **options)
+        return replace(result, interrupted=True) if len(solved) == 3 else result
+
+    monkeypatch.setattr(explanation_module, "solve", interrupted)
+    explanation = lfo.explain(carriage())
+    assert len(solved) == 3
+    assert not explanation.irreducible
+    assert explanation.cures == ()
 
 
 def test_the_error_names_the_least_change():

@@ -55,7 +55,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     ----------
     problem : OptimalControlProblem
     time_limit : float, optional
-        Seconds after which nothing more is tried; what was found until then is returned.
+        Seconds after which nothing more is tried, nor after Ctrl-C; what was found until then is returned.
 
     Returns
     -------
@@ -86,12 +86,14 @@ class _Search:
     def solved(self, problem: OptimalControlProblem) -> Result:
         """Return how a variant ends; its cost is a plain one, or none, as only feasibility matters."""
         result = solve(replace(problem, cost=self.problem.cost), time_limit=self._left(), throw=False)
-        if result.status in DECIDED:
+        if result.interrupted:
+            self.end = -np.inf
+        if result.interrupted or result.status in DECIDED:
             return result
         return solve(replace(problem, cost=QuadraticCost()), method="convex", time_limit=self._left(), throw=False)
 
     def _left(self) -> float | None:
-        return None if np.isinf(self.end) else max(self.end - time.perf_counter(), LEAST_TIME)
+        return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
         """Whether a variant has a solution; None where that is not known."""
