@@ -146,8 +146,7 @@ class QuadraticCost:
 
     def nonconvexity(self) -> tuple[int, float] | None:
         """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
-        stage = np.linalg.eigvalsh(self.stage_hessians())
-        terminal = np.linalg.eigvalsh(self.P)
+        stage, terminal = _eigenvalues(self.stage_hessians()), _eigenvalues(self.P)
         smallest = np.append(stage[:, 0], terminal[0])
         rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
         smallest = np.where(smallest < -rounding, smallest, 0.0)
@@ -155,6 +154,14 @@ class QuadraticCost:
         if smallest[worst] == 0:
             return None
         return (worst if worst < len(stage) else -1), float(smallest[worst])
+
+
+def _eigenvalues(matrices: Array) -> Array:
+    """Return the eigenvalues of symmetric matrices, increasing along the last axis."""
+    diagonals = np.diagonal(matrices, axis1=-2, axis2=-1)
+    if np.count_nonzero(matrices) == np.count_nonzero(diagonals):
+        return np.sort(diagonals)
+    return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
 
 
 def _per_time(matrix: Array) -> Array:

@@ -107,7 +107,7 @@ class Border:
             self.H[:e, e:] = self.H[e:, :e].T
         same = self.bins[:, None] == self.bins
         self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
-        self.H[np.ix_(self.at_end, self.at_end)] += lti.P[np.ix_(self.free_end, self.free_end)]
+        self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
 
     def gradient(self, spectrum: ComplexArray) -> Array:
         """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""

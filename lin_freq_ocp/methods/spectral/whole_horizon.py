@@ -49,7 +49,7 @@ class WholeHorizon:
     def __init__(self, border: Border, rows: Indices):
         lti, T, n = border.lti, border.lti.horizon, border.lti.state_dim
         self._border, self.rows, self._inner = border, rows, len(rows) * T
-        self.t = np.concatenate([np.tile(np.arange(T), len(rows)), np.full(n, T)])
+        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
         self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
         self._place = np.zeros(len(lti.F), dtype=np.intp)
         self._place[rows] = np.arange(len(rows))
