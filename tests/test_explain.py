@@ -12,6 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.explain import explanation as explanation_module
 from lin_freq_ocp.explain.blocks import blocks, widened, without
+from lin_freq_ocp.explain.relaxation import least_cure
 from lin_freq_ocp.solve import solve
 
 H, T = 0.1, 20
@@ -180,6 +181,11 @@ def test_without_time_no_more_is_claimed_than_is_known(monkeypatch):
     explanation = lfo.explain(carriage(), time_limit=1.0)
     assert not explanation.irreducible
     assert "perhaps fewer" in str(explanation)
+
+
+def test_a_cure_that_does_not_help_when_tried_is_none():
+    problem = carriage()
+    assert all(least_cure(problem, block, lambda cured: False) is None for block in blocks(problem))
 
 
 def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):

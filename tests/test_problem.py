@@ -700,6 +700,23 @@ def test_multipliers_of_another_shape_are_refused(field, value):
     assert caught.value.field == f"multipliers.{field}"
 
 
+def test_other_ends_make_the_problem_that_a_new_one_would_be():
+    made = problem(state_set=Box([-2, -3], [2, 3]), initial_state=[1.0, 0.0], terminal_state=Box([0, -1], [1, 5]))
+    _ = made.state_tube, made.ends  # known by now: the other problem must not take them over
+    moved = made.with_ends(initial_state=[-1.0, 2.0], terminal_state=Box([-9, 0], [9, 1]))
+    anew = problem(state_set=Box([-2, -3], [2, 3]), initial_state=[-1.0, 2.0], terminal_state=Box([-9, 0], [9, 1]))
+    for one, other in zip((moved.state_tube, *moved.ends), (anew.state_tube, *anew.ends), strict=True):
+        np.testing.assert_array_equal(one.lower, other.lower)
+        np.testing.assert_array_equal(one.upper, other.upper)
+    np.testing.assert_array_equal(made.state_tube.lower[0], [1.0, 0.0])
+    np.testing.assert_array_equal(made.with_ends(initial_state=[0, 0]).ends[1].upper, [1, 3])
+
+
+def test_a_cost_with_diagonal_matrices_is_judged_by_their_entries():
+    assert QuadraticCost(Q=[[1, 0], [0, -2.0]], R=1.0).at_dimensions(2, 1, 4).nonconvexity() == (0, -2.0)
+    assert QuadraticCost(Q=[[1, 0], [0, 2.0]], R=1.0).at_dimensions(2, 1, 4).nonconvexity() is None
+
+
 # ---------------------------------------------------------------------------------------------------------- replay
 
 

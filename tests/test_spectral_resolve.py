@@ -169,6 +169,15 @@ def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
         assert cost_of(solution) == pytest.approx(cost_of(scratch), rel=1e-10)
 
 
+def test_an_end_in_another_box_is_another_bound():
+    problem = base_problem(terminal_state=lfo.Box(END - 0.05, END + 0.05))
+    single, wider = lfo.SpectralSolver(problem), lfo.Box(END - 0.4, END + 0.3)
+    narrow, wide = single.solve(), single.solve(terminal_state=wider)
+    scratch = lfo.SpectralSolver(problem.with_ends(terminal_state=wider)).solve()
+    assert cost_of(wide) == pytest.approx(cost_of(scratch), rel=1e-10)
+    assert cost_of(wide) < cost_of(narrow) * (1 - 1e-4)
+
+
 def test_a_warm_start_may_name_both_bounds_of_a_row(solver):
     cold = solver.solve(bounds={"control_set": TIGHT})
     t, f, sign, weights = cold.active

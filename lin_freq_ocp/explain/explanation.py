@@ -11,6 +11,7 @@ import numpy as np
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explain.blocks import Block, blocks, without
 from lin_freq_ocp.explain.relaxation import Cure, least_cure
+from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -63,9 +64,13 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
 
     Raises
     ------
+    ProblemError
+        If the time limit is not above zero.
     UnsupportedError
         If the problem has a solution, or none of the methods could prove that it has none.
     """
+    if time_limit is not None:
+        positive_number("time_limit", time_limit)
     search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)
     result = search.solved(problem)
     if result.status != "infeasible":
