@@ -171,7 +171,7 @@ def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
 
 def test_an_end_in_another_box_is_another_bound():
     problem = base_problem(terminal_state=lfo.Box(END - 0.05, END + 0.05))
-    single, wider = lfo.SpectralSolver(problem), lfo.Box(END - 0.4, END + 0.3)
+    single, wider = lfo.SpectralSolver(problem), lfo.Box(END - 0.05, END + 0.3)
     narrow, wide = single.solve(), single.solve(terminal_state=wider)
     scratch = lfo.SpectralSolver(problem.with_ends(terminal_state=wider)).solve()
     assert cost_of(wide) == pytest.approx(cost_of(scratch), rel=1e-10)
