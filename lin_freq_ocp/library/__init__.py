@@ -6,6 +6,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.library.crane import crane
 from lin_freq_ocp.library.double_integrator import double_integrator
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
 from lin_freq_ocp.library.flexible_satellite import flexible_satellite
@@ -19,6 +20,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 __all__ = [
     "PROBLEMS",
     "by_name",
+    "crane",
     "double_integrator",
     "elliptic_rendezvous",
     "flexible_satellite",
@@ -33,6 +35,7 @@ PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
     "pendulum": pendulum,
     "double_integrator": double_integrator,
     "two_mass_spring": two_mass_spring,
+    "crane": crane,
     "flexible_satellite": flexible_satellite,
     "mass_chain": mass_chain,
     "elliptic_rendezvous": elliptic_rendezvous,
