@@ -21,6 +21,7 @@ OPTIMA = {  # cost with and without the frequency constraint
     "double_integrator": (6.38576233691, 6.00060024032),
     "two_mass_spring": (50.4862977331, 41.3177311758),
     "crane": (0.719207751701, 0.655514950858),
+    "flexible_joint_arm": (984.752938389, 827.388038701),
     "flexible_satellite": (41.0797037435, 32.4357346488),
     "mass_chain": (56.64018380722854, 56.5029911564),
     "elliptic_rendezvous": (0.587739072184, 0.571568434291),
@@ -32,6 +33,7 @@ WITHOUT_BAND = {
     "double_integrator": {"cutoff_hz": None},
     "two_mass_spring": {"notch_width_hz": None},
     "crane": {"notch_width_hz": None},
+    "flexible_joint_arm": {"notch_width_hz": None},
     "flexible_satellite": {"notch_width_hz": None},
     "mass_chain": {"cutoffs_hz": None},
     "elliptic_rendezvous": {"cutoff_hz": None},
@@ -171,6 +173,8 @@ def test_wrong_arguments_are_problem_errors(name, wrong):
         ("crane", {"cable_length": 0.0}, "cable_length"),
         ("crane", {"swing_bound": -0.1}, "swing_bound"),
         ("crane", {"acceleration_bound": -1.0}, "acceleration_bound"),
+        ("flexible_joint_arm", {"stiffness_ratio": 0.0}, "stiffness_ratio"),
+        ("flexible_joint_arm", {"torsion_bound": -0.1}, "torsion_bound"),
         ("flexible_satellite", {"torque_bound": -1.0}, "torque_bound"),
         ("mass_chain", {"cutoffs_hz": (4.0,)}, "cutoffs_hz"),
         ("mass_chain", {"cutoffs_hz": 4.0}, "cutoffs_hz"),
@@ -287,6 +291,65 @@ def test_crane_is_at_rest_with_its_own_cable_anyway_and_with_others_thanks_to_th
         assert abs(transform) < 1e-5
     for length in (4.0, 4.5, 5.5, 6.0):
         assert swing(band, length) < swing(free, length) / 3.5
+
+
+# --- flexible joint arm
+
+
+def test_arm_moves_as_its_two_inertias_say():
+    problem = library.flexible_joint_arm(stiffness_ratio=1.3)
+    u = np.random.default_rng(6).uniform(-6, 6, (problem.horizon, 1))
+    x = simulate(problem, u).x
+
+    def newton(_, state, k):
+        motor, link, motor_speed, link_speed = state
+        torsion = 1.3 * (motor - link)
+        return [motor_speed, link_speed, u[k, 0] - 1.25 * motor_speed - 48.6 * torsion, 19.5 * torsion]
+
+    state = np.zeros(4)
+    for k in range(40):
+        state = solve_ivp(newton, (0.02 * k, 0.02 * (k + 1)), state, args=(k,), rtol=1e-11, atol=1e-13).y[:, -1]
+        motor, link, motor_speed, link_speed = state
+        np.testing.assert_allclose(x[k + 1], [link, motor - link, link_speed, motor_speed - link_speed], atol=1e-9)
+
+
+def test_arm_without_torque_loses_energy_and_coasts_to_a_stop_where_its_momentum_says():
+    problem = library.flexible_joint_arm(horizon=1500)
+    x = simulate(problem, np.zeros((problem.horizon, 1)), [0.2, 0.1, 0.5, -0.3]).x
+    motor = x[:, [0, 2]] + x[:, [1, 3]]
+    total = energy(
+        np.column_stack([motor[:, 0], x[:, 0], motor[:, 1], x[:, 2]]),
+        np.diag([1, 48.6 / 19.5]),  # inertias of motor and link, over that of the motor
+        48.6 * np.array([[1, -1], [-1, 1]]),
+    )
+    assert (np.diff(total) < 0).all()
+    momentum = motor[:, 1] + 48.6 / 19.5 * x[:, 2] + 1.25 * motor[:, 0]
+    np.testing.assert_allclose(momentum, momentum[0], rtol=1e-10)
+    np.testing.assert_allclose(x[-1], [momentum[0] / 1.25, 0, 0, 0], atol=1e-4)
+
+
+def test_arm_loses_the_bins_around_its_resonance():
+    problem = library.flexible_joint_arm()
+    resonance = np.sqrt(48.6 + 19.5)
+    np.testing.assert_allclose(frequencies(problem), [resonance], rtol=0.01)  # friction changes it a little
+    hertz = np.fft.rfftfreq(problem.horizon, 0.02)
+    near = np.abs(hertz - resonance / (2 * np.pi)) < 0.5
+    assert (problem.control_stop[:, 0] == near).all()
+    assert near.sum() == 3
+
+
+def test_arm_uses_all_its_torque_and_torsion_and_vibrates_less_where_its_stiffness_is_not_known():
+    answers = {width: solved(library.flexible_joint_arm(notch_width_hz=width)) for width in (1.0, None)}
+    for _, x, u in answers.values():
+        assert np.abs(u).max() == pytest.approx(6.3, rel=1e-6)
+        assert np.abs(x[:, 1]).max() == pytest.approx(np.radians(5), rel=1e-6)
+
+    def vibration(u, ratio):  # amplitude of the torsion after the move
+        last = simulate(library.flexible_joint_arm(stiffness_ratio=ratio, notch_width_hz=None), u).x[-1]
+        return np.hypot(last[1], last[3] / np.sqrt(ratio * (48.6 + 19.5)))
+
+    for ratio in (0.8, 0.9, 1.1, 1.2):
+        assert vibration(answers[1.0][2], ratio) < 0.75 * vibration(answers[None][2], ratio)
 
 
 # --- flexible satellite

@@ -9,6 +9,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.library.crane import crane
 from lin_freq_ocp.library.double_integrator import double_integrator
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
+from lin_freq_ocp.library.flexible_joint_arm import flexible_joint_arm
 from lin_freq_ocp.library.flexible_satellite import flexible_satellite
 from lin_freq_ocp.library.mass_chain import mass_chain
 from lin_freq_ocp.library.pendulum import pendulum
@@ -23,6 +24,7 @@ __all__ = [
     "crane",
     "double_integrator",
     "elliptic_rendezvous",
+    "flexible_joint_arm",
     "flexible_satellite",
     "mass_chain",
     "pendulum",
@@ -36,6 +38,7 @@ PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
     "double_integrator": double_integrator,
     "two_mass_spring": two_mass_spring,
     "crane": crane,
+    "flexible_joint_arm": flexible_joint_arm,
     "flexible_satellite": flexible_satellite,
     "mass_chain": mass_chain,
     "elliptic_rendezvous": elliptic_rendezvous,
