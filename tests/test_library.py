@@ -24,6 +24,7 @@ OPTIMA = {  # cost with and without the frequency constraint
     "flexible_joint_arm": (984.752938389, 827.388038701),
     "flexible_satellite": (41.0797037435, 32.4357346488),
     "mass_chain": (56.64018380722854, 56.5029911564),
+    "quadcopter": (29.6604499018, 28.065115242),
     "elliptic_rendezvous": (0.587739072184, 0.571568434291),
     "quarter_car": (6.85887326012, 4.91039276872),
     "scanner": (4.39154494386, 0.613200976605),
@@ -36,6 +37,7 @@ WITHOUT_BAND = {
     "flexible_joint_arm": {"notch_width_hz": None},
     "flexible_satellite": {"notch_width_hz": None},
     "mass_chain": {"cutoffs_hz": None},
+    "quadcopter": {"cutoff_hz": None},
     "elliptic_rendezvous": {"cutoff_hz": None},
     "quarter_car": {"stop_band_hz": None},
     "scanner": {"cutoff_hz": None, "notch_width_hz": None},
@@ -162,6 +164,12 @@ def test_wrong_arguments_are_problem_errors(name, wrong):
         library.by_name(name)(**wrong)
 
 
+@pytest.mark.parametrize("name", [name for name in library.PROBLEMS if name != "quadcopter"])  # published sampled
+def test_sampling_time_below_zero_is_a_problem_error(name):
+    with pytest.raises(ProblemError):
+        library.by_name(name)(sampling_time=-0.1)
+
+
 @pytest.mark.parametrize(
     ("name", "wrong", "message"),
     [
@@ -180,6 +188,10 @@ def test_wrong_arguments_are_problem_errors(name, wrong):
         ("mass_chain", {"cutoffs_hz": 4.0}, "cutoffs_hz"),
         ("mass_chain", {"stiffness": -1.0}, "stiffness"),
         ("mass_chain", {"damping": "much"}, "damping"),
+        ("quadcopter", {"reference": (0.0, 0.0, 1.0)}, "reference"),
+        ("quadcopter", {"tilt_bound": -0.1}, "tilt_bound"),
+        ("quadcopter", {"lowest_height": "low"}, "lowest_height"),
+        ("quadcopter", {"rotor_bounds": 13.0}, "rotor_bounds"),
         ("elliptic_rendezvous", {"eccentricity": 1.0}, "eccentricity"),
         ("elliptic_rendezvous", {"eccentricity": (0.1, 0.2)}, "eccentricity"),
         ("elliptic_rendezvous", {"perigee_radius": 0.0}, "perigee_radius"),
@@ -415,6 +427,58 @@ def test_undamped_mass_chain_keeps_energy_and_has_the_frequencies_of_a_chain():
     total = energy(x, np.eye(4), stiffness)
     np.testing.assert_allclose(total, total[0], rtol=1e-11)
     np.testing.assert_allclose(frequencies(problem), 2 * np.sqrt(10) * np.sin(np.arange(1, 5) * np.pi / 10), rtol=1e-11)
+
+
+# --- quadcopter
+
+
+def test_quadcopter_is_a_rigid_body_with_drag_under_gravity_to_the_printed_decimals():
+    dynamics = library.quadcopter().dynamics
+    h, drag = 0.1, -np.log(0.9846) / 0.1
+    tilting, yawing, lift = 14.512, 3.049, 0.2107 * drag / (1 - 0.9846)  # accelerations by one unit of a rotor
+    torques = np.array([[0, -tilting, 0, tilting], [-tilting, 0, tilting, 0], [-yawing, yawing, -yawing, yawing]])
+
+    def newton(_, state):
+        angles, _, rates, speeds, rotors = np.split(state, [3, 6, 9, 12])
+        thrust = np.array([9.81 * angles[0], -9.81 * angles[1], lift * rotors.sum()])
+        return np.concatenate([rates, speeds, torques @ rotors, thrust - drag * speeds, np.zeros(4)])
+
+    flow = [solve_ivp(newton, (0, h), start, rtol=1e-10, atol=1e-12).y[:12, -1] for start in np.eye(16)]
+    np.testing.assert_allclose(np.hstack([dynamics.A, dynamics.B]), np.transpose(flow), atol=0.5001e-4)
+    assert dynamics.sampling_time == h
+
+
+def test_quadcopter_pays_as_the_source_does_and_keeps_its_bounds():
+    problem = library.quadcopter()
+    rng = np.random.default_rng(7)
+    x, u = rng.normal(size=(61, 12)), rng.normal(size=(60, 4))
+    paid = 10 * ((x[:, 2] - 1) ** 2 + (x[:, 3:6] ** 2).sum(axis=1)) + 5 * (x[:, 9:] ** 2).sum(axis=1)
+    assert problem.cost.value(x, u) == pytest.approx(paid.sum() + 0.1 * (u**2).sum(), rel=1e-12)
+    hover, tube = 10.5916, problem.state_tube
+    np.testing.assert_allclose(problem.control_tube.lower, 9.6 - hover)
+    np.testing.assert_allclose(problem.control_tube.upper, 13 - hover)
+    assert tube.lower[1].tolist() == [-np.pi / 6] * 2 + [-np.inf] * 3 + [-1] + [-np.inf] * 6
+    assert tube.upper[1].tolist() == [np.pi / 6] * 2 + [np.inf] * 10
+
+
+def test_quadcopter_turns_sooner_and_climbs_higher_where_its_rotors_are_free():
+    x, u = solved(library.quadcopter())[1:]
+    free_x, free_u = solved(library.quadcopter(cutoff_hz=None))[1:]
+    for rotors in (u, free_u):
+        assert rotors.min() == pytest.approx(9.6 - 10.5916, rel=1e-6)
+    np.testing.assert_allclose(x[:, [0, 1, 3, 4]], 0, atol=1e-6)  # it turns where it is
+    assert x[:, 5].max() < 0.51 * free_x[:, 5].max()
+    assert free_u.max() > 1.5 * u.max()
+    assert (free_x[1:6, 2] > x[1:6, 2]).sum() >= 4
+    assert np.abs(free_u[-10:]).max() < 0.01 < np.abs(u[-10:]).max()
+
+
+def test_quadcopter_tilts_to_its_bound_to_reach_a_place():
+    place = (0.0, 0.0, 1.0, 1.0, -1.0, 0.5, *(0.0,) * 6)
+    _, x, _ = solved(library.quadcopter(reference=place))
+    assert x[:, 0].max() == pytest.approx(np.pi / 6, rel=1e-6)
+    assert (np.abs(x).max(axis=0) > 0.1).all()
+    np.testing.assert_allclose(x[40, 2:6], place[2:6], atol=0.05)
 
 
 # --- elliptic rendezvous

@@ -13,6 +13,7 @@ from lin_freq_ocp.library.flexible_joint_arm import flexible_joint_arm
 from lin_freq_ocp.library.flexible_satellite import flexible_satellite
 from lin_freq_ocp.library.mass_chain import mass_chain
 from lin_freq_ocp.library.pendulum import pendulum
+from lin_freq_ocp.library.quadcopter import quadcopter
 from lin_freq_ocp.library.quarter_car import quarter_car
 from lin_freq_ocp.library.scanner import scanner
 from lin_freq_ocp.library.two_mass_spring import two_mass_spring
@@ -28,6 +29,7 @@ __all__ = [
     "flexible_satellite",
     "mass_chain",
     "pendulum",
+    "quadcopter",
     "quarter_car",
     "scanner",
     "two_mass_spring",
@@ -41,6 +43,7 @@ PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
     "flexible_joint_arm": flexible_joint_arm,
     "flexible_satellite": flexible_satellite,
     "mass_chain": mass_chain,
+    "quadcopter": quadcopter,
     "elliptic_rendezvous": elliptic_rendezvous,
     "quarter_car": quarter_car,
     "scanner": scanner,
