@@ -27,13 +27,17 @@ from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
+from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solve import Result, certify, solve
@@ -41,27 +45,40 @@ from lin_freq_ocp.solve import Result, certify, solve
 __version__ = "0.1.0"
 
 __all__ = [
+    "Ball",
     "BandWarning",
     "Box",
     "Certificate",
     "Comparison",
+    "CostSum",
     "Cure",
+    "Ellipsoid",
+    "EnergyBound",
     "Everything",
     "Explanation",
     "InfeasibleError",
+    "Intersection",
+    "L1Cost",
+    "LInfCost",
     "LimitError",
     "LinFreqOCPError",
+    "LinearConstraint",
     "LinearDynamics",
+    "MagnitudeBound",
     "MissingExtraError",
     "Multipliers",
     "NumericalError",
     "OptimalControlProblem",
+    "OutputSpectrum",
     "Point",
+    "Polyhedron",
     "ProblemError",
     "QuadraticCost",
     "Result",
     "SavedSolution",
+    "SecondOrderCone",
     "Sensitivities",
+    "Soft",
     "SolveError",
     "SpectralSolution",
     "SpectralSolver",

@@ -1,6 +1,6 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About 5 minutes.
 
-    python scripts/verify.py [--part known|convex|spectral|explain]... [--problems N] [--seed 0] [--processes 2]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed]... [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -13,8 +13,10 @@ Then random time-invariant problems by the Fourier-domain method and by the spar
 
 Then random infeasible problems are explained, and everything that is said is tried (verify_explain.py).
 
-Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral" and 50 for
-"explain".
+Then random feasible problems of mixed features, against CVXPY on an independent model (verify_mixed.py).
+
+Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
+"explain" and 200 for "mixed".
 Exit status 1 if a check fails.
 """
 
@@ -29,6 +31,7 @@ from pathlib import Path
 import cvxpy as cp
 import numpy as np
 import verify_explain
+import verify_mixed
 import verify_spectral
 from rich.console import Console
 from rich.progress import track
@@ -39,7 +42,7 @@ import lin_freq_ocp as lfo
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
-PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50}
+PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200}
 """How many random problems each part solves unless told otherwise."""
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
@@ -263,6 +266,8 @@ def main() -> int:
         good &= verify_spectral.verify(console, seeds["spectral"], options.processes)
     if "explain" in parts:
         good &= verify_explain.verify(console, seeds["explain"])
+    if "mixed" in parts:
+        good &= verify_mixed.verify(console, seeds["mixed"])
     return 0 if good else 1
 
 

@@ -240,7 +240,7 @@ def cost_errors(
     multiplier against a bound that does not exist belongs to that slope.
     """
     lifted = lift(problem, at, multipliers)
-    products, slope = [family.products.ravel() for family in lifted.stage], 0.0
+    products, slope = [part.gap.ravel() for part in lifted.terms], 0.0
     for here, there, normal, tube, residual in (
         (at.x, other.x, multipliers.mu, problem.state_tube, lifted.eta_before - lifted.in_x),
         (at.u, other.u, multipliers.nu, problem.control_tube, -lifted.in_u),

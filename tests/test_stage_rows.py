@@ -183,11 +183,11 @@ def test_rows_that_do_not_fit_their_problem_are_refused(given, field, words):
     ("stage", "words"),
     [
         ([1.0], "a mapping"),
-        ({"rows on x": np.zeros(T)}, f"shape ({T}, rows)"),
-        ({"rows on x": np.zeros((T - 1, 2))}, f"shape ({T}, rows)"),
+        ({"rows on x": np.zeros(T)}, "two dimensions"),
+        ({"rows on x": np.zeros((T - 1, 2))}, f"shape ({T}, 2)"),
         ({"rows on x": np.zeros((T, 3))}, f"shape ({T}, 2)"),
         ({"rows on x": np.full((T, 2), np.nan)}, "finite"),
-        ({"other": np.zeros((T, 2))}, "the names of the joint rows"),
+        ({"other": np.zeros((T, 2))}, "the names of the constraints"),
         ({"rows on x": np.eye(T, 2)}, "[0, 0]: got 1; expected 0"),
     ],
 )

@@ -226,7 +226,7 @@ def test_rows_are_the_constraints_under_their_names(problem):
         assert 0 < len(expected)
         np.testing.assert_allclose(np.column_stack([found - lower, upper - found]), expected, atol=1e-13)
 
-    found, lower, upper = of(Block.STAGE_ROWS)
+    found, lower, upper = of(Block.TERMS)
     left = [
         at(rows.e, t, 1)[i] - at(rows.C, t, 2)[i] @ x[t] - at(rows.D, t, 2)[i] @ u[t]
         for rows in problem.stage_rows

@@ -50,6 +50,16 @@ class Solution:
 Solver = Callable[[Program, float, float | None], Solution]
 """(program, tolerance, time limit in seconds or None) -> Solution."""
 
+
+def require_no_cones(program: Program, name: str) -> None:
+    """Raise UnsupportedError if a quadratic-programming solver is given second-order cones."""
+    if program.cones:
+        raise UnsupportedError(
+            f"backend: {name!r} solves quadratic programs only, and this problem has Euclidean norms (balls, masks, "
+            "energy bounds); use 'clarabel'."
+        )
+
+
 _MODULES = {"clarabel": "clarabel_", "osqp": "osqp_", "qpsolvers": "qpsolvers_"}
 
 

@@ -29,11 +29,12 @@ COST_FACTOR = 10.0
 
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
-    """Solve; every row becomes an equation, or its finite sides become inequalities."""
-    sides = program.one_sided()
-    A = sp.csc_matrix(sp.vstack([sides.A, sides.G]))
-    b = np.concatenate([sides.b, sides.h])
+    """Solve; a row outside cones becomes an equation, or its finite sides become inequalities."""
+    sides, curved = program.one_sided(), program.in_cones
+    A = sp.csc_matrix(sp.vstack([sides.A, sides.G, -program.A[curved]]))
+    b = np.concatenate([sides.b, sides.h, -program.lower[curved]])
     cones = [clarabel.ZeroConeT(len(sides.b)), clarabel.NonnegativeConeT(len(sides.h))]
+    cones += [clarabel.SecondOrderConeT(cone.stop - cone.start) for cone in program.cones]
     upper, q = sp.csc_matrix(COST_FACTOR * sp.triu(program.P)), COST_FACTOR * program.q
     solver = clarabel.DefaultSolver(upper, q, A, b, cones, _settings(tolerance, time_limit))
     with interrupts_noted() as noted:
@@ -43,7 +44,9 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
         return Solution(Claim.FAILED, None, None, str(answer.status))
-    y = sides.dual(len(program.lower), *np.split(dual / COST_FACTOR, [len(sides.b)]))
+    of_rows, of_cones = np.split(dual / COST_FACTOR, [len(sides.b) + len(sides.h)])
+    y = sides.dual(len(program.lower), *np.split(of_rows, [len(sides.b)]))
+    y[curved] = -of_cones
     return Solution(claim, z, y, str(answer.status))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import osqp
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.backends.base import Claim, Solution, require_no_cones
 from lin_freq_ocp.transcription.program import Program
 
 MAX_ITERATIONS = 200_000
@@ -33,6 +33,7 @@ CLAIMS = {
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
     """Solve with polishing."""
+    require_no_cones(program, "osqp")
     solver = osqp.OSQP()
     eps = max(tolerance, FINEST)
     limit = {} if time_limit is None else {"time_limit": time_limit}

@@ -10,7 +10,7 @@ import numpy as np
 import qpsolvers
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.backends.base import Claim, Solution, Solver, require_no_cones
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
@@ -46,6 +46,7 @@ def named(member: str) -> Solver:
         )
 
     def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
+        require_no_cones(program, f"qpsolvers:{member}")
         return _solve(member, program, tolerance, time_limit)
 
     return solve

@@ -1,11 +1,12 @@
 """The global lower bound D of a convex problem from any multipliers, as a sum over stages (docs/conventions.md).
 
-l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x> + <l_t+, C x + D u - e_t>,
-D = sum_t min l_t over X_t x U_t,
+l_t(x, u) = eta_C c_t + <eta_xhat, phi_t> + <eta_uhat, psi_t> - <eta_t, f_t> + <eta_{t-1}, x> + (terms <lambda+, L>),
+D = sum_t min l_t over X_t x U_t - sum h*(lambda+),
 J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>
-        + sum_t <l_t+, e_t - C x_t - D u_t>.
+        + sum (h(L(x, u)) + h*(lambda+) - <lambda+, L(x, u)>).
 
-The last terms are those of joint rows: l+ = max(l, 0), so D is a bound for multipliers of any sign.
+The last sum is over what a problem has beyond boxes and quadratic costs: h(L(x, u)) with multipliers lambda, of which
+lambda+ are the nearest that are subgradients of h somewhere; so D is a bound for multipliers of any sign.
 
 Each minimum is bounded from below by the tangent of l_t at (x_t, u_t), plus a diagonal curvature that l_t has at least:
 exact for a diagonal Hessian. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
@@ -54,7 +55,7 @@ class Bound:
     dynamics_term, frequency_term : float
         <eta, dynamics residual> and <rho, frequency residual>: how much of J - D is infeasibility.
     stage_term : float
-        <l+, e - C x - D u>: how much of J - D is complementarity of joint rows; negative if they are violated.
+        The last sum: how much of J - D is complementarity of joint rows and the like; negative if they are violated.
     rounding : float
         Bound on the rounding errors, already in ``value``.
     sets : str
@@ -105,7 +106,7 @@ def lower_bound(lift: Lift) -> Bound | None:
     curvatures = _stage_curvatures(lift)
     if curvatures is None:
         return None
-    cost = lift.problem.cost.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
+    cost = lift.problem.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
     allowed = BOUND_TOLERANCE * max(1.0, abs(cost))
     proven = _evaluate(lift, curvatures, _enclosure(lift.problem, curvatures, cost), cost, "rigorous")
     if cost - proven.value <= allowed:
@@ -150,8 +151,8 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
     residual = extended(x)[1:] - lift.problem.dynamics.successors(extended(x), extended(u))
     dynamics_term = float((lift.multipliers.eta * residual).sum())
     frequency_term = float((lift.control_signal * u).sum() + (lift.state_signal * x).sum())
-    stage_term = float(sum(family.products.sum() for family in lift.stage))
-    summed = _sum_of_terms(lift, *terms) + float(sum(family.products_terms.sum() for family in lift.stage))
+    stage_term = float(sum(lifted.gap.sum() for lifted in lift.terms))
+    summed = _sum_of_terms(lift, *terms) + float(sum(lifted.gap_terms.sum() for lifted in lift.terms))
     gap = float(stage_gaps.sum())
     finite = bool(np.isfinite(certain))
     last = ARITHMETIC * (abs(cost) + abs(gap) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term))
@@ -163,7 +164,7 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
 
 def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
     """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
-    cost, eta = lift.problem.cost, np.abs(lift.multipliers.eta)
+    cost, eta = lift.problem.quadratic, np.abs(lift.multipliers.eta)
     x, u = np.abs(lift.trajectory.x) + np.abs(cost.x_ref), np.abs(lift.trajectory.u) + np.abs(cost.u_ref)
     return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(lift.problem.dynamics.offset)).sum())
 
@@ -171,7 +172,7 @@ def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
 def _unit_rounding(lift: Lift) -> float:
     """Return a bound on rounding errors of the lift, relative to the sum of the absolute values of its terms."""
     problem = lift.problem
-    rows = sum(family.rows for family in problem.stage_rows)
+    rows = sum(term.map.additions for term in problem.terms)
     operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
     return float(operations * np.finfo(np.longdouble).eps)
 
@@ -179,8 +180,8 @@ def _unit_rounding(lift: Lift) -> float:
 def _stage_curvatures(lift: Lift) -> Pair | None:
     """Return curvatures for the states (T+1, n) and controls (T, m), or None if the cost is not convex."""
     problem, n = lift.problem, lift.problem.state_dim
-    stage = diagonal_curvature(lift.multipliers.eta_C * problem.cost.stage_hessians())
-    terminal = diagonal_curvature(lift.multipliers.eta_C * problem.cost.P)
+    stage = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.stage_hessians())
+    terminal = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.P)
     if stage is None or terminal is None:
         return None
     stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))

@@ -2,7 +2,8 @@
 
 Every condition is a residual with the scale it is to be compared with, a tolerance, and the worst time and component.
 C-i .. C-vii are the paper's; S-x, S-u (x_t in X_t, u_t in U_t) and N-x, N-u (normal cones) are used by it unnamed.
-S-z and N-z say the same of joint rows C x_t + D u_t <= e_t, once for each family of them.
+The same is said of each term h(L(x, u)) that a problem has beyond boxes, stop bands and quadratic costs: that L(x, u)
+is where it must be, and that its multipliers are subgradients of h there (for a set, normals).
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Lift, RowLift
+from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.problem.sets import Box
 
@@ -24,6 +26,23 @@ CONDITION_TOLERANCE = 1e-6
 SCALE_FLOOR = 1e-4
 """No component is measured more finely than this fraction of what its data say it can be: what should be zero holds
 rounding only."""
+
+
+MISFIT_SHARE = 1e-2
+"""How much a wrong direction of a multiplier counts: its cost is of second order, and an interior-point method that
+ends with a gap of 1e-10 has directions to 1e-5."""
+
+LABELS = {
+    "state set": ("S-x", "N-x"),
+    "control set": ("S-u", "N-u"),
+    "stage rows": ("S-z", "N-z"),
+    "state spectrum": ("C-vi", "N-xhat"),
+    "control spectrum": ("C-vii", "N-uhat"),
+    "output spectrum": ("S-yhat", "N-yhat"),
+    "stage cost": ("", "N-c"),
+    "terminal cost": ("", "N-c"),
+}
+"""By kind of term: the labels of the condition that it holds, and of that on its multipliers."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +90,8 @@ class Floors:
         Of what one stage costs with states and controls of their natural sizes.
     in_x : (n,), in_u : (m,)
         Of multipliers in the adjoint equation and in D_u H: what changes that cost by its own size.
-    stage : tuple of (rows,)
-        Of joint rows, one entry per family, with states and controls of their natural sizes.
+    terms : tuple of (dim,)
+        Of values of terms, one entry per term, with states and controls of their natural sizes.
     """
 
     x: Array
@@ -80,7 +99,7 @@ class Floors:
     cost: float
     in_x: Array
     in_u: Array
-    stage: tuple[Array, ...]
+    terms: tuple[Array, ...]
 
 
 def floors(lift: Lift) -> Floors:
@@ -88,16 +107,18 @@ def floors(lift: Lift) -> Floors:
     problem = lift.problem
     x, u = stated_sizes(problem)
     T = problem.horizon
-    in_x, in_u = problem.cost.gradient_magnitudes(np.tile(x, (T + 1, 1)), np.tile(u, (T, 1)))
-    cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max()))
-    stage = tuple(SCALE_FLOOR * family.rows.sizes(x, u) for family in lift.stage)
-    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, stage)
+    steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
+    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+    priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
+    cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+    terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
+    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, terms)
 
 
 def all_conditions(lift: Lift) -> tuple[Condition, ...]:
     """Judge all conditions, in the paper's order."""
     problem, (x, u), least = lift.problem, (lift.trajectory.x, lift.trajectory.u), floors(lift)
-    level = max(abs(problem.cost.value(x, u)), least.cost)
+    level = max(abs(problem.value(x, u)), least.cost)
     mu, nu = lift.multipliers.mu, lift.multipliers.nu
     return (
         non_negativity(lift),
@@ -114,8 +135,8 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
         normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
         *(
             condition
-            for family, size in zip(lift.stage, least.stage, strict=True)
-            for condition in (rows_hold(family, size), row_multipliers(family, level, size))
+            for lifted, size in zip(lift.terms, least.terms, strict=True)
+            for condition in term_conditions(lifted, lift.multipliers.eta_C, level, size)
         ),
     )
 
@@ -168,10 +189,10 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
     unbounded and uncurved are left to the first-order condition: there the maximum is infinite or attained everywhere.
     With joint rows, the maximum over {v in U_t : D v <= e - C x_t} of H is at most the maximum over U_t of
     H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
-    slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>.
+    slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. The same with the gaps of other terms of u_t.
     """
     problem, u = lift.problem, lift.trajectory.u
-    curvature = diagonal_curvature(lift.multipliers.eta_C * problem.cost.R)
+    curvature = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.R)
     if curvature is None:
         return []
     tube = problem.control_tube
@@ -179,7 +200,10 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
     slope = np.where(bounded, -lift.in_u, 0.0)
     excess = -box_minimum(slope, curvature, tube.lower - u, tube.upper - u)
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
-    total = excess.sum(1) + sum(np.maximum(family.products, 0.0).sum(1) for family in lift.stage)
+    total = excess.sum(1)
+    for lifted in lift.terms:
+        if isinstance(lifted.term.map, StageMap) and lifted.term.map.D is not None:
+            np.add.at(total, lifted.term.map.times, np.maximum(lifted.gap, 0.0).sum(1))
     terms = (lift.in_u_terms * np.abs(u)).sum(1)
     scale = max(level, float(terms.max()))
     t = int(np.argmax(total))
@@ -215,23 +239,37 @@ def normal_cone(
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
-def rows_hold(family: RowLift, least: Array) -> Condition:
-    """S-z: C x_t + D u_t <= e_t; compared with the largest |C| |x_t| + |D| |u_t| of the row."""
-    violation = np.maximum(-family.slack, 0.0)
-    return _worst("S-z", f"rows hold: {family.rows.name}", violation, _scales(family.terms, least))
+def term_conditions(lifted: TermLift, eta_C: float, level: float, least: Array) -> list[Condition]:
+    """Judge one term: that it holds, if it must, and that its multipliers are subgradients."""
+    term, least = lifted.term, np.where(least > 0, least, least.max(initial=0.0))
+    holds, fits = LABELS[term.kind]
+    subgradient = term_subgradient(fits, lifted, level, least)
+    return [term_holds(holds, lifted, least), subgradient] if term.hard else [subgradient]
 
 
-def row_multipliers(family: RowLift, level: float, least: Array) -> Condition:
-    """N-z: l_t >= 0 and <l_t, e - C x_t - D u_t> = 0; compared with the largest <|l_t|, |C| |x_t| + |D| |u_t|>, or J.
+def term_holds(label: str, lifted: TermLift, least: Array) -> Condition:
+    """S-..., C-vi, C-vii: L(x, u) is where it must be; compared with the largest sum of its terms' absolute values."""
+    violation = lifted.term.penalty.violation(lifted.values).astype(np.float64)
+    scales = _scales(lifted.sizes, least)
+    scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
+    what = "rows hold" if lifted.term.kind == "stage rows" else "holds"
+    return _worst(label, f"{what}: {lifted.term.name}", violation, scales)
 
-    A multiplier below zero counts as if its row had a lower limit, as far away as the row is large.
+
+def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -> Condition:
+    """N-...: lambda is a subgradient of h at L(x, u); compared with the largest <|lambda|, its terms>, or J.
+
+    What of lambda is no subgradient of h anywhere counts as if its value were as large as the largest of that entry.
     """
-    negative = np.maximum(-family.weights, 0.0)
-    gap = np.abs(family.products) + negative * _scales(family.terms, least)
-    scale = max(level, float((np.abs(family.weights) * family.terms).sum(1).max()))
-    t, row = _argmax(gap)
-    name = f"row multipliers complementary: {family.rows.name}"
-    return Condition("N-z", name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row)
+    scales = _scales(lifted.sizes, least)
+    never = np.abs(lifted.given - lifted.weights) * scales
+    gap = np.abs(lifted.gap) + MISFIT_SHARE * lifted.misfit
+    gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
+    scale = max(level, float((np.abs(lifted.given) * lifted.sizes).sum(1).max()))
+    t, row = _argmax(gap.astype(np.float64))
+    what = "row multipliers complementary" if lifted.term.kind == "stage rows" else "multipliers are subgradients"
+    name = f"{what}: {lifted.term.name}"
+    return Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row)
 
 
 def _scales(terms: Array, least: Array) -> Array:

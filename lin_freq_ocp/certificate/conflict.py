@@ -91,7 +91,7 @@ def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
 
 
 def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    for what, t, end in (("initial state", 0, problem.initial_state), ("terminal state", -1, problem.terminal_state)):
+    for what, t, end in (("initial state", 0, problem.initial_box), ("terminal state", -1, problem.terminal_box)):
         if ray.mu[t, np.isfinite(end.lower) | np.isfinite(end.upper)].any():
             yield Conflict(what, 1.0, (t % len(ray.mu),))
 
@@ -100,7 +100,7 @@ def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Confli
     """Name the bounds and joint rows that weigh most, by their multipliers times the sizes of what they bound."""
     x, u = stated_sizes(problem)
     inside = np.abs(ray.mu) * x
-    for t, end in ((0, problem.initial_state), (-1, problem.terminal_state)):
+    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
         inside[t, np.isfinite(end.lower) | np.isfinite(end.upper)] = 0.0
     blocks = [(f"state bound on {name}", inside[:, i]) for i, name in enumerate(problem.state_names)]
     outside = np.abs(ray.nu) * u

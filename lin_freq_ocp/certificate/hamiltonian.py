@@ -2,8 +2,9 @@
 
 H_t(eta, x, u) = <eta, f_t(x, u)> - eta_C c_t(x, u) - <eta_xhat, phi_t(x)> - <eta_uhat, psi_t(u)>   (e:hamiltonian)
 
-Joint rows C x_t + D u_t <= e_t with multipliers l_t join it as the Lagrangian term -<l_t+, C x + D u - e_t>, with
-l+ = max(l, 0): so all that follows from it holds for the rows too, and the bound for multipliers of any sign.
+What a problem has beyond that, h(L(x, u)) with multipliers lambda, joins it as the Lagrangian term -<lambda+, L(x, u)>,
+with lambda+ the nearest multipliers that are subgradients of h somewhere (for a row, max(lambda, 0)): so all that
+follows from it holds for them, too, and the bound for multipliers of any sign.
 """
 
 from __future__ import annotations
@@ -15,46 +16,46 @@ import numpy as np
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.penalties import Below
 from lin_freq_ocp.problem.spectrum import time_signal
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class RowLift:
-    """One family of joint rows along a trajectory.
+class TermLift:
+    """One term along a trajectory; arrays are (groups, dim), (groups, 1) where they are of whole groups.
 
     Attributes
     ----------
-    rows : StageRows
-    weights : (T, rows)
-        The multipliers l_t, of any sign.
-    slack : (T, rows)
-        e_t - C x_t - D u_t; inf where there is no limit.
-    terms : (T, rows)
-        |C| |x_t| + |D| |u_t|, what the rounding errors of C x_t + D u_t are relative to.
+    term : Term
+    given : (groups, dim)
+        The multipliers, whatever they are.
+    weights : (groups, dim)
+        lambda+, the nearest ones that are subgradients of h somewhere.
+    values : (groups, dim)
+        L(x, u), in extended precision.
+    sizes : (groups, dim)
+        The sums of the absolute values of its terms: what its rounding errors are relative to.
+    gap : (groups, dim or 1)
+        h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v.
+    misfit : (groups, dim or 1)
+        What the gap sees to second order only: how far the directions of lambda+ and v differ.
     """
 
-    rows: StageRows
+    term: Term
+    given: Array
     weights: Array
-    slack: Array
-    terms: Array
+    values: Array
+    sizes: Array
+    gap: Array
+    misfit: Array
 
     @property
-    def positive(self) -> Array:
-        """Return l+ = max(l, 0)."""
-        return np.maximum(self.weights, 0.0)
-
-    @property
-    def products(self) -> Array:
-        """Return l+ times slack, entry by entry; 0 where there is no limit, and no multiplier."""
-        return self.positive * np.where(self.positive > 0, self.slack, 0.0)
-
-    @property
-    def products_terms(self) -> Array:
-        """Return what the rounding errors of the products are relative to, (T, rows)."""
-        limits = np.where(np.isfinite(self.rows.e), np.abs(self.rows.e), 0.0)
-        return self.positive * (self.terms + limits)
+    def gap_terms(self) -> Array:
+        """Return what the rounding errors of the gaps are relative to, (groups,)."""
+        limits = np.broadcast_to(self.term.penalty.sizes(), self.values.shape)
+        return (np.abs(self.weights) * (self.sizes + limits)).sum(1) + np.abs(self.gap).sum(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +71,13 @@ class Lift:
     state_signal : (T+1, n), control_signal : (T, m)
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
     in_x : (T+1, n)
-        D_x H_t for t < T, with -C'l+; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
+        D_x H_t for t < T, with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
     in_u : (T, m)
-        D_u H_t, with -D'l+.
+        D_u H_t, with the terms.
     in_x_terms, in_u_terms
         The sums of the absolute values of the terms of in_x and in_u: what their rounding errors are relative to.
-    stage : tuple of RowLift
-        The joint rows, one entry per family.
+    terms : tuple of TermLift
+        Everything beyond the quadratic cost, boxes and stop bands.
     """
 
     problem: OptimalControlProblem
@@ -88,7 +89,7 @@ class Lift:
     in_u: Array
     in_x_terms: Array
     in_u_terms: Array
-    stage: tuple[RowLift, ...]
+    terms: tuple[TermLift, ...]
 
     @property
     def eta_before(self) -> Array:
@@ -109,9 +110,9 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
     eta_C = multipliers.eta_C
     state_signal = time_signal(extended(multipliers.rho_x), T + 1)
     control_signal = time_signal(extended(multipliers.rho_u), T)
-    cost_x, cost_u = problem.cost.gradient(x, u)
+    cost_x, cost_u = problem.quadratic.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - state_signal, -eta_C * cost_u - control_signal
-    cost_x_terms, cost_u_terms = problem.cost.gradient_magnitudes(x, u)
+    cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
     through_x, through_u = problem.dynamics.pull_back(eta)
@@ -120,41 +121,46 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
     in_u += through_u
     in_x_terms[:-1] += terms_x
     in_u_terms += terms_u
-    stage = _lifted_rows(problem, trajectory, multipliers)
-    for family in stage:
-        of_x, of_u = family.rows.pull_back(family.positive)
-        terms_x, terms_u = family.rows.magnitudes().pull_back(family.positive)
-        in_x[:-1] -= of_x
-        in_u -= of_u
-        in_x_terms[:-1] += terms_x
-        in_u_terms += terms_u
+    terms = _lifted_terms(problem, trajectory, multipliers)
+    shapes = x.shape, u.shape
+    for lifted in terms:
+        for signal, pulled in zip((in_x, in_u), lifted.term.map.pull_back(lifted.weights, shapes), strict=True):
+            signal -= pulled
+        sizes = lifted.term.map.pulled_sizes(lifted.weights, shapes)
+        for signal, pulled in zip((in_x_terms, in_u_terms), sizes, strict=True):
+            signal += pulled
     return Lift(
-        problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms, stage
+        problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms, terms
     )
 
 
-def _lifted_rows(
+def _lifted_terms(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[RowLift, ...]:
-    x, u, names = trajectory.x, trajectory.u, [family.name for family in problem.stage_rows]
+) -> tuple[TermLift, ...]:
+    x, u, names = extended(trajectory.x), extended(trajectory.u), [term.name for term in problem.terms]
     for name in multipliers.stage:
         if name not in names:
-            raise ProblemError("multipliers.stage", repr(name), f"the names of the joint rows: {names}")
-    lifted: list[RowLift] = []
-    for rows in problem.stage_rows:
-        shape = problem.horizon, rows.rows
-        weights = multipliers.stage.get(rows.name, np.zeros(shape))
-        field = f"multipliers.stage[{rows.name!r}]"
-        if weights.shape != shape:
-            raise ProblemError(field, f"shape {weights.shape}", f"shape {shape}")
-        unlimited = (weights != 0) & np.isinf(rows.e)
+            raise ProblemError("multipliers.stage", repr(name), f"the names of the constraints: {names}")
+    lifted: list[TermLift] = []
+    for term in problem.terms:
+        given = multipliers.stage.get(term.name, np.zeros(term.shape))
+        if given.shape != term.shape:
+            raise ProblemError(f"multipliers.stage[{term.name!r}]", f"shape {given.shape}", f"shape {term.shape}")
+        _require_no_multiplier_without_limit(term, given)
+        values, weights = term.map.values(x, u), term.penalty.subgradient(extended(given), multipliers.eta_C)
+        sizes = term.map.sizes(trajectory.x, trajectory.u)
+        gap = term.penalty.gap(values, weights, multipliers.eta_C)
+        lifted.append(TermLift(term, given, weights, values, sizes, gap, term.penalty.misfit(values, weights)))
+    return tuple(lifted)
+
+
+def _require_no_multiplier_without_limit(term: Term, given: Array) -> None:
+    if isinstance(term.penalty, Below):
+        unlimited = (given != 0) & np.isinf(term.penalty.limit)
         if unlimited.any():
             t, row = (int(i) for i in np.argwhere(unlimited)[0])
-            raise ProblemError(
-                f"{field}[{t}, {row}]", f"{weights[t, row]:g}", "0", "There is no limit to this row then."
-            )
-        lifted.append(RowLift(rows, weights, rows.slack(x, u), rows.magnitudes().values(np.abs(x), np.abs(u))))
-    return tuple(lifted)
+            field = f"multipliers.stage[{term.name!r}][{t}, {row}]"
+            raise ProblemError(field, f"{given[t, row]:g}", "0", "There is no limit to this row then.")
 
 
 def _require_only_at_stopped(field: str, rho: ComplexArray, stopped: Mask) -> None:

@@ -58,8 +58,8 @@ def implied_bounds(problem: OptimalControlProblem, control_curvature: Array, cos
         level = OUTWARD * cost
         with np.errstate(divide="ignore"):
             radius = np.where(control_curvature > 0, OUTWARD * np.sqrt(2 * level / control_curvature), np.inf)
-        u_lower = np.maximum(u_lower, problem.cost.u_ref - radius)
-        u_upper = np.minimum(u_upper, problem.cost.u_ref + radius)
+        u_lower = np.maximum(u_lower, problem.quadratic.u_ref - radius)
+        u_upper = np.minimum(u_upper, problem.quadratic.u_ref + radius)
         used.append("the cost level set")
     reach = _forward_reach(problem, u_lower, u_upper)
     if reach is None:
@@ -70,7 +70,7 @@ def implied_bounds(problem: OptimalControlProblem, control_curvature: Array, cos
 
 
 def _cost_is_sum_of_squares(problem: OptimalControlProblem) -> bool:
-    return not any(np.any(part) for part in (problem.cost.q, problem.cost.r, problem.cost.p))
+    return not any(np.any(part) for part in (problem.quadratic.q, problem.quadratic.r, problem.quadratic.p))
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
@@ -78,7 +78,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
 
     x_t lies within sum_s |A_{t-1} .. A_{s+1} B_s| r_s + |A_{t-1} .. A_0| r_0 of the trajectory of the interval centres.
     """
-    start = problem.initial_state
+    start = problem.initial_box
     if not all(np.isfinite(part).all() for part in (start.lower, start.upper, u_lower, u_upper)):
         return None
     try:

@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 GAP_TOLERANCE = 1e-6
 """Relative gap (J - D)/max(1, |J|) up to which a feasible point is called globally optimal."""
 
-FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z")
+FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +98,6 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
             pmp="satisfied" if all(condition.passed for condition in conditions) else "violated",
             normal=multipliers.eta_C == 1,
             conditions=conditions,
-            cost=problem.cost.value(trajectory.x, trajectory.u),
+            cost=problem.value(trajectory.x, trajectory.u),
             bound=lower_bound(lifted) if multipliers.eta_C == 1 else None,
         )

@@ -45,7 +45,7 @@ def blocks(problem: OptimalControlProblem) -> list[Block]:
 
 
 def _ends(problem: OptimalControlProblem) -> Iterator[Block]:
-    for kind, end in zip(ENDS, (problem.initial_state, problem.terminal_state), strict=True):
+    for kind, end in zip(ENDS, (problem.initial_box, problem.terminal_box), strict=True):
         if _bounded(end).any():
             yield Block(kind, kind)
 

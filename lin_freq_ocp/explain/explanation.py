@@ -90,7 +90,7 @@ class _Search:
 
     def solved(self, problem: OptimalControlProblem) -> Result:
         """Return how a variant ends; its cost is a plain one, or none, as only feasibility matters."""
-        result = solve(replace(problem, cost=self.problem.cost), time_limit=self._left(), throw=False)
+        result = solve(replace(problem, cost=self.problem.quadratic), time_limit=self._left(), throw=False)
         if result.interrupted:
             self.end = -np.inf
         if result.interrupted or result.status in DECIDED:

@@ -129,7 +129,7 @@ def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:
         return StageRows(matrix, D[:, None], limits, "giving way")
     else:
         sizes, first = stated_sizes(problem)[0], block.kind == ENDS[0]
-        end = problem.initial_state if first else problem.terminal_state
+        end = problem.initial_box if first else problem.terminal_box
         for j in range(n):
             if first:
                 add(x[j], np.zeros(m), at(0, end.upper[j], np.inf), at(0, end.lower[j], -np.inf), sizes[j])
@@ -174,7 +174,7 @@ def _words(
     problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
 ) -> str:
     if block.kind in ENDS:
-        before = problem.initial_state if block.kind == ENDS[0] else problem.terminal_state
+        before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
         return f"{_point(before)} -> {np.array2string(end, precision=6, separator=', ')}"
     if block.kind == "row":
         limits = next(one for one in problem.stage_rows if one.name == block.family).e[..., block.index]

@@ -40,16 +40,16 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     """
     import cvxpy as cp  # here, because it takes more than a second to import and only its users need it
 
-    _require_convex(problem.cost)
+    _require_convex(problem.quadratic)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
     states = stacked("state_set", problem.state_set, n, T + 1)
     return cp.Problem(
-        cp.Minimize(_cost(problem.cost, x, u)),
+        cp.Minimize(_cost(problem.quadratic, x, u)),
         [
             _dynamics(problem, x, u),
-            *_within(problem.initial_state, x[0], "initial state"),
-            *_within(problem.terminal_state, x[T], "terminal state"),
+            *_within(problem.initial_box, x[0], "initial state"),
+            *_within(problem.terminal_box, x[T], "terminal state"),
             *_within(_free_of_ends(states, problem), x, "state set"),
             *_within(problem.control_tube, u, "control set"),
             *(constraint for rows in problem.stage_rows for constraint in _joint(rows, x, u)),
@@ -116,7 +116,7 @@ def _times(matrix: Array, vectors: Any) -> Any:
 def _free_of_ends(states: Box, problem: OptimalControlProblem) -> Box:
     """Return the state sets without the bounds where an end fixes the state: they hold, and would only repeat it."""
     lower, upper = states.lower.copy(), states.upper.copy()
-    for t, end in ((0, problem.initial_state), (-1, problem.terminal_state)):
+    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
         lower[t, end.fixed], upper[t, end.fixed] = -np.inf, np.inf
     return Box(lower, upper)
 

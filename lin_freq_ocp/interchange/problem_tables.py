@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.band_tables import band_from_table, table_from_band
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
+from lin_freq_ocp.interchange.set_tables import sets_from_tables, table_from_set, tables_from_sets
+from lin_freq_ocp.interchange.spectrum_tables import (
+    outputs_from_table,
+    spectrum_from_table,
+    table_from_outputs,
+    table_from_spectrum,
+)
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box, Point, stacked
-from lin_freq_ocp.problem.spectrum import Band
+from lin_freq_ocp.problem.sets import Box, Point
 from lin_freq_ocp.problem.stage_rows import StageRows
 
 SCHEMA = 1
@@ -24,6 +30,11 @@ SCHEMA = 1
 
 DIMENSIONS_OF_COST = {"Q": 2, "R": 2, "S": 2, "q": 1, "r": 1, "P": 2, "p": 1, "x_ref": 1, "u_ref": 1}
 """The terms of a quadratic cost, with the dimensions of each where it does not depend on time."""
+
+NORM_COSTS = {"L1": L1Cost, "Linf": LInfCost}
+"""The nonsmooth costs, by their kind in a file."""
+
+NORM_COST_KEYS = ("x", "u", "terminal", "x_ref", "u_ref")
 
 
 def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
@@ -40,7 +51,7 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
         required=("schema", "horizon", "dynamics", "cost"),
         optional=(
             *("name", "initial_state", "terminal_state"),
-            *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows"),
+            *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows", "output_spectrum"),
         ),
     )
     schema, name = tables["schema"], tables.get("name", "")
@@ -52,13 +63,14 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
         dynamics=_dynamics(tables["dynamics"]),
         horizon=tables["horizon"],
         cost=_cost(tables["cost"]),
-        control_set=_set("control_set", tables),
-        state_set=_set("state_set", tables),
+        control_set=sets_from_tables("control_set", tables),
+        state_set=sets_from_tables("state_set", tables),
         initial_state=_end("initial_state", tables),
         terminal_state=_end("terminal_state", tables),
-        control_spectrum=_bands("control_spectrum", tables),
-        state_spectrum=_bands("state_spectrum", tables),
-        stage_rows=_rows(tables.get("stage_rows")),
+        control_spectrum=_each("control_spectrum", tables, spectrum_from_table),
+        state_spectrum=_each("state_spectrum", tables, spectrum_from_table),
+        stage_rows=_each("stage_rows", tables, _rows_from_table),
+        output_spectrum=_each("output_spectrum", tables, outputs_from_table),
         name=name,
     )
 
@@ -73,11 +85,12 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "terminal_state": _table_of_end(problem.terminal_state),
         "dynamics": _table_of_dynamics(problem.dynamics),
         "cost": _table_of_cost(problem.cost),
-        "control_set": _table_of_set("control_set", problem.control_set, problem.control_dim, problem.horizon),
-        "state_set": _table_of_set("state_set", problem.state_set, problem.state_dim, problem.horizon + 1),
-        "control_spectrum": _tables_of_bands(problem.control_spectrum),
-        "state_spectrum": _tables_of_bands(problem.state_spectrum),
-        "stage_rows": [_table_of_rows(rows) for rows in problem.stage_rows] or None,
+        "control_set": tables_from_sets("control_set", problem.control_set, problem.control_dim, problem.horizon),
+        "state_set": tables_from_sets("state_set", problem.state_set, problem.state_dim, problem.horizon + 1),
+        "control_spectrum": _tables(problem.control_spectrum, table_from_spectrum),
+        "state_spectrum": _tables(problem.state_spectrum, table_from_spectrum),
+        "stage_rows": _tables(problem.stage_rows, _table_of_rows),
+        "output_spectrum": _tables(problem.output_spectrum, table_from_outputs),
     }
     return {key: value for key, value in tables.items() if value is not None}
 
@@ -109,72 +122,73 @@ def _table_of_dynamics(dynamics: LinearDynamics) -> dict[str, Any]:
     return table | {"state_names": list(dynamics.state_names), "control_names": list(dynamics.control_names)}
 
 
-def _cost(table: Any) -> QuadraticCost:
-    require_keys("cost", table, optional=DIMENSIONS_OF_COST)
+def _cost(table: Any) -> QuadraticCost | CostSum:
+    require_keys("cost", table, optional=(*DIMENSIONS_OF_COST, "norms"))
+    given = {key: value for key, value in table.items() if key != "norms"}
     with placed("cost"):
-        return QuadraticCost(**table)
+        quadratic = QuadraticCost(**given)
+    norms = _each("norms", table, _norm_cost)
+    if norms is None:
+        return quadratic
+    return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
 
 
-def _table_of_cost(cost: QuadraticCost) -> dict[str, Any]:
-    terms = {field: getattr(cost, field) for field in DIMENSIONS_OF_COST}
-    return {field: term for field, term in terms.items() if term.any() or term.ndim > DIMENSIONS_OF_COST[field]}
+def _norm_cost(place: str, table: Any) -> Any:
+    place = f"cost.{place}"
+    require_keys(place, table, required=("kind",), optional=NORM_COST_KEYS)
+    kind = table["kind"]
+    if not isinstance(kind, str) or kind not in NORM_COSTS:
+        raise ProblemError(f"{place}.kind", brief(kind), f"one of {', '.join(NORM_COSTS)}")
+    with placed(place, NORM_COSTS[kind].__name__):
+        return NORM_COSTS[kind](**{key: value for key, value in table.items() if key != "kind"})
 
 
-def _set(field: str, tables: Mapping[str, Any]) -> Box | None:
-    if field not in tables:
-        return None
-    table = tables[field]
-    require_keys(field, table, optional=("lower", "upper"))
-    with placed(field, "Box"):
-        return Box(table.get("lower"), table.get("upper"))
+def _table_of_cost(cost: QuadraticCost | CostSum) -> dict[str, Any]:
+    quadratic = cost.quadratic if isinstance(cost, CostSum) else cost
+    terms = {field: getattr(quadratic, field) for field in DIMENSIONS_OF_COST}
+    table = {field: term for field, term in terms.items() if term.any() or term.ndim > DIMENSIONS_OF_COST[field]}
+    norms = cost.norms if isinstance(cost, CostSum) else ()
+    return table | ({"norms": [_table_of_norm_cost(one) for one in norms]} if norms else {})
 
 
-def _table_of_set(field: str, given: Box | Sequence[Box] | None, dimension: int, times: int) -> dict[str, Any] | None:
-    if given is None:
-        return None
-    box = given if isinstance(given, Box) else stacked(field, given, dimension, times)
-    return {"lower": box.lower, "upper": box.upper}
+def _table_of_norm_cost(cost: Any) -> dict[str, Any]:
+    kind = next(kind for kind, one in NORM_COSTS.items() if type(cost) is one)
+    given = {key: getattr(cost, key) for key in NORM_COST_KEYS}
+    return {"kind": kind, **{key: value for key, value in given.items() if value.any()}}
 
 
-def _end(field: str, tables: Mapping[str, Any]) -> Box | None:
+def _end(field: str, tables: Mapping[str, Any]) -> Any:
     if field not in tables or isinstance(tables[field], Mapping):
-        return _set(field, tables)
+        return sets_from_tables(field, tables)
     with placed(field, "Point"):
         return Point(tables[field])
 
 
-def _table_of_end(end: Box) -> Any:
-    if end.fixed.all():
+def _table_of_end(end: Any) -> Any:
+    if isinstance(end, Box) and end.fixed.all():
         return end.lower
-    free = np.isinf(end.lower).all() and np.isinf(end.upper).all()
-    return None if free else {"lower": end.lower, "upper": end.upper}
+    free = isinstance(end, Box) and np.isinf(end.lower).all() and np.isinf(end.upper).all()
+    return None if free else table_from_set(end)
 
 
-def _bands(field: str, tables: Mapping[str, Any]) -> Band | list[Band] | None:
+def _each(field: str, tables: Mapping[str, Any], read: Callable[[str, Any], Any]) -> Any:
+    """Return what a table, or each one of a list of tables, says; None where there is nothing."""
     given = tables.get(field)
     if given is None or isinstance(given, Mapping):
-        return None if given is None else band_from_table(field, given)
+        return None if given is None else read(field, given)
     if not isinstance(given, list):
         raise ProblemError(field, brief(given), f"tables that begin with [[{field}]]")
-    return [band_from_table(f"{field}[{i}]", table) for i, table in enumerate(given)]
+    return [read(f"{field}[{i}]", table) for i, table in enumerate(given)]
 
 
-def _tables_of_bands(given: Band | Sequence[Band] | None) -> list[dict[str, Any]] | None:
-    bands = [] if given is None else [given] if isinstance(given, Band) else given
-    return [table_from_band(band) for band in bands] or None
-
-
-def _rows(given: Any) -> StageRows | list[StageRows] | None:
-    if given is None or isinstance(given, Mapping):
-        return None if given is None else _rows_from_table("stage_rows", given)
-    if not isinstance(given, list):
-        raise ProblemError("stage_rows", brief(given), "tables that begin with [[stage_rows]]")
-    return [_rows_from_table(f"stage_rows[{i}]", table) for i, table in enumerate(given)]
+def _tables(given: Any, table_of: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]] | None:
+    listed = [] if given is None else given if isinstance(given, (list, tuple)) else [given]
+    return [table_of(one) for one in listed] or None
 
 
 def _rows_from_table(place: str, table: Any) -> StageRows:
-    require_keys(place, table, required=("e",), optional=("C", "D", "name"))
-    named = {"name": table["name"]} if "name" in table else {}
+    require_keys(place, table, required=("e",), optional=("C", "D", "name", "penalty"))
+    named = {key: table[key] for key in ("name", "penalty") if key in table}
     with placed(place, "stage_rows"):
         return StageRows(table.get("C"), table.get("D"), table["e"], **named)
 
@@ -187,4 +201,4 @@ def _table_of_rows(rows: StageRows) -> dict[str, Any]:
         table["C"] = rows.C
     if not without_D or without_C:
         table["D"] = rows.D
-    return table | {"e": rows.e}
+    return table | {"e": rows.e} | ({} if rows.penalty is None else {"penalty": rows.penalty})

@@ -49,7 +49,7 @@ def solve_convex(
 
 def require_convex(problem: OptimalControlProblem) -> None:
     """Raise UnsupportedError, with the time and eigenvalue, unless the cost is convex."""
-    worst = problem.cost.nonconvexity()
+    worst = problem.quadratic.nonconvexity()
     if worst is not None:
         where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
         raise UnsupportedError(

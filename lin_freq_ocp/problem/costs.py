@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, assign, real_array, shaped, times_vectors
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 
 SYMMETRY_TOLERANCE = 1e-12
 """Relative asymmetry of Q, R or P that is rounding and not a mistake."""
@@ -65,6 +69,16 @@ class QuadraticCost:
     ):
         given = {"Q": Q, "R": R, "S": S, "q": q, "r": r, "P": P, "p": p, "x_ref": x_ref, "u_ref": u_ref}
         assign(self, **{field: real_array(f"cost.{field}", value) for field, value in given.items()})
+
+    @property
+    def zero(self) -> bool:
+        """Whether all its terms are zero."""
+        return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
+
+    def __add__(self, other: Any) -> CostSum:
+        from lin_freq_ocp.problem.nonsmooth_costs import CostSum
+
+        return CostSum([self, other])
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
         """Return the same cost with every term an array of the right shape, checked."""

@@ -39,7 +39,7 @@ class FurtherStates:
 
 def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    n, k, T, plant, cost = problem.state_dim, len(further.A), problem.horizon, problem.dynamics, problem.cost
+    n, k, T, plant, cost = problem.state_dim, len(further.A), problem.horizon, problem.dynamics, problem.quadratic
     A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
     boxes, none = problem.state_boxes, np.full((T + 1, k), np.inf)
     free = np.full(k, np.inf)
@@ -67,8 +67,8 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
         state_set=Box(
             np.hstack([boxes.lower, np.broadcast_to(further.lower, (T + 1, k))]), np.hstack([boxes.upper, none])
         ),
-        initial_state=_joined(problem.initial_state, further.initial),
-        terminal_state=_joined(problem.terminal_state, Box(-free, free)),
+        initial_state=_joined(problem.initial_box, further.initial),
+        terminal_state=_joined(problem.terminal_box, Box(-free, free)),
         state_spectrum=bands_of(problem.state_stop),
         stage_rows=[StageRows(_beside(rows.C, k), rows.D, rows.e, rows.name) for rows in problem.stage_rows],
     )

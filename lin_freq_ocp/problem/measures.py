@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -17,6 +18,9 @@ ZERO_PADDING = 16
 
 REPLAY_LIMIT = 1e-3
 """Machine precision times the open-loop growth above which a replay shows amplified rounding and nothing else."""
+
+WEIGHTY = 0.1
+"""A component with less than this part of a row's largest coefficient is not what the row's limit is about."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +67,12 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
     """Measure a trajectory of the problem's shape."""
     problem.require(trajectory)
     x, u = trajectory.x, trajectory.u
-    terminal = problem.terminal_state
+    terminal = problem.terminal_box
     bounds = stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)  # the ends apart
     has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
     missed = terminal.violation(x[-1])
     return Measures(
-        cost=problem.cost.value(x, u),
+        cost=problem.value(x, u),
         max_control=float(np.abs(u).max()),
         control_violation=float(problem.control_tube.violation(u).max()),
         state_violation=float(bounds.violation(x).max()),
@@ -142,16 +146,17 @@ def replay_is_meaningful(growth: float) -> bool:
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
 
-    A component is as large as its ends and references, else its bounds, else what the others make of it within the
-    horizon, else what makes the others as large as they are; 1 only where nothing at all is said.
+    A component is as large as its ends and references, else its bounds, else what other sets and rows allow, else what
+    the others make of it within the horizon, else what makes the others as large as they are; 1 only where nothing at
+    all is said.
     """
-    cost, n = problem.cost, problem.state_dim
-    ends = np.maximum(_finite(problem.initial_state).max(0), _finite(problem.terminal_state).max(0))
+    cost, n = problem.quadratic, problem.state_dim
+    ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
-    sizes = np.where(stated > 0, stated, bounds)
+    sizes = np.where(stated > 0, stated, np.where(bounds > 0, bounds, _limited_sizes(problem)))
     for _ in range(len(sizes)):  # one more component, at least, is known after each pass
         if sizes.all():
             break
@@ -159,6 +164,22 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
         sizes = np.where(known > 0, known, _implied_sizes(problem, known))
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
+
+
+def _limited_sizes(problem: OptimalControlProblem) -> Array:
+    """Return the least value that a limit of a set or row allows a component that weighs in it, 0 where none does."""
+    n, m = problem.state_dim, problem.control_dim
+    least = np.full(n + m, np.inf)
+    for term in problem.terms:
+        if isinstance(term.map, StageMap):
+            limit = (np.broadcast_to(term.penalty.sizes(), term.shape) + np.abs(term.map.constant)).max(0)
+            for matrix, part in ((term.map.C, least[:n]), (term.map.D, least[n:])):
+                if matrix is not None:
+                    weights = np.abs(matrix).reshape(-1, *matrix.shape[-2:]).max(0)
+                    counts = (weights >= WEIGHTY * weights.max(1, keepdims=True)) & (weights > 0) & (limit[:, None] > 0)
+                    allowed = np.divide(limit[:, None], weights, out=np.full(weights.shape, np.inf), where=counts)
+                    np.minimum(part, allowed.min(0), out=part)
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:

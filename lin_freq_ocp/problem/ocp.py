@@ -1,4 +1,4 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)) with linear dynamics, boxes, joint rows and stop bands."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)) with linear dynamics and convex costs and constraints."""
 
 from __future__ import annotations
 
@@ -11,12 +11,23 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.sets import Box, end_set, stacked
-from lin_freq_ocp.problem.spectrum import Band, stopped_bins
+from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
+from lin_freq_ocp.problem.problem_terms import (
+    BEYOND_BANDS,
+    OutputSpectrum,
+    output_terms,
+    row_terms,
+    set_terms,
+    spectrum_terms,
+    uniquely_named,
+)
+from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
+from lin_freq_ocp.problem.spectrum import stopped_bins
 from lin_freq_ocp.problem.stage_rows import row_families
+from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -30,16 +41,18 @@ class OptimalControlProblem:
         The map f_t, with names, units and sampling time.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
-    cost : QuadraticCost
-        Its 1/2 is part of the definition.
-    control_set, state_set : Box, sequence of Box, or None
-        One set for all times, or one per time (T for controls, T+1 for states).
-    initial_state, terminal_state : (n,), Box, or None
+    cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
+        The 1/2 of a QuadraticCost is part of its definition.
+    control_set, state_set : set, sequence of sets, or None
+        One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states).
+    initial_state, terminal_state : (n,), set, or None
         A point, a set, or free; taken together with the state set of that time.
-    control_spectrum, state_spectrum : Band, sequence of Band, or None
-        Stop bands, on the DFT of length T for controls and T+1 for states.
+    control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
+        Frequency constraints, on the DFT of length T for controls and T+1 for states.
     stage_rows : StageRows, sequence of StageRows, or None
         Joint rows C x_t + D u_t <= e_t for t < T, under different names; once constructed, a tuple of them.
+    output_spectrum : OutputSpectrum, sequence of them, or None
+        Frequency constraints on linear outputs of states and controls.
     name : str
         For tables and pictures.
 
@@ -51,14 +64,15 @@ class OptimalControlProblem:
 
     dynamics: LinearDynamics
     horizon: int
-    cost: QuadraticCost
-    control_set: Box | Sequence[Box] | None = None
-    state_set: Box | Sequence[Box] | None = None
+    cost: Any
+    control_set: Any = None
+    state_set: Any = None
     initial_state: Any = None
     terminal_state: Any = None
-    control_spectrum: Band | Sequence[Band] | None = None
-    state_spectrum: Band | Sequence[Band] | None = None
+    control_spectrum: Any = None
+    state_spectrum: Any = None
     stage_rows: Any = None
+    output_spectrum: Any = None
     name: str = ""
 
     def __post_init__(self):
@@ -70,16 +84,17 @@ class OptimalControlProblem:
                 "LinearDynamics",
                 "From python-control: LinearDynamics.from_statespace.",
             )
-        if not isinstance(self.cost, QuadraticCost):
-            raise ProblemError("cost", brief(self.cost), "QuadraticCost")
+        cost = as_cost(self.cost)
+        if cost is None:
+            raise ProblemError("cost", brief(self.cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon
-        set_field(self, "cost", self.cost.at_dimensions(n, m, T))
+        set_field(self, "cost", cost.at_dimensions(n, m, T))
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
-        _ = self.ends, self.control_tube, self.control_stop, self.state_stop  # validated here, kept for later
+        _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # validated, kept for later
 
     def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
         """Return the same problem with other ends; nothing else is looked at again.
@@ -98,9 +113,16 @@ class OptimalControlProblem:
         for t, field, given in ((0, "initial_state", initial_state), (-1, "terminal_state", terminal_state)):
             if given is not None:
                 assign(problem, **{field: end_set(field, given, self.state_dim)})
-                ends[t] = getattr(problem, field).intersection(self.state_boxes.at(t), field)
+                ends[t] = (
+                    box_of(getattr(problem, field))
+                    .at_dimension(self.state_dim, field)
+                    .intersection(self.state_boxes.at(t), field)
+                )
         problem.__dict__["ends"] = tuple(ends)
         problem.__dict__.pop("state_tube", None)
+        if self.terms:
+            problem.__dict__.pop("terms")
+            _ = problem.terms
         return problem
 
     @property
@@ -128,18 +150,66 @@ class OptimalControlProblem:
         """Return the names of the control components, with units."""
         return tuple(self.dynamics.control_names or ())
 
+    @property
+    def quadratic(self) -> QuadraticCost:
+        """Return the quadratic part of the cost."""
+        return self.cost.quadratic if isinstance(self.cost, CostSum) else self.cost
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """Everything beyond the quadratic cost, boxes and stop bands: constraints, soft ones, and nonsmooth costs."""
+        n, m, T = self.state_dim, self.control_dim, self.horizon
+        beyond = [
+            *row_terms(self.stage_rows, T),
+            *set_terms("state_set", self.state_set, n, np.arange(T + 1), self._fixed_ends),
+            *set_terms("initial_state", self.initial_state, n, np.array([0]), {}),
+            *set_terms("terminal_state", self.terminal_state, n, np.array([T]), {}),
+            *set_terms("control_set", self.control_set, m, np.arange(T), {}),
+            *spectrum_terms(
+                "state_spectrum", self.state_spectrum, T + 1, self.state_names, self.sampling_time, of_state=True
+            ),
+            *spectrum_terms(
+                "control_spectrum", self.control_spectrum, T, self.control_names, self.sampling_time, of_state=False
+            ),
+        ]
+        for outputs in _listed("output_spectrum", self.output_spectrum, OutputSpectrum):
+            beyond += output_terms(outputs, n, m, T, self.sampling_time)
+        if isinstance(self.cost, CostSum):
+            beyond += self.cost.terms(n, m, T)
+        return uniquely_named(beyond)
+
+    def value(self, x: Array, u: Array) -> float:
+        """Return J: the quadratic cost, the nonsmooth ones, and the penalties of soft constraints."""
+        return float(self.quadratic.value(x, u) + sum(term.cost(x, u).sum() for term in self.terms))
+
+    @property
+    def initial_box(self) -> Box:
+        """Return the bounds of the initial set."""
+        return box_of(self.initial_state).at_dimension(self.state_dim, "initial_state")
+
+    @property
+    def terminal_box(self) -> Box:
+        """Return the bounds of the terminal set."""
+        return box_of(self.terminal_state).at_dimension(self.state_dim, "terminal_state")
+
+    @property
+    def _fixed_ends(self) -> dict[int, Array]:
+        """Return the states at the ends where they are single points."""
+        times = (0, self.horizon)
+        return {t: end.lower for t, end in zip(times, self.ends, strict=True) if end.fixed.all()}
+
     @cached_property
     def state_boxes(self) -> Box:
-        """The state set of each time, bounds of shape (T+1, n), without the initial and the terminal set."""
+        """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
         return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
 
     @cached_property
     def ends(self) -> tuple[Box, Box]:
-        """X_0 and X_T, bounds of shape (n,): the initial and the terminal set, within the state sets of their times."""
+        """The bounds of X_0 and X_T, (n,): of the initial and the terminal set, within those of their times."""
         boxes = self.state_boxes
         return (
-            self.initial_state.intersection(boxes.at(0), "initial_state"),
-            self.terminal_state.intersection(boxes.at(-1), "terminal_state"),
+            self.initial_box.intersection(boxes.at(0), "initial_state"),
+            self.terminal_box.intersection(boxes.at(-1), "terminal_state"),
         )
 
     @cached_property
@@ -159,14 +229,19 @@ class OptimalControlProblem:
     def control_stop(self) -> Mask:
         """Which bins are removed from which control: shape (T//2 + 1, m)."""
         return stopped_bins(
-            "control_spectrum", self.control_spectrum, self.horizon, self.control_names, self.sampling_time
+            "control_spectrum",
+            self.control_spectrum,
+            self.horizon,
+            self.control_names,
+            self.sampling_time,
+            BEYOND_BANDS,
         )
 
     @cached_property
     def state_stop(self) -> Mask:
         """Which bins are removed from which state: shape ((T+1)//2 + 1, n)."""
         return stopped_bins(
-            "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time
+            "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time, BEYOND_BANDS
         )
 
     def require(self, trajectory: Trajectory) -> None:
@@ -188,7 +263,16 @@ class OptimalControlProblem:
             f"{self.state_dim} states, {self.control_dim} controls, "
             f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
             + (f", {joint} joint rows per step" if joint else "")
+            + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")
         )
+
+
+def _listed(field: str, given: Any, kind: type) -> Sequence[Any]:
+    listed: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+    for one in listed:
+        if not isinstance(one, kind):
+            raise ProblemError(field, brief(one), f"{kind.__name__}, a list of them, or None")
+    return listed
 
 
 def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) -> Trajectory:
@@ -215,11 +299,11 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
     if u.shape != (T, m):
         raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
     if initial_state is None:
-        if not problem.initial_state.fixed.all():
+        if not problem.initial_box.fixed.all():
             raise ProblemError(
                 "initial_state", "None, for a problem whose initial state is not one point", "a state to start from"
             )
-        initial_state = problem.initial_state.lower
+        initial_state = problem.initial_box.lower
     start = real_array("initial_state", initial_state)
     if start.shape != (n,):
         raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, real_array
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.problem.convex_sets import Intersection
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -110,6 +113,11 @@ class Box:
         """Return sigma(y) - <y, v>: zero iff y lies in the normal cone of the box at v (v in the box)."""
         return self.normal_gap_terms(v, y).sum(axis=-1)
 
+    def __and__(self, other: Any) -> Intersection:
+        from lin_freq_ocp.problem.convex_sets import Intersection
+
+        return Intersection([self, other])
+
 
 class Point(Box):
     """The set {value}; its normal cone is the whole space.
@@ -144,24 +152,27 @@ def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
     if given is None:
         given = Everything()
     if isinstance(given, Sequence) and not isinstance(given, str):
-        if len(given) != times or not all(isinstance(one, Box) for one in given):
+        if len(given) != times or not all(isinstance(box_of(one), Box) for one in given):
             raise ProblemError(
                 field, f"a sequence of {len(given)}", f"one set, or a sequence of {times} sets, one per time"
             )
-        boxes = [one.at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
+        boxes = [box_of(one).at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
         return Box(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
-    if not isinstance(given, Box):
-        raise ProblemError(field, brief(given), "a Box, a Point, Everything(), or a sequence with one per time")
-    box = given.at_dimension(dimension, field)
+    bounds = box_of(given)
+    if not isinstance(bounds, Box):
+        raise ProblemError(field, brief(given), "a set such as Box or Polyhedron, or a sequence with one per time")
+    box = bounds.at_dimension(dimension, field)
     if box.lower.ndim == 2 and len(box.lower) != times:
         raise ProblemError(field, f"bounds for {len(box.lower)} times", f"bounds for {times} times")
     return Box(np.broadcast_to(box.lower, (times, dimension)), np.broadcast_to(box.upper, (times, dimension)))
 
 
-def end_set(field: str, given: Any, dimension: int) -> Box:
+def end_set(field: str, given: Any, dimension: int) -> Any:
     """Return the set of an end of the horizon, from a point, a set, or None."""
     if given is None:
         given = Everything()
+    if not isinstance(given, Box) and isinstance(box_of(given), Box):
+        return given
     if not isinstance(given, Box):
         point = real_array(field, given)
         if point.shape != (dimension,):
@@ -173,6 +184,11 @@ def end_set(field: str, given: Any, dimension: int) -> Box:
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
     return box
+
+
+def box_of(given: Any) -> Any:
+    """Return a Box as it is, the bounds of any other set, and anything else for others to refuse."""
+    return given if isinstance(given, Box) else getattr(given, "box", given)
 
 
 def _checked(lower: Array, upper: Array) -> Box:

@@ -48,15 +48,18 @@ class Band:
         return (first - second / 2, first + second / 2) if self.kind == "notch" else (first, second)
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
-        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed, (length//2 + 1,)."""
-        listed = self.unit == "bins"
-        stopped = self._listed(length, field) if listed else self._between(length, sampling_time, field)
+        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
+        stopped = self.at(length, sampling_time, field)
         if not stopped.any():
             warnings.warn(f"{field}: {self} removes no bin of a signal of {length} samples.", BandWarning, stacklevel=2)
         elif stopped.all():
             what = f"removes every bin of a signal of {length} samples, which must then be zero"
             warnings.warn(f"{field}: {self} {what}.", BandWarning, stacklevel=2)
         return stopped
+
+    def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it is about, (length//2 + 1,)."""
+        return self._listed(length, field) if self.unit == "bins" else self._between(length, sampling_time, field)
 
     def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
         k = np.arange(length // 2 + 1)
@@ -184,18 +187,28 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
 
 
 def stopped_bins(
-    field: str, given: Any, length: int, component_names: Sequence[str], sampling_time: float | None
+    field: str,
+    given: Any,
+    length: int,
+    component_names: Sequence[str],
+    sampling_time: float | None,
+    others: tuple[type, ...] = (),
 ) -> Mask:
-    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
+    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united.
+
+    ``others`` are types of further frequency constraints that may stand among the bands.
+    """
     bands: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
     for i, band in enumerate(bands):
         where = f"{field}[{i}]" if given is bands else field
+        if isinstance(band, others):
+            continue
         if not isinstance(band, Band):
             raise ProblemError(
                 where, brief(band), "a band", "Make one with low_pass, high_pass, band_pass, notch or stop_band."
             )
-        columns = _component(where, band.component, component_names)
+        columns = component_indices(where, band.component, component_names)
         alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
         stopped[:, columns] |= alone[:, None]
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
@@ -235,7 +248,8 @@ def _edge(kind: str, name: str, radians: float | None, hertz: float | None) -> t
     return float(value), "rad/sample" if hertz is None else "Hz"
 
 
-def _component(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
+def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
+    """Return the indices that a component (index, name, or None for all) stands for."""
     count = len(component_names)
     if component is None:
         return list(range(count))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, real_array, shaped, times_vectors
+from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_number, real_array, shaped, times_vectors
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -27,6 +27,8 @@ class StageRows:
         Upper limits; inf where a row has none at that time.
     name : str
         Under which the multipliers, and whatever is said of these rows, stand.
+    penalty : float, optional
+        Makes the rows soft: penalty times the excess of each row is added to the cost.
 
     Raises
     ------
@@ -42,8 +44,16 @@ class StageRows:
     D: Array
     e: Array
     name: str
+    penalty: float | None
 
-    def __init__(self, C: ArrayLike | None, D: ArrayLike | None, e: ArrayLike, name: str = "stage rows"):
+    def __init__(
+        self,
+        C: ArrayLike | None,
+        D: ArrayLike | None,
+        e: ArrayLike,
+        name: str = "stage rows",
+        penalty: float | None = None,
+    ):
         if not isinstance(name, str) or not name.strip() or not name.isprintable():
             raise ProblemError("stage_rows.name", brief(name), "a name of printable characters")
         limits = real_array("stage_rows.e", e, allow_infinite=True)
@@ -52,7 +62,8 @@ class StageRows:
         if (limits == -np.inf).any():
             raise ProblemError(f"stage_rows.e{_place(limits == -np.inf)}", "-inf", "a number, or inf for no bound")
         rows = limits.shape[-1]
-        assign(self, C=_matrix("C", C, rows), D=_matrix("D", D, rows), e=limits, name=name)
+        soft = None if penalty is None else positive_number("stage_rows.penalty", penalty)
+        assign(self, C=_matrix("C", C, rows), D=_matrix("D", D, rows), e=limits, name=name, penalty=soft)
         if not self.C.shape[-1] and not self.D.shape[-1]:
             raise ProblemError("stage_rows", "neither C nor D", "at least one of them")
 
@@ -70,7 +81,7 @@ class StageRows:
         rows = self.e.shape[-1]
         C = shaped(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
         D = shaped(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
-        complete = StageRows(C, D, self.e, self.name)
+        complete = StageRows(C, D, self.e, self.name, self.penalty)
         impossible = complete._empty & (self.e < 0)
         if impossible.any():
             t, row = (int(i) for i in np.argwhere(np.atleast_2d(impossible))[0])
@@ -84,6 +95,11 @@ class StageRows:
     def rows(self) -> int:
         """Return the number of rows."""
         return self.e.shape[-1]
+
+    @property
+    def weight(self) -> Array:
+        """Return the price per unit of excess; inf for hard rows."""
+        return np.asarray(np.inf if self.penalty is None else self.penalty)
 
     @property
     def time_varying(self) -> bool:
@@ -115,7 +131,7 @@ class StageRows:
 
     def magnitudes(self) -> StageRows:
         """Return the rows of |C|, |D|, |e|: their values bound the sums of the absolute values of all terms."""
-        return StageRows(np.abs(self.C), np.abs(self.D), np.abs(self.e), self.name)
+        return StageRows(np.abs(self.C), np.abs(self.D), np.abs(self.e), self.name, self.penalty)
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return how large each row can be, (rows,), with states as large as x (n,) and controls as u (m,)."""

@@ -53,9 +53,10 @@ class Multipliers:
     rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n)
         Frequency multipliers per DFT bin, zero where a bin is free; -rho is the derivative of the optimal
         cost with respect to that bin (its conjugate moving with it).
-    stage : mapping from name to (T, rows)
-        Multipliers of the joint rows C x_t + D u_t <= e_t under that name: zero or above, zero where a row is not
-        active. A family that is not there has zeros.
+    stage : mapping from name to (groups, dim)
+        Multipliers of everything else under its name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or above,
+        zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask, the
+        (Re, Im) of each bin's multiplier in the units of rho. What is not there has zeros.
     """
 
     eta_C: float
@@ -100,7 +101,7 @@ class Multipliers:
         for field, shape in expected.items():
             if getattr(self, field).shape != shape:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
-        assign(self, stage=_families({} if stage is None else stage, T))
+        assign(self, stage=_families({} if stage is None else stage))
 
 
 def _number(eta_C: float) -> float:
@@ -110,11 +111,11 @@ def _number(eta_C: float) -> float:
     return float(value)
 
 
-def _families(stage: Mapping[str, ArrayLike], T: int) -> dict[str, Array]:
+def _families(stage: Mapping[str, ArrayLike]) -> dict[str, Array]:
     if not isinstance(stage, Mapping):
         raise ProblemError("multipliers.stage", brief(stage), "a mapping from names of joint rows to arrays (T, rows)")
     families = {name: real_array(f"multipliers.stage[{name!r}]", value) for name, value in stage.items()}
     for name, weights in families.items():
-        if weights.ndim != 2 or len(weights) != T:
-            raise ProblemError(f"multipliers.stage[{name!r}]", f"shape {weights.shape}", f"shape ({T}, rows)")
+        if weights.ndim != 2:
+            raise ProblemError(f"multipliers.stage[{name!r}]", f"shape {weights.shape}", "two dimensions")
     return families

@@ -81,7 +81,7 @@ class Entry:
         """Return how far x_T is from the terminal set."""
         if self.trajectory is None or not self.replayed:
             return None
-        terminal = self.problem.terminal_state
+        terminal = self.problem.terminal_box
         bounded = np.isfinite(terminal.lower) | np.isfinite(terminal.upper)
         scale = np.maximum(np.abs(self.trajectory.x).max(0), self._least[0])
         return Excess(terminal.violation(self.trajectory.x[-1]), CONDITION_TOLERANCE * scale, bounded)

@@ -22,7 +22,7 @@ def problem_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
         facts.append((f"control: {name}", _interval(tube.lower[:, i], tube.upper[:, i])))
     for i, name in enumerate(problem.state_names):
         words = [_interval(bounds.lower[:, i], bounds.upper[:, i])]
-        for verb, end in (("starts", problem.initial_state), ("ends", problem.terminal_state)):
+        for verb, end in (("starts", problem.initial_box), ("ends", problem.terminal_box)):
             words.append(f"{verb} {_end(float(end.lower[i]), float(end.upper[i]))}")
         facts.append((f"state: {name}", "; ".join(words)))
     for rows in problem.stage_rows:
@@ -38,7 +38,7 @@ def problem_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
 
 def cost_in_words(problem: OptimalControlProblem) -> str:
     """Return the terms of the cost that are there."""
-    cost = problem.cost
+    cost = problem.quadratic
     x = "(x - x_ref)" if cost.x_ref.any() else "x"
     u = "(u - u_ref)" if cost.u_ref.any() else "u"
     stage = [

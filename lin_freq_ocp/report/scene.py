@@ -144,7 +144,7 @@ def view(hosts: Sequence[Array], guests: Sequence[Array], bounds: Array) -> View
 def _end_of(trace: Trace, components: Sequence[Component]) -> str:
     """Say how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
     problem = components[0].problem
-    terminal, missed = problem.terminal_state, problem.terminal_state.violation(trace.trajectory.x[-1])
+    terminal, missed = problem.terminal_box, problem.terminal_box.violation(trace.trajectory.x[-1])
     away = [
         quantity(float(missed[one.index]), one.name)
         for one in components

@@ -1,17 +1,17 @@
-"""Linear dynamics, boxes, joint rows and stop bands as a sparse quadratic program in all of x_0 .. x_T, u_0 .. u_{T-1}.
+"""A problem as a sparse quadratic or second-order cone program in x_0 .. x_T, u_0 .. u_{T-1}, and slacks of its terms.
 
-    minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T
+    minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T + (terms)
     DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
     STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
     CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
-    STAGE_ROWS        C_t x_t + D_t u_t <= e_t                  dual l_t    (where e_t is finite)
     STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
+    TERMS             everything else: conic_terms.py
 
 The variables are deviations from the references x_ref, u_ref, so that a small cost is not the difference of large
 numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is
-mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, l and rho come out as in the maximum
-principle.
+mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come
+out as in the maximum principle.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.conic_terms import ConicTerms, conic_terms
 from lin_freq_ocp.transcription.program import Block, Program
 from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
 
@@ -46,27 +46,40 @@ class LinearTranscription:
         stack.add(Block.DYNAMICS, *self._dynamics_rows())
         stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
         stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
-        stack.add(Block.STAGE_ROWS, *self._stage_rows())
         for block, stop, length, first in (
             (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
         ):
             matrix = _spectrum_rows(stop, length, states + controls, first)
             stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
+        terms = self.conic_terms
+        stack.add(Block.TERMS, terms.matrix, terms.lower, terms.upper)
         x, u = self._references
-        q = np.concatenate([part.ravel() for part in problem.cost.gradient(x, u)])
-        return stack.program(self._hessian(), q, problem.cost.value(x, u), np.concatenate([x.ravel(), u.ravel()]))
+        gradient = [part.ravel() for part in problem.quadratic.gradient(x, u)]
+        origin = np.concatenate([x.ravel(), u.ravel(), np.zeros(terms.slacks)])
+        return stack.program(
+            self._hessian(),
+            np.concatenate([*gradient, terms.prices]),
+            problem.quadratic.value(x, u),
+            origin,
+            terms.cones,
+        )
+
+    @cached_property
+    def conic_terms(self) -> ConicTerms:
+        """The rows, slacks and prices of the problem's terms."""
+        return conic_terms(self.problem)
 
     def trajectory(self, z: Array) -> Trajectory:
         """Return (x, u) from a point of the program."""
-        x, u = np.split(z, [self._states])
+        x, u = np.split(z[: self.signals], [self._states])
         x_ref, u_ref = self._references
         return Trajectory(x_ref + x.reshape(x_ref.shape), u_ref + u.reshape(u_ref.shape))
 
     def point(self, trajectory: Trajectory) -> Array:
         """Return the point of the program that is this trajectory."""
-        a, b = self.problem.cost.deviations(trajectory.x, trajectory.u)
-        return np.concatenate([a.ravel(), b.ravel()])
+        a, b = self.problem.quadratic.deviations(trajectory.x, trajectory.u)
+        return np.concatenate([a.ravel(), b.ravel(), self.conic_terms.slacks_of(trajectory)])
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:
         """Return the theorem's multipliers from the duals of all rows; eta_C = 0 for a Farkas ray."""
@@ -82,19 +95,25 @@ class LinearTranscription:
             nu=nu,
             rho_u=_split_bins(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
             rho_x=_split_bins(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
-            stage=_split_families(problem.stage_rows, T, y[rows[Block.STAGE_ROWS]]),
+            stage=self.conic_terms.multipliers(y[rows[Block.TERMS]]),
         )
 
     def column_units(self, state_units: Array, control_units: Array) -> Array:
         """Return one unit per variable from one per state component (n,) and control component (m,)."""
         T = self.problem.horizon
-        return np.concatenate([np.tile(state_units, T + 1), np.tile(control_units, T)])
+        steady = np.tile(state_units, (T + 1, 1)), np.tile(control_units, (T, 1))
+        return np.concatenate([*(part.ravel() for part in steady), self.conic_terms.slack_units(*steady)])
+
+    @property
+    def signals(self) -> int:
+        """Return how many variables are states and controls; slacks follow."""
+        return self._states + self._controls
 
     @property
     def _references(self) -> tuple[Array, Array]:
         problem = self.problem
-        x = np.broadcast_to(problem.cost.x_ref, (problem.horizon + 1, problem.state_dim))
-        return x, np.broadcast_to(problem.cost.u_ref, (problem.horizon, problem.control_dim))
+        x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, problem.state_dim))
+        return x, np.broadcast_to(problem.quadratic.u_ref, (problem.horizon, problem.control_dim))
 
     @property
     def _states(self) -> int:
@@ -111,23 +130,12 @@ class LinearTranscription:
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
         return sp.csc_array(sp.hstack([successor - stay, -_block_diagonal(dynamics.B, T)])), offset, offset
 
-    def _stage_rows(self) -> tuple[sp.csc_array, Array, Array]:
-        T, n = self.problem.horizon, self.problem.state_dim
-        matrices, limits = [sp.csc_array((0, self._states + self._controls))], [np.zeros(0)]
-        for family in self.problem.stage_rows:
-            bounded = family.bounded(T)
-            last = sp.csc_array((T * family.rows, n))
-            matrix = sp.csr_array(sp.hstack([_block_diagonal(family.C, T), last, _block_diagonal(family.D, T)]))
-            matrices.append(sp.csc_array(matrix[np.flatnonzero(bounded.ravel())]))
-            limits.append(np.broadcast_to(family.e, bounded.shape)[bounded])
-        upper = np.concatenate(limits)
-        return sp.csc_array(sp.vstack(matrices)), np.full(len(upper), -np.inf), upper
-
     def _hessian(self) -> sp.csc_array:
-        cost, T = self.problem.cost, self.problem.horizon
+        cost, T = self.problem.quadratic, self.problem.horizon
         Q = sp.block_diag([_block_diagonal(cost.Q, T), cost.P])
         S = sp.vstack([_block_diagonal(cost.S, T), sp.csc_array((self.problem.state_dim, self._controls))])
-        return sp.csc_array(sp.block_array([[Q, S], [S.T, _block_diagonal(cost.R, T)]]))
+        free = sp.csc_array((self.conic_terms.slacks, self.conic_terms.slacks))
+        return sp.csc_array(sp.block_diag([sp.block_array([[Q, S], [S.T, _block_diagonal(cost.R, T)]]), free]))
 
 
 class _RowStack:
@@ -143,14 +151,28 @@ class _RowStack:
         self._rows[block] = slice(self._count, self._count + matrix.shape[0])
         self._count += matrix.shape[0]
 
-    def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array) -> Program:
-        """Return the program in the deviations from ``origin``, where the cost is ``constant`` and its gradient q."""
+    def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array, cones: Sequence[slice]) -> Program:
+        """Return the program in the deviations from ``origin``, where the cost is ``constant`` and its gradient q.
+
+        ``cones`` count from the first row of the last block; matrices without columns for the slacks get zeros.
+        """
         matrices, lower, upper = zip(*self._parts, strict=True)
-        A = sp.csc_array(sp.vstack(matrices))
+        A = sp.csc_array(sp.vstack([sp.csc_array(_widened(matrix, len(q))) for matrix in matrices]))
         A.eliminate_zeros()
         P.eliminate_zeros()
         shift = A @ origin
-        return Program(P, q, constant, A, np.concatenate(lower) - shift, np.concatenate(upper) - shift, self._rows)
+        first = self._count - matrices[-1].shape[0]
+        placed = tuple(slice(first + cone.start, first + cone.stop) for cone in cones)
+        limits = np.concatenate(lower) - shift, np.concatenate(upper) - shift
+        return Program(P, q, constant, A, *limits, self._rows, placed)
+
+
+def _widened(matrix: sp.csc_array, columns: int) -> sp.csc_array:
+    return sp.csc_array((matrix.data, matrix.indices, _pointers(matrix, columns)), shape=(matrix.shape[0], columns))
+
+
+def _pointers(matrix: sp.csc_array, columns: int) -> Indices:
+    return np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
 
 
 def _block_diagonal(matrices: Array, times: int) -> sp.csc_array:
@@ -190,17 +212,5 @@ def _split_bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
         k = np.flatnonzero(stop[:, j])
         count = 2 * len(k) - int(np.isin([0, length / 2], k).sum())
         result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
-        first += count
-    return result
-
-
-def _split_families(families: Sequence[StageRows], horizon: int, duals: Array) -> dict[str, Array]:
-    result, first = dict[str, Array](), 0
-    for family in families:
-        bounded = family.bounded(horizon)
-        count = int(bounded.sum())
-        weights = np.zeros(bounded.shape)
-        weights[bounded] = duals[first : first + count]
-        result[family.name] = weights
         first += count
     return result

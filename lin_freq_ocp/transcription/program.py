@@ -1,10 +1,11 @@
-"""A convex quadratic program with named rows: what every solver gets, and what its answer is measured against."""
+"""A convex program, quadratic or conic, with named rows: what solvers get, and what their answers are measured by."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +19,7 @@ class Block(Enum):
     DYNAMICS = "dynamics"
     STATE_SET = "state set"
     CONTROL_SET = "control set"
-    STAGE_ROWS = "stage rows"
+    TERMS = "terms"
     STATE_SPECTRUM = "state spectrum"
     CONTROL_SPECTRUM = "control spectrum"
 
@@ -78,15 +79,18 @@ class OneSided:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Minimise 1/2 z'P z + q'z + constant subject to lower <= A z <= upper.
+    """Minimise 1/2 z'P z + q'z + constant subject to lower <= A z <= upper, and A z - lower in a cone in cone rows.
 
-    The dual y of a row is positive at its upper and negative at its lower bound: P z + q + A'y = 0.
+    The dual y of a row is positive at its upper and negative at its lower bound: P z + q + A'y = 0. In cone rows,
+    s = A z - lower has s_0 >= |(s_1, ...)|, and y lies in the polar cone: -y_0 >= |(y_1, ...)|; upper is infinite.
 
     Attributes
     ----------
     P : sparse (variables, variables), symmetric; q : (variables,); constant : float
     A : sparse (rows, variables); lower, upper : (rows,)
     rows : mapping from Block to slice
+    cones : tuple of slice
+        The rows of every second-order cone; any other row stands alone.
     """
 
     P: sp.csc_array
@@ -96,18 +100,31 @@ class Program:
     lower: Array
     upper: Array
     rows: Mapping[Block, slice]
+    cones: tuple[slice, ...] = ()
 
     @property
     def equality(self) -> Mask:
         """Which rows are equations."""
         return self.lower == self.upper
 
+    @cached_property
+    def in_cones(self) -> Indices:
+        """The rows of all cones, one cone after the other."""
+        return np.concatenate([np.arange(cone.start, cone.stop) for cone in self.cones] or [np.zeros(0, dtype=int)])
+
+    @cached_property
+    def alone(self) -> Mask:
+        """Which rows are in no cone."""
+        alone = np.ones(len(self.lower), dtype=bool)
+        alone[self.in_cones] = False
+        return alone
+
     def one_sided(self) -> OneSided:
-        """Return the rows as most solvers want them."""
+        """Return the rows outside cones as most solvers want them."""
         equal = self.equality
         equations = np.flatnonzero(equal)
         above = np.flatnonzero(~equal & np.isfinite(self.upper))
-        below = np.flatnonzero(~equal & np.isfinite(self.lower))
+        below = np.flatnonzero(~equal & np.isfinite(self.lower) & self.alone)
         return OneSided(
             A=sp.csc_array(self.A[equations]),
             b=self.upper[equations],
@@ -127,16 +144,19 @@ class Program:
         if not (np.isfinite(z).all() and np.isfinite(y).all()):
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
-        violation = np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0)
-        bound = np.where(y > 0, self.upper, self.lower)
+        violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
+        outside = max((_outside_cone((Az - self.lower)[cone]) for cone in self.cones), default=0.0)
+        outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
         impossible = ~np.isfinite(bound) & (y != 0)
         support = float((y * np.where(np.isfinite(bound), bound, 0.0)).sum())
         curvature, linear = float(z @ Pz), float(self.q @ z)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
-            primal=float(violation.max(initial=0) / max(1.0, np.abs(Az).max(initial=0))),
+            primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
             dual=float(
-                max(np.abs(Pz + self.q + Aty).max(initial=0), np.abs(y[impossible]).max(initial=0)) / max(1.0, *size)
+                max(np.abs(Pz + self.q + Aty).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar)
+                / max(1.0, *size)
             ),
             gap=abs(curvature + linear + support) / max(1.0, curvature, abs(linear), abs(support)),
         )
@@ -148,13 +168,18 @@ class Program:
             return np.inf
         z = z / -slope
         Az = self.A @ z
-        leaving = np.maximum(np.where(np.isfinite(self.upper), Az, 0.0), np.where(np.isfinite(self.lower), -Az, 0.0))
-        return float(max(np.abs(self.P @ z).max(initial=0), leaving.max(initial=0.0)))
+        has_lower = np.isfinite(self.lower) & self.alone
+        leaving = np.maximum(np.where(np.isfinite(self.upper), Az, 0.0), np.where(has_lower, -Az, 0.0))
+        outside = max((_outside_cone(Az[cone]) for cone in self.cones), default=0.0)
+        return float(max(np.abs(self.P @ z).max(initial=0), leaving.max(initial=0.0), outside))
 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Change of units z = columns * z', row i times rows[i], cost times ``cost``; and its exact inverse."""
+    """Change of units z = columns * z', row i times rows[i], cost times ``cost``; and its exact inverse.
+
+    The rows of one cone have the same factor.
+    """
 
     columns: Array
     rows: Array
@@ -171,6 +196,7 @@ class Scaling:
             lower=self.rows * program.lower,
             upper=self.rows * program.upper,
             rows=program.rows,
+            cones=program.cones,
         )
 
     def primal(self, z: Array) -> Array:
@@ -180,3 +206,8 @@ class Scaling:
     def dual(self, y: Array) -> Array:
         """Return y in the program's own units."""
         return self.rows * y / self.cost
+
+
+def _outside_cone(s: Array) -> float:
+    """Return by how much |(s_1, ...)| exceeds s_0."""
+    return max(float(np.linalg.norm(s[1:]) - s[0]), 0.0)

@@ -29,6 +29,10 @@ ROW_REGULARISATION = 1e-10
 NEGLIGIBLE = 1e-6
 """A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
 
+TERM_SHARE = 1e-2
+"""With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
+than this part of what the data state of it; a second solve corrects it."""
+
 REVISED = 100.0
 """Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
 
@@ -39,7 +43,10 @@ COST_LEVEL = 10.0
 def natural_scaling(transcription: LinearTranscription) -> Scaling:
     """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
     guess = stated_sizes(transcription.problem)
-    columns = transcription.column_units(*_relaxed_magnitudes(transcription, guess))
+    x, u = _relaxed_magnitudes(transcription, guess)
+    if any(not term.hard or term.kind != "stage rows" for term in transcription.problem.terms):
+        x, u = np.maximum(x, TERM_SHARE * guess[0]), np.maximum(u, TERM_SHARE * guess[1])
+    columns = transcription.column_units(x, u)
     return _scaling(transcription, columns, columns)
 
 
@@ -55,7 +62,10 @@ def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Arr
 def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
-    steepest = float((columns * (abs(program.P) @ typical + np.abs(program.q))).max(initial=0.0))
+    slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
+    steepest = float(slopes[: transcription.signals].max(initial=0.0))
+    if steepest == 0:  # nothing but prices
+        steepest = float(slopes.max(initial=0.0))
     cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
 
@@ -67,6 +77,8 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
     for block in set(program.rows) - {Block.DYNAMICS}:
         part = program.A[program.rows[block]] @ sp.diags_array(columns)
         rows[program.rows[block]] = 1.0 / _row_norms(part)
+    for cone in program.cones:
+        rows[cone] = rows[cone].min()
     return rows
 
 
@@ -75,9 +87,10 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     program, problem = transcription.program, transcription.problem
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
-    columns = transcription.column_units(*guess)
+    signals = transcription.signals
+    columns = transcription.column_units(*guess)[:signals]
     D = sp.diags_array(columns)
-    P, A = sp.csc_array(D @ program.P @ D), sp.csc_array(program.A[keep] @ D)
+    P, A = sp.csc_array(D @ program.P[:signals, :signals] @ D), sp.csc_array(program.A[keep][:, :signals] @ D)
     row_units = 1.0 / _row_norms(A)
     A = sp.csc_array(sp.diags_array(row_units) @ A)
     mean = float(P.diagonal().mean()) or 1.0
@@ -87,7 +100,7 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
             [A, -ROW_REGULARISATION * sp.eye_array(len(keep))],
         ]
     )
-    right = np.concatenate([-columns * program.q / mean, row_units * program.lower[keep]])
+    right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
         z = splu(sp.csc_array(kkt)).solve(right)
     except RuntimeError:  # exactly singular
@@ -100,7 +113,7 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
 def _largest(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
     """Return the largest magnitude over time of every state and control component of z."""
     problem = transcription.problem
-    x, u = np.split(np.abs(z), [(problem.horizon + 1) * problem.state_dim])
+    x, u = np.split(np.abs(z[: transcription.signals]), [(problem.horizon + 1) * problem.state_dim])
     return x.reshape(-1, problem.state_dim).max(0), u.reshape(-1, problem.control_dim).max(0)
 
 
@@ -112,4 +125,6 @@ def _moderate(reached: Array, tube: Box, guess: Array) -> Array:
 
 
 def _row_norms(matrix: Any) -> Array:
-    return np.sqrt(np.asarray((matrix * matrix).sum(axis=1)).ravel())
+    """Return the Euclidean norms of rows; 1 for rows of zeros, which are in cones only."""
+    norms = np.sqrt(np.asarray((matrix * matrix).sum(axis=1)).ravel())
+    return np.where(norms > 0, norms, 1.0)

@@ -122,7 +122,10 @@ class Units:
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, dynamics = problem.cost, problem.dynamics
+    cost, dynamics = problem.quadratic, problem.dynamics
+    beyond = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
+    if beyond:
+        return f"{beyond[0].name}: only boxes, joint rows, stop bands and quadratic costs"
     if dynamics.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
@@ -140,7 +143,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 def natural_units(problem: OptimalControlProblem) -> Units:
     """Return units in which the data are of order 1."""
     x, u = (_power_of_two(size) for size in stated_sizes(problem))
-    cost = problem.cost
+    cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
     norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
     rows = np.concatenate([*norms, np.zeros(0)])
@@ -164,7 +167,7 @@ def revised_units(units: Units, y: Array) -> Units | None:
 
 def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
-    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.cost, problem.dynamics
+    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.dynamics
     x, u = units.x, units.u
     y = np.concatenate([x, u])
     rows = [_joined(one.C * x, one.D * u) for one in problem.stage_rows]
@@ -216,7 +219,7 @@ def _point(box: Box) -> Array:
 
 def _linear_terms(problem: OptimalControlProblem) -> Array | None:
     """Return h, shape (n+m, T) or (n+m, 1): the gradient of the stage costs at x = 0, u = 0."""
-    cost, T = problem.cost, problem.horizon
+    cost, T = problem.quadratic, problem.horizon
     x_ref = cost.x_ref[:T] if cost.x_ref.ndim == 2 else cost.x_ref[None]
     u_ref = np.atleast_2d(cost.u_ref)
     in_x = np.atleast_2d(cost.q) - x_ref @ cost.Q.T - u_ref @ cost.S.T
@@ -228,7 +231,7 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
 
 
 def _cost_at_zero(problem: OptimalControlProblem) -> float:
-    cost = problem.cost
+    cost = problem.quadratic
     if not (cost.x_ref.any() or cost.u_ref.any()):
         return 0.0
     return cost.value(

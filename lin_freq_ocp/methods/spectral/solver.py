@@ -207,7 +207,7 @@ class SpectralSolver:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
         changes: dict[str, Any] = dict(_known("bounds", bounds, BOUNDS))
         if references:
-            cost, known = self.problem.cost, _known("references", references, REFERENCES)
+            cost, known = self.problem.quadratic, _known("references", references, REFERENCES)
             terms = {name: getattr(cost, name) for name in ("Q", "R", "S", "q", "r", "P", "p", *REFERENCES)}
             changes["cost"] = QuadraticCost(**(terms | dict(known)))
         problem = replace(self.problem, **changes) if changes else self.problem

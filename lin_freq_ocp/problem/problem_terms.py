@@ -1,0 +1,239 @@
+"""The terms of a problem, from the sets, rows, costs and frequency constraints that it was given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, real_array
+from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
+from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
+from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty
+from lin_freq_ocp.problem.spectrum import Band, component_indices
+from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.terms import Term
+
+BEYOND_BANDS = (MagnitudeBound, EnergyBound, LinearConstraint)
+"""What may stand beside bands in control_spectrum and state_spectrum."""
+
+INSIDE = 1e-9
+"""How far, relative to its size, a fixed end may lie outside a set of its time: rounding."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class OutputSpectrum:
+    """Frequency constraints on linear outputs y_t = C x_t + D u_t.
+
+    Parameters
+    ----------
+    C : (outputs, n), or None
+    D : (outputs, m), or None
+        At least one is given. Without D the signal has T+1 samples, 0 .. T, else T.
+    constraints : Band, MagnitudeBound, EnergyBound, or a list of them
+        Their component is an output.
+    output_names : sequence of str, optional
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match.
+    """
+
+    C: Array | None
+    D: Array | None
+    constraints: tuple[Any, ...]
+    output_names: tuple[str, ...]
+
+    def __init__(self, C: Any = None, D: Any = None, constraints: Any = (), output_names: Sequence[str] | None = None):
+        matrices = [
+            None if value is None else real_array(f"output_spectrum.{name}", value)
+            for name, value in (("C", C), ("D", D))
+        ]
+        given = [matrix for matrix in matrices if matrix is not None]
+        if not given or any(matrix.ndim != 2 or len(matrix) != len(given[0]) for matrix in given):
+            shapes = ", ".join(str(matrix.shape) for matrix in given) or "neither C nor D"
+            raise ProblemError("output_spectrum", shapes, "a matrix C or D, or both, with one row per output")
+        listed = tuple(constraints) if isinstance(constraints, (list, tuple)) else (constraints,)
+        wrong = [one for one in listed if not isinstance(one, (Band, MagnitudeBound, EnergyBound))]
+        if wrong or not listed:
+            got = brief(wrong[0]) if wrong else "nothing"
+            raise ProblemError("output_spectrum.constraints", got, "bands, MagnitudeBound or EnergyBound")
+        count = len(given[0])
+        assign(
+            self,
+            C=matrices[0],
+            D=matrices[1],
+            constraints=listed,
+            output_names=names("output_spectrum.output_names", output_names, count, "y"),
+        )
+
+
+def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
+    """Return the terms of the sets of one signal beyond their boxes.
+
+    Parameters
+    ----------
+    kind : str
+        Field of the problem.
+    given : set, sequence of sets (one per time), or None
+    times : times that the set or sets hold at
+    fixed : mapping from time to value
+        Where the signal is fixed: there the set is only looked at, not made a constraint.
+
+    Raises
+    ------
+    ProblemError
+        If a dimension does not fit, or a fixed value lies outside its set.
+    """
+    listed = list(given) if isinstance(given, (list, tuple)) else [given] * len(times)
+    parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
+    parts_of: dict[int, tuple[Part, ...]] = {}
+    for one, t in zip(listed, times, strict=True):
+        if not isinstance(one, ConvexSet):
+            continue
+        own = dimension_of(one)
+        if own not in (None, dimension):
+            raise ProblemError(kind, f"a set in {own} dimensions", f"a set in {dimension}")
+        if t in fixed:
+            _require_inside(kind, one, int(t), fixed[t])
+            continue
+        if id(one) not in parts_of:
+            parts_of[id(one)] = one.parts(dimension)
+        for i, part in enumerate(parts_of[id(one)]):
+            parts.setdefault((i, *_signature(part)), []).append((int(t), part))
+    of_state = kind != "control_set"
+    kind_of_term = "control set" if kind == "control_set" else "state set"
+    return [
+        Term(_numbered(kind.replace("_", " "), i), kind_of_term, _stacked(found, of_state), _together(found))
+        for i, found in enumerate(parts.values())
+    ]
+
+
+def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
+    """Return the joint rows as terms."""
+    return [
+        Term(
+            rows.name,
+            "stage rows",
+            StageMap(np.arange(horizon), rows.C, rows.D, np.zeros(rows.rows)),
+            Below(np.where(rows.bounded(horizon), rows.e, np.inf), rows.weight),
+        )
+        for rows in families
+    ]
+
+
+def spectrum_terms(
+    field: str, given: Any, length: int, component_names: Sequence[str], sampling_time: float | None, of_state: bool
+) -> list[Term]:
+    """Return the terms of the frequency constraints of states or controls beyond stop bands."""
+    listed = given if isinstance(given, (list, tuple)) else () if given is None else (given,)
+    identity, kind = np.eye(len(component_names)), field.replace("_", " ")
+    found: list[Term] = []
+    for i, one in enumerate(listed):
+        where = f"{field}[{i}]" if given is listed else field
+        if isinstance(one, LinearConstraint):
+            expected = (length, one.coefficients.shape[1], len(component_names))
+            if one.coefficients.shape != expected:
+                raise ProblemError(f"{where}.coefficients", f"shape {one.coefficients.shape}", f"shape {expected}")
+            matrices = (one.coefficients, None) if of_state else (None, one.coefficients)
+            equation = Norm(2, np.zeros(()), one.weight)
+            found.append(Term(f"linear constraint of {kind}", kind, SumMap(*matrices, one.constant), equation))
+        elif isinstance(one, (MagnitudeBound, EnergyBound)):
+            for j in component_indices(where, one.component, component_names):
+                row = (identity[j], None) if of_state else (None, identity[j])
+                found.append(_bounded(where, one, row, length, sampling_time, kind, component_names[j]))
+    return found
+
+
+def output_terms(given: OutputSpectrum, n: int, m: int, horizon: int, sampling_time: float | None) -> Iterator[Term]:
+    """Yield the terms of frequency constraints on outputs."""
+    for name, matrix, columns in (("C", given.C, n), ("D", given.D, m)):
+        if matrix is not None and matrix.shape[1] != columns:
+            raise ProblemError(f"output_spectrum.{name}", f"shape {matrix.shape}", f"{columns} columns")
+    length, kind = horizon + (given.D is None), "output spectrum"
+    for i, one in enumerate(given.constraints):
+        where = f"output_spectrum.constraints[{i}]"
+        for j in component_indices(where, one.component, given.output_names):
+            row = None if given.C is None else given.C[j], None if given.D is None else given.D[j]
+            if isinstance(one, Band):
+                bins = np.flatnonzero(one.stopped(length, sampling_time, where))
+                stopped = SpectrumMap(*row, np.ones(length), length, bins, together=True)
+                zero = Norm(2, np.zeros(()), np.asarray(np.inf))
+                yield Term(f"stop band on {given.output_names[j]}", kind, stopped, zero)
+            else:
+                yield _bounded(where, one, row, length, sampling_time, kind, given.output_names[j])
+
+
+def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the terms, with a number behind names that would stand twice."""
+    seen: dict[str, int] = {}
+    unique: list[Term] = []
+    for term in terms:
+        seen[term.name] = seen.get(term.name, 0) + 1
+        count = seen[term.name]
+        unique.append(Term(f"{term.name} {count}", term.kind, term.map, term.penalty) if count > 1 else term)
+    return tuple(unique)
+
+
+def _bounded(
+    where: str,
+    one: MagnitudeBound | EnergyBound,
+    row: tuple[Array | None, Array | None],
+    length: int,
+    sampling_time: float | None,
+    kind: str,
+    name: str,
+) -> Term:
+    bins = one.bins(length, sampling_time, where)
+    window, points = one.samples(length, where), one.points(length)
+    if isinstance(one, EnergyBound):
+        energy = SpectrumMap(row[0], row[1], window, points, bins, together=True)
+        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), one.weight))
+    magnitudes = SpectrumMap(row[0], row[1], window, points, bins)
+    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight))
+
+
+def _require_inside(kind: str, one: ConvexSet, t: int, value: Array) -> None:
+    excess = float(one.violation(value))
+    if excess > INSIDE * max(1.0, float(np.abs(value).max())):
+        raise ProblemError(
+            kind, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"
+        )
+
+
+def _signature(part: Part) -> tuple[object, ...]:
+    """Return what parts of different times must share to be one term."""
+    order = part.penalty.order if isinstance(part.penalty, Norm) else None
+    return part.F.shape, type(part.penalty), order, bool(np.isinf(part.penalty.weight).all())
+
+
+def _stacked(found: list[tuple[int, Part]], of_state: bool) -> StageMap:
+    times = np.array([t for t, _ in found])
+    first = found[0][1]
+    if all(part.F is first.F and part.c is first.c for _, part in found):
+        F, c = first.F, first.c
+    else:
+        F, c = np.array([part.F for _, part in found]), np.array([part.c for _, part in found])
+    return StageMap(times, F if of_state else None, None if of_state else F, c)
+
+
+def _together(found: list[tuple[int, Part]]) -> Penalty:
+    penalties = [part.penalty for _, part in found]
+    first = penalties[0]
+    weights = np.array([np.asarray(penalty.weight, dtype=float) for penalty in penalties])
+    if isinstance(first, Below):
+        limits = np.array([penalty.limit for penalty in penalties if isinstance(penalty, Below)])
+        return Below(limits, weights.reshape(len(penalties), -1))
+    if isinstance(first, Norm):
+        radii = np.array([penalty.radius for penalty in penalties if isinstance(penalty, Norm)])
+        return Norm(first.order, radii, weights)
+    return Cone()
+
+
+def _numbered(name: str, i: int) -> str:
+    return name if i == 0 else f"{name} {i + 1}"

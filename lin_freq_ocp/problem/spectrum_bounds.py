@@ -1,0 +1,256 @@
+"""Frequency constraints beyond stop bands: bounds on magnitudes and energies, and linear equations over all times.
+
+They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. On a finer
+grid than the DFT's (``oversampling``), or with a window, they are the cure for what leaks between the bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import get_window
+
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.problem.spectrum import Band, stop_band
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class _SpectrumBound:
+    """What MagnitudeBound and EnergyBound share: where they hold."""
+
+    band: Band
+    component: int | str | None
+    penalty: float | None
+    window: Any
+    oversampling: int
+
+    def _place(
+        self,
+        bins: Iterable[int] | None,
+        band: Band | None,
+        component: int | str | None,
+        penalty: float | None,
+        window: Any,
+        oversampling: int,
+    ) -> None:
+        kind = type(self).__name__
+        if (bins is None) == (band is None):
+            got = "neither" if bins is None else "both"
+            raise ProblemError(f"{kind}", f"{got} of bins and band", "exactly one of them")
+        if band is not None and not isinstance(band, Band):
+            raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
+        where = stop_band(bins=bins) if band is None else band  # type: ignore[arg-type]  # one of them is there
+        if component is not None and where.component is not None:
+            raise ProblemError(f"{kind}.component", "two", "one", "The band has a component of its own.")
+        if isinstance(window, str):
+            _named_window(kind, window, 8)
+        elif window is not None:
+            window = real_array(f"{kind}.window", window)
+        assign(
+            self,
+            band=where,
+            component=where.component if component is None else component,
+            penalty=None if penalty is None else positive_number(f"{kind}.penalty", penalty),
+            window=window,
+            oversampling=positive_integer(f"{kind}.oversampling", oversampling),
+        )
+
+    @property
+    def weight(self) -> Array:
+        """Return the price per unit of excess; inf for a hard bound."""
+        return np.asarray(np.inf if self.penalty is None else self.penalty)
+
+    def samples(self, length: int, field: str) -> Array:
+        """Return the window of a signal, (length,)."""
+        if self.window is None:
+            return np.ones(length)
+        if isinstance(self.window, str):
+            return _named_window(field, self.window, length)
+        if self.window.shape != (length,):
+            raise ProblemError(f"{field}.window", f"shape {self.window.shape}", f"shape ({length},), one per sample")
+        return self.window
+
+    def points(self, length: int) -> int:
+        """Return the number of points of the grid on the whole circle."""
+        return self.oversampling * length
+
+    def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
+        """Return where on the grid it holds: indices within 0 .. points/2."""
+        if self.band.unit != "bins":
+            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, field))
+            if not len(found):
+                raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
+            return found
+        listed = np.flatnonzero(self.band.at(length, sampling_time, field))
+        grid, q = np.zeros(self.points(length) // 2 + 1, dtype=bool), self.oversampling
+        for k in listed:  # between neighbours, too
+            last = q * k + (q if k + 1 in listed else 0)
+            grid[q * k : last + 1] = True
+        return np.flatnonzero(grid)
+
+
+class MagnitudeBound(_SpectrumBound):
+    """|uhat_k| <= limit at the bins that a band would remove (a mask).
+
+    Parameters
+    ----------
+    limit : float or (bins,)
+        In the units of the DFT, sum_t u_t exp(-2 pi i k t/N): the unit of the signal, as no 1/N stands before the sum.
+        One number, or one for each of the bounded bins 0 .. N/2 (with oversampling, for each point of the finer grid).
+    limit_db : float or (bins,), with ``reference`` : float
+        Instead of ``limit``: limit = reference * 10^(limit_db / 20).
+    bins : list of int, or band : Band
+        Where; of a Band, the bins it would remove.
+    component : int or str, optional
+        Index or name of the component; default all, each with this bound.
+    penalty : float, optional
+        Makes it soft: penalty * excess of each bin is added to the cost.
+    window : str or (N,), optional
+        Multiplies the signal first; a name is one of scipy.signal.get_window.
+    oversampling : int
+        Holds on a grid this many times as fine as the DFT's, with the frequencies of the band between its bins.
+
+    Raises
+    ------
+    ProblemError
+        If a value is not of this kind.
+    UnsupportedError
+        For ``at_least``: signals above a mask are no convex set.
+    """
+
+    limit: Array
+
+    def __init__(
+        self,
+        limit: ArrayLike | None = None,
+        *,
+        limit_db: ArrayLike | None = None,
+        reference: float | None = None,
+        at_least: ArrayLike | None = None,
+        bins: Iterable[int] | None = None,
+        band: Band | None = None,
+        component: int | str | None = None,
+        penalty: float | None = None,
+        window: str | ArrayLike | None = None,
+        oversampling: int = 1,
+    ):
+        if at_least is not None:
+            raise UnsupportedError(
+                "MagnitudeBound.at_least: a lower bound on a magnitude is not convex (of two signals above it, the "
+                "mean can be zero), so no global optimum could be proven. Ask for a reference instead: u_ref, x_ref."
+            )
+        assign(self, limit=_limit(limit, limit_db, reference))
+        self._place(bins, band, component, penalty, window, oversampling)
+
+    def limits(self, count: int, field: str) -> Array:
+        """Return one limit for each of ``count`` bins."""
+        if self.limit.shape not in ((), (count,)):
+            raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
+        return np.broadcast_to(self.limit, (count,))
+
+
+class EnergyBound(_SpectrumBound):
+    """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove; each pair of conjugate bins once.
+
+    Parameters
+    ----------
+    limit : float
+        In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
+    penalty : float, optional
+        Makes it soft: penalty * excess of the root of the energy over the root of the limit is added to the cost.
+    bins, band, component, window, oversampling
+        As for ``MagnitudeBound``.
+    """
+
+    limit: float
+
+    def __init__(
+        self,
+        limit: float,
+        *,
+        bins: Iterable[int] | None = None,
+        band: Band | None = None,
+        component: int | str | None = None,
+        penalty: float | None = None,
+        window: str | ArrayLike | None = None,
+        oversampling: int = 1,
+    ):
+        energy = real_array("EnergyBound.limit", limit)
+        if energy.ndim or energy < 0:
+            raise ProblemError("EnergyBound.limit", brief(limit), "one number, zero or above")
+        assign(self, limit=float(energy))
+        self._place(bins, band, component, penalty, window, oversampling)
+
+    def root(self) -> Array:
+        """Return the limit of the Euclidean norm of all bounded points of the grid."""
+        return np.sqrt(np.asarray(self.limit * self.oversampling))
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class LinearConstraint:
+    """constant + sum_t coefficients_t v_t = 0 for the signal v it is given for (paper, (SFC) and (CFC)).
+
+    Parameters
+    ----------
+    coefficients : (times, rows, components)
+        One matrix per time: T of them for controls, T+1 for states.
+    constant : (rows,), optional
+        Zero without.
+    penalty : float, optional
+        Makes it soft: penalty times the Euclidean norm of what should be zero is added to the cost.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match or entries are not finite.
+    """
+
+    coefficients: Array
+    constant: Array
+    penalty: float | None
+
+    def __init__(self, coefficients: ArrayLike, constant: ArrayLike | None = None, penalty: float | None = None):
+        matrices = real_array("LinearConstraint.coefficients", coefficients)
+        if matrices.ndim != 3 or 0 in matrices.shape:
+            raise ProblemError(
+                "LinearConstraint.coefficients", f"shape {matrices.shape}", "one matrix (rows, components) per time"
+            )
+        rows = matrices.shape[1]
+        right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
+        if right.shape != (rows,):
+            raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
+        soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
+        assign(self, coefficients=matrices, constant=right, penalty=soft)
+
+    @property
+    def weight(self) -> Array:
+        """Return the price per unit of excess; inf for a hard constraint."""
+        return np.asarray(np.inf if self.penalty is None else self.penalty)
+
+
+def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
+    field = "MagnitudeBound.limit"
+    if (limit is None) == (limit_db is None):
+        raise ProblemError(field, "neither" if limit is None else "both", "exactly one of limit and limit_db")
+    if (limit_db is None) != (reference is None):
+        raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
+    if limit_db is None:
+        bound = real_array(field, limit, allow_infinite=True)
+    else:
+        level = positive_number("MagnitudeBound.reference", reference)
+        bound = level * 10 ** (real_array("MagnitudeBound.limit_db", limit_db) / 20)
+    if bound.ndim > 1 or (bound < 0).any():
+        raise ProblemError(field, brief(limit), "one number, zero or above, or one for each bin")
+    return bound
+
+
+def _named_window(field: str, name: str, length: int) -> Array:
+    try:
+        return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
+    except ValueError:
+        raise ProblemError(f"{field}.window", repr(name), "a window of scipy.signal, such as 'hann'") from None
