@@ -59,12 +59,16 @@ class ConvexSet:
     def violation(self, v: Array) -> Array:
         """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
         points = np.asarray(v, dtype=float)
-        flat = points.reshape(-1, points.shape[-1])
-        n = flat.shape[1]
-        excess = [self.box.at_dimension(n, "v").violation(flat).max(1, initial=0.0)]
-        for part in self.parts(n):
+        of_box = self.box.at_dimension(points.shape[-1], "v").violation(points).max(-1)
+        return np.maximum(of_box, self.violation_of_parts(points))
+
+    def violation_of_parts(self, v: Array) -> Array:
+        """Return the same without the bounds."""
+        flat = v.reshape(-1, v.shape[-1])
+        excess = [np.zeros(len(flat))]
+        for part in self.parts(flat.shape[1]):
             excess.append(part.penalty.violation(flat @ part.F.T + part.c).max(1))
-        return np.max(excess, axis=0).reshape(points.shape[:-1])
+        return np.max(excess, axis=0).reshape(v.shape[:-1])
 
     def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
         """Whether each v (..., n) violates no constraint of the set by more than ``tolerance``."""

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.convex_sets import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import bands_of
+from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
 
 
@@ -39,9 +44,8 @@ class FurtherStates:
 
 def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    n, k, T, plant, cost = problem.state_dim, len(further.A), problem.horizon, problem.dynamics, problem.quadratic
+    n, k, plant = problem.state_dim, len(further.A), problem.dynamics
     A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
-    boxes, none = problem.state_boxes, np.full((T + 1, k), np.inf)
     free = np.full(k, np.inf)
     return replace(
         problem,
@@ -53,24 +57,19 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
             [*plant.state_names, *further.names],
             plant.control_names,
         ),
-        cost=QuadraticCost(
-            Q=_below(_beside(cost.Q, k), np.zeros((k, n + k))),
-            R=cost.R,
-            S=_below(cost.S, np.zeros((k, problem.control_dim))),
-            q=_beside(cost.q, k),
-            r=cost.r,
-            P=_below(_beside(cost.P, k), np.zeros((k, n + k))),
-            p=_beside(cost.p, k),
-            x_ref=_beside(cost.x_ref, k),
-            u_ref=cost.u_ref,
-        ),
-        state_set=Box(
-            np.hstack([boxes.lower, np.broadcast_to(further.lower, (T + 1, k))]), np.hstack([boxes.upper, none])
-        ),
-        initial_state=_joined(problem.initial_box, further.initial),
-        terminal_state=_joined(problem.terminal_box, Box(-free, free)),
-        state_spectrum=bands_of(problem.state_stop),
-        stage_rows=[StageRows(_beside(rows.C, k), rows.D, rows.e, rows.name) for rows in problem.stage_rows],
+        cost=_wider_cost(problem, k),
+        state_set=_wider_state_set(problem, further.lower),
+        initial_state=_with_box(problem.initial_state, problem.initial_box, further.initial),
+        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
+        state_spectrum=[*bands_of(problem.state_stop), *_wider_bounds(problem, k)],
+        stage_rows=[
+            StageRows(_beside(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
+        ],
+        output_spectrum=[
+            OutputSpectrum(None if one.C is None else _beside(one.C, k), one.D, one.constraints, one.output_names)
+            for one in listed(problem.output_spectrum)
+        ]
+        or None,
     )
 
 
@@ -84,5 +83,81 @@ def _below(array: Array, rows: Array) -> Array:
     return np.concatenate([array, np.broadcast_to(rows, (*array.shape[:-2], *rows.shape))], axis=-2)
 
 
-def _joined(first: Box, second: Box) -> Box:
-    return Box(np.append(first.lower, second.lower), np.append(first.upper, second.upper))
+def _wider_cost(problem: OptimalControlProblem, k: int) -> QuadraticCost | CostSum:
+    cost, n = problem.quadratic, problem.state_dim
+    wider = QuadraticCost(
+        Q=_below(_beside(cost.Q, k), np.zeros((k, n + k))),
+        R=cost.R,
+        S=_below(cost.S, np.zeros((k, problem.control_dim))),
+        q=_beside(cost.q, k),
+        r=cost.r,
+        P=_below(_beside(cost.P, k), np.zeros((k, n + k))),
+        p=_beside(cost.p, k),
+        x_ref=_beside(cost.x_ref, k),
+        u_ref=cost.u_ref,
+    )
+    if not isinstance(problem.cost, CostSum):
+        return wider
+
+    def complete(weights: Array) -> Array:
+        return _beside(np.full(n, weights) if weights.ndim == 0 else weights, k)
+
+    norms = [
+        type(one)(complete(one.x), one.u, complete(one.terminal), complete(one.x_ref), one.u_ref)
+        for one in problem.cost.norms
+    ]
+    return CostSum([wider, *norms])
+
+
+def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> Any:
+    given, k = problem.state_set, len(lower)
+    if isinstance(given, (list, tuple)):
+        bounds = Box(lower, np.full(k, np.inf))
+        return [_with_box(one, problem.state_boxes.at(t), bounds) for t, one in enumerate(given)]
+    boxes, T = problem.state_boxes, problem.horizon
+    shape = T + 1, k
+    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.full(shape, np.inf)))
+
+
+def _with_box(given: Any, bounds: Box, further: Box) -> Any:
+    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the further ones."""
+    box = Box(np.hstack([bounds.lower, further.lower]), np.hstack([bounds.upper, further.upper]))
+    if not isinstance(given, ConvexSet):
+        return box
+    n, k = bounds.lower.shape[-1], further.lower.shape[-1]
+    return Intersection([box, *_wider_sets(given, n, k)])
+
+
+def _wider_sets(one: ConvexSet, n: int, k: int) -> list[Any]:
+    """Return the sets of (x, w), bounds apart, that say of x what a set says."""
+    if isinstance(one, Intersection):
+        return [wider for member in one.sets if isinstance(member, ConvexSet) for wider in _wider_sets(member, n, k)]
+    if isinstance(one, Soft):
+        if isinstance(one.soft_set, Box):
+            box, none = one.soft_set.at_dimension(n, "Soft"), np.full(k, np.inf)
+            return [Soft(Box(np.append(box.lower, -none), np.append(box.upper, none)), one.penalty)]
+        return [Soft(_wider_sets(one.soft_set, n, k)[0], one.penalty)]
+    if isinstance(one, Polyhedron):
+        return [Polyhedron(_beside(one.F, k), one.g)]
+    if isinstance(one, SecondOrderCone):
+        return [SecondOrderCone(_beside(one.F, k), one.g, _beside(one.h, k), one.d)]
+    assert isinstance(one, (Ball, Ellipsoid))
+    W = np.eye(n) if isinstance(one, Ball) else one.W
+    return [Ellipsoid(_beside(W, k), one.radius, _beside(np.broadcast_to(one.centre, n), k))]
+
+
+def _wider_bounds(problem: OptimalControlProblem, k: int) -> list[Any]:
+    """Return what bounds the spectra of the states beside stop bands, of the same states."""
+    wider: list[Any] = []
+    for one in listed(problem.state_spectrum):
+        if isinstance(one, LinearConstraint):
+            wider.append(LinearConstraint(_beside(one.coefficients, k), one.constant, one.penalty))
+        elif isinstance(one, (MagnitudeBound, EnergyBound)):
+            components = range(problem.state_dim) if one.component is None else [one.component]
+            wider += [one.on(component) for component in components]
+    return wider
+
+
+def listed(given: Any) -> Sequence[Any]:
+    """Return what a field holds, one or several or None, as a sequence."""
+    return given if isinstance(given, (list, tuple)) else [] if given is None else [given]

@@ -146,9 +146,9 @@ def replay_is_meaningful(growth: float) -> bool:
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
 
-    A component is as large as its ends and references, else its bounds, else what other sets and rows allow, else what
-    the others make of it within the horizon, else what makes the others as large as they are; 1 only where nothing at
-    all is said.
+    A component is as large as its ends and references, else its bounds, else (a control) what other sets and rows
+    allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
+    what other sets and rows allow; 1 only where nothing at all is said.
     """
     cost, n = problem.quadratic, problem.state_dim
     ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
@@ -156,12 +156,12 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
-    sizes = np.where(stated > 0, stated, np.where(bounds > 0, bounds, _limited_sizes(problem)))
-    for _ in range(len(sizes)):  # one more component, at least, is known after each pass
-        if sizes.all():
-            break
-        known = sizes
-        sizes = np.where(known > 0, known, _implied_sizes(problem, known))
+    sizes = np.where(stated > 0, stated, bounds)
+    limited = _limited_sizes(problem)
+    sizes[n:] = np.where(sizes[n:] > 0, sizes[n:], limited[n:])
+    sizes = _completed(problem, sizes)
+    if not sizes.all():
+        sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
@@ -180,6 +180,15 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
                     allowed = np.divide(limit[:, None], weights, out=np.full(weights.shape, np.inf), where=counts)
                     np.minimum(part, allowed.min(0), out=part)
     return np.where(np.isfinite(least), least, 0.0)
+
+
+def _completed(problem: OptimalControlProblem, sizes: Array) -> Array:
+    """Return sizes with those that follow from others filled in."""
+    for _ in range(len(sizes)):  # one more component, at least, is known after each pass
+        if sizes.all():
+            break
+        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes))
+    return sizes
 
 
 def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:

@@ -199,7 +199,7 @@ def _bounded(
 
 
 def _require_inside(kind: str, one: ConvexSet, t: int, value: Array) -> None:
-    excess = float(one.violation(value))
+    excess = float(one.violation_of_parts(value))
     if excess > INSIDE * max(1.0, float(np.abs(value).max())):
         raise ProblemError(
             kind, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"

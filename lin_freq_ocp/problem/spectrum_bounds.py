@@ -7,8 +7,9 @@ grid than the DFT's (``oversampling``), or with a window, they are the cure for 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,6 +65,12 @@ class _SpectrumBound:
     def weight(self) -> Array:
         """Return the price per unit of excess; inf for a hard bound."""
         return np.asarray(np.inf if self.penalty is None else self.penalty)
+
+    def on(self, component: int | str) -> Self:
+        """Return the same bound on one component."""
+        alone = copy(self)
+        assign(alone, component=component)
+        return alone
 
     def samples(self, length: int, field: str) -> Array:
         """Return the window of a signal, (length,)."""
