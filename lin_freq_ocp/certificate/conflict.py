@@ -24,6 +24,10 @@ PRACTICAL = 1e4
 """Multiple of the sizes in the data beyond which a trajectory is not looked for where nothing bounds it."""
 
 
+OVER_BINS = ("stop band", "mask", "energy bound")
+"""Words in the names of blocks that act at bins and not at times."""
+
+
 @dataclass(frozen=True)
 class Conflict:
     """One block of constraints that an infeasibility proof rests on.
@@ -33,8 +37,8 @@ class Conflict:
     block : str
         In words, with the component's name.
     share : float
-        1 for ends and stop bands, without which the ray proves nothing; for bounds and joint rows, how much of the
-        proof would be lost if they were relaxed by their own size, relative to the heaviest ones.
+        1 for ends, stop bands and terms, without which the ray proves nothing; for bounds and joint rows, how much of
+        the proof would be lost if they were relaxed by their own size, relative to the heaviest ones.
     times : tuple of int
         Where it acts; bins for a stop band.
     """
@@ -44,7 +48,7 @@ class Conflict:
     times: tuple[int, ...]
 
     def __str__(self) -> str:
-        where = "bins" if "stop band" in self.block else "t ="
+        where = "bins" if any(word in self.block for word in OVER_BINS) else "t ="
         return f"{self.block}, {where} {_runs(self.times)}"
 
 
@@ -73,7 +77,8 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
     bound = _bound(problem, abnormal)
     if bound.value <= 0:
         return None
-    conflict = (*_ends(problem, abnormal), *_bounds(problem, abnormal), *_bands(problem, abnormal))
+    named = _ends, _bounds, _bands, _terms
+    conflict = tuple(one for find in named for one in find(problem, abnormal))
     return InfeasibilityProof(bound, abnormal, conflict)
 
 
@@ -127,6 +132,20 @@ def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflic
         rho_u[:, j] = 0.0
         if ray.rho_u[:, j].any() and _bound(problem, _ray(ray, rho_u, ray.rho_x)).value <= 0:
             yield Conflict(f"control stop band on {name}", 1.0, _important(np.abs(ray.rho_u[:, j])))
+
+
+def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+    """Name the terms other than joint rows without whose multipliers the ray proves nothing."""
+    for term in problem.terms:
+        weights = ray.stage.get(term.name)
+        if term.kind == "stage rows" or weights is None or not weights.any():
+            continue
+        rest = {name: one for name, one in ray.stage.items() if name != term.name}
+        without = Multipliers(0.0, ray.eta, ray.mu, ray.nu, ray.rho_u, ray.rho_x, rest)
+        if _bound(problem, without).value <= 0:
+            places = term.map.places
+            acting = _important(np.abs(weights).sum(1)) if len(weights) == len(places) else range(len(places))
+            yield Conflict(term.name, 1.0, tuple(int(places[i]) for i in acting))
 
 
 def _important(weights: Array) -> tuple[int, ...]:

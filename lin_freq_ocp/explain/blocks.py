@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.explain.wider import with_bounds, with_wider_term
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.extension import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import bands_of
+from lin_freq_ocp.problem.spectrum import Band, bands_of
 from lin_freq_ocp.problem.stage_rows import StageRows
 
 ENDS = ("initial state", "terminal state")
@@ -23,14 +25,14 @@ class Block:
     Attributes
     ----------
     kind : str
-        "initial state", "terminal state", "state bound", "control bound", "row", "state stop band" or
-        "control stop band".
+        "initial state", "terminal state", "state bound", "control bound", "row", "state stop band",
+        "control stop band" or "term".
     name : str
         As it stands in a Conflict.
     index : int
-        The component, or the row of its family.
+        The component, the row of its family, or the place of a term in its field.
     family : str
-        Of a row: the name of its stage rows.
+        Of a row: the name of its stage rows; of a term: the problem's field it was given in.
     """
 
     kind: str
@@ -41,7 +43,7 @@ class Block:
 
 def blocks(problem: OptimalControlProblem) -> list[Block]:
     """Return all blocks that constrain anything, apart from the dynamics."""
-    return [*_ends(problem), *_bounds(problem), *_bands(problem)]
+    return [*_ends(problem), *_bounds(problem), *_bands(problem), *_terms(problem)]
 
 
 def _ends(problem: OptimalControlProblem) -> Iterator[Block]:
@@ -56,7 +58,7 @@ def _bounds(problem: OptimalControlProblem) -> Iterator[Block]:
     for j in np.flatnonzero(_bounded(problem.control_tube)):
         yield Block("control bound", f"control bound on {problem.control_names[j]}", int(j))
     for rows in problem.stage_rows:
-        for i in range(rows.rows):
+        for i in range(rows.rows if rows.penalty is None else 0):
             yield Block("row", f"row {i} of {rows.name}", i, rows.name)
 
 
@@ -65,6 +67,16 @@ def _bands(problem: OptimalControlProblem) -> Iterator[Block]:
         yield Block("state stop band", f"state stop band on {problem.state_names[i]}", int(i))
     for j in np.flatnonzero(problem.control_stop.any(0)):
         yield Block("control stop band", f"control stop band on {problem.control_names[j]}", int(j))
+
+
+def _terms(problem: OptimalControlProblem) -> Iterator[Block]:
+    """Yield what can be taken away or made wider beyond bounds, rows and bands: one block for each entry of a field."""
+    names: dict[tuple[str, int], list[str]] = {}
+    for term in problem.terms:
+        if term.hard and term.source is not None:
+            names.setdefault(term.source, []).append(term.name)
+    for (field, index), together in names.items():
+        yield Block("term", ", ".join(together), index, field)
 
 
 def _bounded(box: Box) -> Mask:
@@ -87,18 +99,20 @@ def widened(problem: OptimalControlProblem, block: Block, amount: float | Array)
     """
     if block.kind in ENDS:
         field = block.kind.replace(" ", "_")
-        end = getattr(problem, field)
-        return replace(problem, **{field: Box(end.lower - amount, end.upper + amount)})
+        end, given = (problem.initial_box, problem.terminal_box)[ENDS.index(block.kind)], getattr(problem, field)
+        return replace(problem, **{field: with_bounds(given, Box(end.lower - amount, end.upper + amount))})
     if block.kind == "row":
         return replace(problem, stage_rows=[_moved(rows, block, amount) for rows in problem.stage_rows])
     if block.kind.endswith("stop band"):
         return _narrowed(problem, block, amount)
+    if block.kind == "term":
+        return with_wider_term(problem, block.family, block.index, float(np.max(amount)))
     field = "state_set" if block.kind == "state bound" else "control_set"
     tube = problem.state_boxes if block.kind == "state bound" else problem.control_tube
     lower, upper = tube.lower.copy(), tube.upper.copy()
     lower[:, block.index] -= amount
     upper[:, block.index] += amount
-    return replace(problem, **{field: Box(lower, upper)})
+    return replace(problem, **{field: with_bounds(getattr(problem, field), Box(lower, upper))})
 
 
 def _moved(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
@@ -106,7 +120,7 @@ def _moved(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
         return rows
     limits = rows.e.copy()
     limits[..., block.index] += amount
-    return StageRows(rows.C, rows.D, limits, rows.name)
+    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
 
 
 def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
@@ -114,7 +128,8 @@ def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array)
     field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
     stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
     stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
-    return replace(problem, **{field: bands_of(stop)})
+    others = [one for one in listed(getattr(problem, field)) if not isinstance(one, Band)]
+    return replace(problem, **{field: [*bands_of(stop), *others]})
 
 
 def kept_stopped(stopped: Mask, bins: float) -> Mask:

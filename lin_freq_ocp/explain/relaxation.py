@@ -25,6 +25,9 @@ from lin_freq_ocp.solve import solve
 MARGINS = (1e-6, 1e-4, 1e-2)
 """Parts of the least amount by which more is given: the first that cures counts, so that rounding does not decide."""
 
+FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4
+"""Of the search for the least rise of a limit, relative to it: where it begins, how it grows, when it is enough."""
+
 CONTROL_PRICE = 1e-6
 """Cost of controls of their stated sizes, relative to that of a delta as large: a flat program is hard on solvers."""
 
@@ -61,6 +64,8 @@ def least_cure(
     """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
     if block.kind.endswith("stop band"):
         return _least_narrowing(problem, block, feasible)
+    if block.kind == "term":
+        return _least_widening(problem, block, feasible)
     result = solve(_elastic(problem, block), method="convex", throw=False)
     if result.trajectory is None:  # however inaccurate: what it says is tried
         return None
@@ -74,6 +79,25 @@ def least_cure(
         if feasible(cured):
             return Cure(block.name, amount, _words(problem, cured, block, amount, end))
     return None
+
+
+def _least_widening(
+    problem: OptimalControlProblem, block: Block, feasible: Callable[[OptimalControlProblem], bool | None]
+) -> Cure | None:
+    """Return the least amount by which the limits of a term must rise, by bisection: it need not be a row."""
+    terms = [term for term in problem.terms if term.source == (block.family, block.index)]
+    limit = max(float(np.max(term.penalty.sizes())) for term in terms)
+    unit = limit if limit > 0 else 1.0
+    most = unit * FIRST_AMOUNT
+    while not feasible(widened(problem, block, most)):
+        most *= GROWTH
+        if most > LARGEST * unit:
+            return None
+    least = most / GROWTH if most > unit * FIRST_AMOUNT else 0.0
+    while most - least > PRECISION * (unit + most):
+        middle = (least + most) / 2
+        least, most = (least, middle) if feasible(widened(problem, block, middle)) else (middle, most)
+    return Cure(block.name, most, f"limit {limit:.6g} -> {limit + most:.6g}" if limit > 0 else f"wider by {most:.6g}")
 
 
 def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:

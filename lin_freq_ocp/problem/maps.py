@@ -41,6 +41,11 @@ class StageMap:
         return len(self.times), self.constant.shape[-1]
 
     @property
+    def places(self) -> Indices:
+        """Return the time of every group."""
+        return self.times
+
+    @property
     def additions(self) -> float:
         """Return how many operations in a row make one value: rounding errors grow with it."""
         return float(sum(part.shape[-1] for part in (self.C, self.D) if part is not None) + self.constant.shape[-1])
@@ -105,6 +110,11 @@ class SpectrumMap:
     def single(self) -> Mask:
         """Which of the bins are real for every signal, (bins,)."""
         return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
+
+    @property
+    def places(self) -> Indices:
+        """Return the bins, of the finer grid where there is one."""
+        return self.bins
 
     @property
     def additions(self) -> float:
@@ -191,6 +201,11 @@ class SumMap:
     def shape(self) -> tuple[int, int]:
         """Return (groups, dim) of the values."""
         return 1, len(self.constant)
+
+    @property
+    def places(self) -> Indices:
+        """Return all times."""
+        return np.arange(len(next(part for part in (self.Phi, self.Psi) if part is not None)))
 
     @property
     def additions(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
     of_state = kind != "control_set"
     kind_of_term = "control set" if kind == "control_set" else "state set"
     return [
-        Term(_numbered(kind.replace("_", " "), i), kind_of_term, _stacked(found, of_state), _together(found))
+        Term(_numbered(kind.replace("_", " "), i), kind_of_term, _stacked(found, of_state), _together(found), (kind, 0))
         for i, found in enumerate(parts.values())
     ]
 
@@ -142,16 +142,20 @@ def spectrum_terms(
                 raise ProblemError(f"{where}.coefficients", f"shape {one.coefficients.shape}", f"shape {expected}")
             matrices = (one.coefficients, None) if of_state else (None, one.coefficients)
             equation = Norm(2, np.zeros(()), one.weight)
-            found.append(Term(f"linear constraint of {kind}", kind, SumMap(*matrices, one.constant), equation))
+            sums = SumMap(*matrices, one.constant)
+            found.append(Term(f"linear constraint of {kind}", kind, sums, equation, (field, i)))
         elif isinstance(one, (MagnitudeBound, EnergyBound)):
             for j in component_indices(where, one.component, component_names):
                 row = (identity[j], None) if of_state else (None, identity[j])
-                found.append(_bounded(where, one, row, length, sampling_time, kind, component_names[j]))
+                found.append(_bounded(where, one, row, length, sampling_time, kind, component_names[j], (field, i)))
     return found
 
 
-def output_terms(given: OutputSpectrum, n: int, m: int, horizon: int, sampling_time: float | None) -> Iterator[Term]:
-    """Yield the terms of frequency constraints on outputs."""
+def output_terms(
+    given: OutputSpectrum, n: int, m: int, horizon: int, sampling_time: float | None, index: int
+) -> Iterator[Term]:
+    """Yield the terms of frequency constraints on outputs, the entry ``index`` of its field."""
+    source = "output_spectrum", index
     for name, matrix, columns in (("C", given.C, n), ("D", given.D, m)):
         if matrix is not None and matrix.shape[1] != columns:
             raise ProblemError(f"output_spectrum.{name}", f"shape {matrix.shape}", f"{columns} columns")
@@ -164,9 +168,9 @@ def output_terms(given: OutputSpectrum, n: int, m: int, horizon: int, sampling_t
                 bins = np.flatnonzero(one.stopped(length, sampling_time, where))
                 stopped = SpectrumMap(*row, np.ones(length), length, bins, together=True)
                 zero = Norm(2, np.zeros(()), np.asarray(np.inf))
-                yield Term(f"stop band on {given.output_names[j]}", kind, stopped, zero)
+                yield Term(f"stop band on {given.output_names[j]}", kind, stopped, zero, source)
             else:
-                yield _bounded(where, one, row, length, sampling_time, kind, given.output_names[j])
+                yield _bounded(where, one, row, length, sampling_time, kind, given.output_names[j], source)
 
 
 def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
@@ -176,7 +180,7 @@ def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
     for term in terms:
         seen[term.name] = seen.get(term.name, 0) + 1
         count = seen[term.name]
-        unique.append(Term(f"{term.name} {count}", term.kind, term.map, term.penalty) if count > 1 else term)
+        unique.append(replace(term, name=f"{term.name} {count}") if count > 1 else term)
     return tuple(unique)
 
 
@@ -188,14 +192,15 @@ def _bounded(
     sampling_time: float | None,
     kind: str,
     name: str,
+    source: tuple[str, int],
 ) -> Term:
     bins = one.bins(length, sampling_time, where)
     window, points = one.samples(length, where), one.points(length)
     if isinstance(one, EnergyBound):
         energy = SpectrumMap(row[0], row[1], window, points, bins, together=True)
-        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), one.weight))
+        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), one.weight), source)
     magnitudes = SpectrumMap(row[0], row[1], window, points, bins)
-    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight))
+    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight), source)
 
 
 def _require_inside(kind: str, one: ConvexSet, t: int, value: Array) -> None:

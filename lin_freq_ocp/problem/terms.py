@@ -29,12 +29,15 @@ class Term:
         L.
     penalty : Below, Norm or Cone
         h.
+    source : (field, index) or None
+        The field of the problem that it was given in, and its place there.
     """
 
     name: str
     kind: str
     map: TrajectoryMap
     penalty: Penalty
+    source: tuple[str, int] | None = None
 
     @property
     def hard(self) -> bool:
