@@ -22,10 +22,13 @@ from lin_freq_ocp.errors import (
     UnsupportedError,
 )
 from lin_freq_ocp.explain import Cure, Explanation, explain
+from lin_freq_ocp.interchange.csv_file import read_csv
 from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
+from lin_freq_ocp.interchange.mat_file import read_mat
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
+from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
@@ -73,16 +76,20 @@ __all__ = [
     "certify",
     "compare",
     "explain",
+    "from_time_response",
     "high_pass",
     "library",
     "load",
     "low_pass",
     "notch",
     "rate_limited",
+    "read_csv",
+    "read_mat",
     "read_problem",
     "simulate",
     "solve",
     "stop_band",
     "to_cvxpy",
+    "to_time_response",
     "write_problem",
 ]

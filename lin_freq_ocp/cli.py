@@ -27,7 +27,6 @@ from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
 from lin_freq_ocp.interchange.keys import suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
-from lin_freq_ocp.interchange.results import load_solution
 from lin_freq_ocp.interchange.summary import (
     certificate_summary,
     comparison_summary,
@@ -36,6 +35,7 @@ from lin_freq_ocp.interchange.summary import (
     to_json,
 )
 from lin_freq_ocp.interchange.template import init_problem_file
+from lin_freq_ocp.interchange.trajectory_file import load_trajectory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, Result, certify, explained, solve
 
@@ -166,15 +166,15 @@ def compare_command(
 
 @cli.command("certify")
 @_problem
-@click.argument("solution", metavar="SOLUTION.npz")
+@click.argument("solution", metavar="SOLUTION.npz|.csv|.mat")
 @_settings
 @_json
 def certify_command(problem: str, solution: str, settings: tuple[str, ...], as_json: bool) -> int:
-    """Judge a saved trajectory (x, u, and multipliers if it has them) against the maximum principle."""
+    """Judge a trajectory (an .npz, with multipliers if it has them, a .csv or a .mat) by the maximum principle."""
     description = build(problem, settings)
-    saved = load_solution(solution)
+    trajectory, multipliers = load_trajectory(solution, description)
     with _progress("certifying"):
-        certificate = certify(description, saved.trajectory, saved.multipliers)
+        certificate = certify(description, trajectory, multipliers)
     if as_json:
         _print_json(certificate_summary(description, certificate))
     else:

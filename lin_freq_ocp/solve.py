@@ -175,6 +175,18 @@ class Result:
 
         save_csv(path, self.problem, self._require_trajectory())
 
+    def to_mat(self, path: str | Path) -> None:
+        """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
+        from lin_freq_ocp.interchange.mat_file import save_mat
+
+        save_mat(path, self.problem, self._require_trajectory())
+
+    def to_time_response(self) -> Any:
+        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
+        from lin_freq_ocp.interchange.time_response import to_time_response
+
+        return to_time_response(self.problem, self._require_trajectory())
+
     def to_json(self, path: str | Path) -> None:
         """Write the object that ``lin-freq-ocp solve --json`` prints."""
         from lin_freq_ocp.interchange.summary import result_summary, save_json
