@@ -28,6 +28,7 @@ from lin_freq_ocp.interchange.mat_file import read_mat
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
+from lin_freq_ocp.interchange.run_file import SavedRun, load_run
 from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs import QuadraticCost
@@ -63,6 +64,7 @@ __all__ = [
     "ProblemError",
     "QuadraticCost",
     "Result",
+    "SavedRun",
     "SavedSolution",
     "Sensitivities",
     "SolveError",
@@ -80,6 +82,7 @@ __all__ = [
     "high_pass",
     "library",
     "load",
+    "load_run",
     "low_pass",
     "notch",
     "rate_limited",
