@@ -131,7 +131,7 @@ def test_parameters_and_time_reach_the_model():
 
 
 def test_natural_sizes_set_the_steps():
-    """A model that bends within a micrometre needs to know that 1e-6 is its size; without it the answer is wrong."""
+    """A model that bends within a micrometre needs to know that 1e-6 is its size; without it there is no answer."""
 
     def update(t, x, u, params):
         return 1e-6 * np.sin(x / 1e-6) + u
@@ -140,7 +140,32 @@ def test_natural_sizes_set_the_steps():
     x, u = [0.4e-6], [0.0]
     A = lfo.LinearDynamics.linearised(system, x, u, state_scale=1e-6, control_scale=[1e-6]).A
     assert A[0, 0] == pytest.approx(np.cos(0.4), rel=1e-10)
-    assert lfo.LinearDynamics.linearised(system, x, u).A[0, 0] != pytest.approx(np.cos(0.4), rel=0.1)
+    with pytest.raises(lfo.ProblemError, match=r"derivatives of state 0 by x\[0\].*Give state_scale") as caught:
+        lfo.LinearDynamics.linearised(system, x, u)
+    assert caught.value.field == "system, t = 0"
+
+
+@pytest.mark.parametrize(("turns", "tolerance"), [(0, 1e-10), (16, 3e-9), (160, 3e-7)])
+def test_an_angle_may_have_turned_often(turns, tolerance):
+    """The steps grow slower than the angle: after 160 turns they are 0.03 rad, not 1 rad."""
+    x, u = np.array([0.5 + 2 * np.pi * turns, 1.0]), np.array([2.0])
+    dynamics = lfo.LinearDynamics.linearised(pendulum(dt=PERIOD), x, u)
+    np.testing.assert_allclose(dynamics.A, jacobians(x, u)[0], rtol=0, atol=GRAVITY * tolerance)
+
+
+@pytest.mark.parametrize("where", [1e-4, -1e-4])
+def test_near_a_kink_there_are_no_derivatives(where):
+    """Dry friction; away from the kink, and with drag v|v|, which is smooth enough at rest, there are."""
+
+    def linearised(friction, speed):
+        system = control.nlsys(lambda t, x, u, params: u - friction(x), None, states=["v"], inputs=["f"], dt=0)
+        return lfo.LinearDynamics.linearised(system, [speed], [0.0], PERIOD)
+
+    with pytest.raises(lfo.ProblemError, match="farther from the kink"):
+        linearised(np.abs, where)
+    away = linearised(np.abs, 1000 * where).A[0, 0]
+    assert away == pytest.approx(np.exp(-PERIOD * np.sign(where)), rel=1e-9)
+    assert linearised(lambda v: v * np.abs(v), 0.0).A[0, 0] == pytest.approx(1.0, abs=1e-3 * PERIOD)
 
 
 def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):

@@ -393,6 +393,11 @@ def test_signals_are_found_by_their_labels(some, with_states):
     assert_same(lfo.from_time_response(response, PROBLEM), some)
 
 
+def test_states_come_before_outputs(some):
+    response = response_of(some, outputs=2 * some.x.T, states=some.x.T)
+    assert_same(lfo.from_time_response(response, PROBLEM), some)
+
+
 def response_of(some, **change):
     given = {"outputs": some.x.T, "inputs": np.append(some.u[:, 0], 0.0), "time": 0.1 * np.arange(T + 1)} | change
     return control.TimeResponseData(issiso=False, **given)

@@ -180,8 +180,9 @@ class LinearDynamics:
             Parameters of the model.
         state_scale, control_scale : float, (n,) or (m,), optional
             Natural sizes of the components; the differences take steps of ``RELATIVE_STEP`` (1/1024) times these.
-            Default: the largest absolute value along the trajectory, at least 1. Give them where the model bends
-            within less than a thousandth of that, as with lengths of micrometres in metres.
+            Default: the square root of the largest absolute value along the trajectory, at least 1. Curvature asks for
+            less, rounding for more; give them where the model bends within a few steps, as with lengths of micrometres
+            in metres.
         integrator : {"DOP853", "Radau"}
             The method of ``scipy.integrate.solve_ivp`` for continuous models; "Radau" for stiff ones.
         state_names, control_names : sequences of str, optional
@@ -190,7 +191,8 @@ class LinearDynamics:
         Raises
         ------
         ProblemError
-            If shapes or sampling times do not fit, or the model has no finite value or integral at some (x_t, u_t).
+            If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
+            others: a kink) or no integral at some (x_t, u_t).
         """
         import control  # here, because it takes seconds to import and only its users need it
 

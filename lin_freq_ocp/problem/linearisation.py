@@ -15,6 +15,12 @@ from lin_freq_ocp.problem.arrays import Array, brief, positive_number, real_arra
 RELATIVE_STEP = 2.0**-10
 """Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal."""
 
+SMALLER, SMOOTH = 1 / 64, 1e-2
+"""With steps so much smaller, no derivative may change by more, relative to the largest effect on the same state."""
+
+NO_EFFECT = 1e-9
+"""Effects below this, relative to the larger of 1 and the slope of the state, are rounding errors."""
+
 INTEGRATION_TOLERANCE = 1e-12
 """Local error of state and derivatives in the integration over one period, relative to their sizes."""
 
@@ -55,11 +61,11 @@ def linearisation(
     successor, slope = np.empty((len(points), n)), np.empty((len(points), n, n + m))
     for t, point in enumerate(points):
         model, seconds = _model(system, n, params, t), t * (step or 1.0)
+        successor[t], slope[t] = model(seconds, point), _slope(model, seconds, point, size)
+        _require_smooth(slope[t], _slope(model, seconds, point, SMALLER * size), successor[t], size, t)
         if continuous:
             span = (seconds, seconds + (step or 0.0))
             successor[t], slope[t] = _over_one_period(model, span, point, size, n, integrator, t)
-        else:
-            successor[t], slope[t] = model(seconds, point), _slope(model, seconds, point, size)
     offset = successor - times_vectors(slope, points)
     if states.ndim == 1:
         return slope[0, :, :n], slope[0, :, n:], offset[0], step
@@ -106,7 +112,7 @@ def _points(system: Any, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
 
 def _size(field: str, given: ArrayLike | None, along: Array) -> Array:
     if given is None:
-        return np.maximum(1.0, np.abs(along).max(axis=0))
+        return np.sqrt(np.maximum(1.0, np.abs(along).max(axis=0)))
     sizes = real_array(field, given)
     if sizes.shape not in ((), along.shape[1:]) or not (sizes > 0).all():
         raise ProblemError(field, brief(given), f"a number above zero, or {along.shape[1]} of them")
@@ -133,6 +139,24 @@ def _slope(model: Model, seconds: float, point: Array, size: Array) -> Array:
         near, far = (model(seconds, point + k * shift) - model(seconds, point - k * shift) for k in (1, 2))
         columns.append((8 * near - far) / (12 * step))
     return np.stack(columns, axis=1)
+
+
+def _require_smooth(slope: Array, closer: Array, value: Array, size: Array, t: int) -> None:
+    """Raise ProblemError if the derivatives with smaller steps are others: a kink is near, or a size is too large."""
+    effect, change = np.abs(slope) * size, np.abs(slope - closer) * size
+    allowed = SMOOTH * effect.max(axis=1) + NO_EFFECT * np.maximum(1.0, np.abs(value))
+    excess = change - allowed[:, None]
+    if excess.max() > 0:
+        i, j = np.unravel_index(np.argmax(excess), excess.shape)
+        steps, n = RELATIVE_STEP * size[j] * np.array([1, SMALLER]), len(value)
+        variable = f"x[{j}]" if j < n else f"u[{j - n}]"
+        raise ProblemError(
+            f"system, t = {t}",
+            f"derivatives of state {i} by {variable}: {slope[i, j]:.6g} by steps of {steps[0]:.2g}, "
+            f"{closer[i, j]:.6g} by steps of {steps[1]:.2g}",
+            "a smooth model",
+            "Give state_scale and control_scale, or a point farther from the kink.",
+        )
 
 
 def _over_one_period(
