@@ -22,10 +22,14 @@ from lin_freq_ocp.errors import (
     UnsupportedError,
 )
 from lin_freq_ocp.explain import Cure, Explanation, explain
+from lin_freq_ocp.interchange.csv_file import read_csv
 from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
+from lin_freq_ocp.interchange.mat_file import read_mat
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
+from lin_freq_ocp.interchange.run_file import SavedRun, load_run
+from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
@@ -75,6 +79,7 @@ __all__ = [
     "ProblemError",
     "QuadraticCost",
     "Result",
+    "SavedRun",
     "SavedSolution",
     "SecondOrderCone",
     "Sensitivities",
@@ -90,16 +95,21 @@ __all__ = [
     "certify",
     "compare",
     "explain",
+    "from_time_response",
     "high_pass",
     "library",
     "load",
+    "load_run",
     "low_pass",
     "notch",
     "rate_limited",
+    "read_csv",
+    "read_mat",
     "read_problem",
     "simulate",
     "solve",
     "stop_band",
     "to_cvxpy",
+    "to_time_response",
     "write_problem",
 ]

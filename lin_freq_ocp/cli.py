@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | solve | compare | certify | init.
+"""The command line: lin-freq-ocp list | solve | compare | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupted.
@@ -27,7 +27,8 @@ from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
 from lin_freq_ocp.interchange.keys import suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
-from lin_freq_ocp.interchange.results import load_solution
+from lin_freq_ocp.interchange.rerun import rerun, rerun_summary
+from lin_freq_ocp.interchange.run_file import dumping_errors, load_run
 from lin_freq_ocp.interchange.summary import (
     certificate_summary,
     comparison_summary,
@@ -36,6 +37,7 @@ from lin_freq_ocp.interchange.summary import (
     to_json,
 )
 from lin_freq_ocp.interchange.template import init_problem_file
+from lin_freq_ocp.interchange.trajectory_file import load_trajectory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, Result, certify, explained, solve
 
@@ -91,6 +93,7 @@ def list_command() -> int:
 @_time_limit
 @click.option("--tolerance", type=float, help="Relative residuals asked of the solver.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write trajectory and multipliers to this .npz file.")
+@click.option("--dump", type=click.Path(path_type=Path), help="Write the whole run to this .zip file; see rerun.")
 @_json
 def solve_command(
     problem: str,
@@ -100,17 +103,25 @@ def solve_command(
     time_limit: float | None,
     tolerance: float | None,
     save: Path | None,
+    dump: Path | None,
     as_json: bool,
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
     description = build(problem, settings)
-    if save is not None:
-        require_writable(save, problem)
-    with _progress(f"solving {description.name or problem}"):
-        result = solve(description, method, backend, time_limit, tolerance, throw=False)
-    if result.status == "infeasible":
-        with _progress("looking for what would help"):
-            result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
+    for option, file in (("--save", save), ("--dump", dump)):
+        if file is not None:
+            require_writable(option, file, problem)
+    if save is not None and dump is not None and save.absolute() == dump.absolute():
+        raise ProblemError(f"--dump {dump}", "the file of --save", "another file")
+    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    with dumping_errors(dump, description, options):
+        with _progress(f"solving {description.name or problem}"):
+            result = solve(description, method, backend, time_limit, tolerance, throw=False)
+        if result.status == "infeasible":
+            with _progress("looking for what would help"):
+                result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
+    if dump is not None:
+        result.dump(dump)
     if save is not None and result.trajectory is not None:
         result.save(save)
     elif save is not None:
@@ -166,20 +177,37 @@ def compare_command(
 
 @cli.command("certify")
 @_problem
-@click.argument("solution", metavar="SOLUTION.npz")
+@click.argument("solution", metavar="SOLUTION.npz|.csv|.mat")
 @_settings
 @_json
 def certify_command(problem: str, solution: str, settings: tuple[str, ...], as_json: bool) -> int:
-    """Judge a saved trajectory (x, u, and multipliers if it has them) against the maximum principle."""
+    """Judge a trajectory (an .npz, with multipliers if it has them, a .csv or a .mat) by the maximum principle."""
     description = build(problem, settings)
-    saved = load_solution(solution)
+    trajectory, multipliers = load_trajectory(solution, description)
     with _progress("certifying"):
-        certificate = certify(description, saved.trajectory, saved.multipliers)
+        certificate = certify(description, trajectory, multipliers)
     if as_json:
         _print_json(certificate_summary(description, certificate))
     else:
         _print_certificate(description, certificate)
     return certificate_status(certificate)
+
+
+@cli.command("rerun")
+@click.argument("file", metavar="FILE.zip")
+@_json
+def rerun_command(file: str, as_json: bool) -> int:
+    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    run = load_run(file)
+    with _progress(f"solving {run.problem.name or file}"):
+        comparison = rerun(run)
+    if as_json:
+        _print_json(rerun_summary(comparison))
+    else:
+        out.print(str(comparison), markup=False, highlight=False)
+    if comparison.result is None:
+        return BAD_INPUT if isinstance(comparison.error, LinFreqOCPError) else NOT_PROVEN
+    return exit_status(comparison.result)
 
 
 @cli.command("init")
@@ -239,14 +267,14 @@ def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def require_writable(file: Path, problem: str) -> None:
-    """Raise ProblemError unless a solution can be written to the file: an answer must not be lost to a slip."""
+def require_writable(option: str, file: Path, problem: str) -> None:
+    """Raise ProblemError unless something can be written to the file: an answer must not be lost to a slip."""
     if file.is_dir():
-        raise ProblemError(f"--save {file}", "a folder", "a file to write")
+        raise ProblemError(f"{option} {file}", "a folder", "a file to write")
     if not file.absolute().parent.is_dir():
-        raise ProblemError(f"--save {file}", "a file in a folder that does not exist", "a file in an existing folder")
+        raise ProblemError(f"{option} {file}", "a file in a folder that does not exist", "a file in an existing folder")
     if file.exists() and Path(problem).exists() and file.samefile(problem):
-        raise ProblemError(f"--save {file}", "the problem's own file", "another file")
+        raise ProblemError(f"{option} {file}", "the problem's own file", "another file")
 
 
 def require_folder(folder: Path) -> None:

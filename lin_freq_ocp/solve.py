@@ -80,6 +80,8 @@ class Result:
         Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
     explanation : Explanation or None
         If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
+    options : dict
+        What solve was given: "method", "backend", "time_limit" and "tolerance".
     """
 
     problem: OptimalControlProblem
@@ -95,6 +97,7 @@ class Result:
     message: str = ""
     interrupted: bool = False
     explanation: Explanation | None = None
+    options: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
 
     @property
     def primal(self) -> bool:
@@ -175,6 +178,24 @@ class Result:
 
         save_csv(path, self.problem, self._require_trajectory())
 
+    def to_mat(self, path: str | Path) -> None:
+        """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
+        from lin_freq_ocp.interchange.mat_file import save_mat
+
+        save_mat(path, self.problem, self._require_trajectory())
+
+    def to_time_response(self) -> Any:
+        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
+        from lin_freq_ocp.interchange.time_response import to_time_response
+
+        return to_time_response(self.problem, self._require_trajectory())
+
+    def dump(self, path: str | Path) -> None:
+        """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
+        from lin_freq_ocp.interchange.run_file import dump_run
+
+        dump_run(path, self.problem, self.options, self)
+
     def to_json(self, path: str | Path) -> None:
         """Write the object that ``lin-freq-ocp solve --json`` prints."""
         from lin_freq_ocp.interchange.summary import result_summary, save_json
@@ -236,6 +257,8 @@ def solve(
     if result is None:
         left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
         result = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    result = replace(result, options=options)
     if throw and result.status == "infeasible":
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))

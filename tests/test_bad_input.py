@@ -348,7 +348,7 @@ def test_bad_input(case, files, monkeypatch):
         (("solve", "pendulum", "--bogus"), "No such option"),
         (("solve", "pendulum", "--time-limit", "soon"), "'soon' is not a valid float"),
         (("solve", "pendulum", "--set"), "'--set' requires an argument"),
-        (("certify", "pendulum"), "Missing argument 'SOLUTION.npz'"),
+        (("certify", "pendulum"), "Missing argument 'SOLUTION.npz|.csv|.mat'"),
         (("init",), "Missing argument 'FILE.toml'"),
         (("list", "more"), "unexpected extra argument"),
     ],

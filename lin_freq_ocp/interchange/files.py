@@ -36,15 +36,27 @@ def read_text(path: Path) -> str:
     ProblemError
         If there is no such file, it cannot be read, or it is not text; the field is the path.
     """
-    require_file(str(path), path)
     try:
-        return path.read_bytes().decode("utf-8-sig")  # some editors on Windows put a byte-order mark first
-    except OSError as error:
-        raise ProblemError(str(path), _reason(error), "a file that can be read") from None
+        return read_bytes(path).decode("utf-8-sig")  # some editors on Windows put a byte-order mark first
     except UnicodeDecodeError as error:
         raise ProblemError(
             str(path), f"byte {error.start} that is not UTF-8", "a text file", "Save it with the encoding UTF-8."
         ) from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what a file holds.
+
+    Raises
+    ------
+    ProblemError
+        If there is no such file, or it cannot be read; the field is the path.
+    """
+    require_file(str(path), path)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ProblemError(str(path), _reason(error), "a file that can be read") from None
 
 
 @contextmanager

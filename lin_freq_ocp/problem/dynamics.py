@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, assign, brief, names, positive_number, real_array, times_vectors
+from lin_freq_ocp.problem.arrays import Array, assign, names, positive_number, real_array, times_vectors
+from lin_freq_ocp.problem.linearisation import clock, linearisation
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -140,21 +141,67 @@ class LinearDynamics:
             "state_names": state_names or plant.state_labels,
             "control_names": control_names or plant.input_labels,
         }
-        if plant.dt is None:
-            raise ProblemError("plant.dt", "None (unspecified)", "0 (continuous) or a sampling time", "Set plant.dt.")
-        if plant.dt == 0 and plant.dt is not False:
-            if sampling_time is None:
-                raise ProblemError("sampling_time", "None", "seconds per step", "The plant is continuous.")
-            return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), sampling_time, **labels)
-        own = None if plant.dt is True else float(plant.dt)
-        if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12, atol=0.0):
-            raise ProblemError(
-                "sampling_time",
-                brief(sampling_time),
-                f"{own}, the sampling time of the discrete plant",
-                "Leave it out, or resample the plant first.",
-            )
-        return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=own or sampling_time, **labels)
+        continuous, step = clock("plant", plant, sampling_time)
+        if continuous and step is not None:
+            return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), step, **labels)
+        return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=step, **labels)
+
+    @classmethod
+    def linearised(
+        cls,
+        system: Any,
+        x: ArrayLike,
+        u: ArrayLike,
+        sampling_time: float | None = None,
+        params: dict[str, Any] | None = None,
+        *,
+        state_scale: ArrayLike | None = None,
+        control_scale: ArrayLike | None = None,
+        integrator: str = "DOP853",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> LinearDynamics:
+        """Linearise a nonlinear model at a point, or along a trajectory: A_t, B_t and d_t with one per time.
+
+        At (x_t, u_t) the linear model has the value and the derivatives of the nonlinear map over one period, whether
+        or not x is a solution: of the update equation of a discrete model, of the integral of a continuous one with u
+        held (rtol ``INTEGRATION_TOLERANCE``, 1e-12). Derivatives are fourth-order central differences.
+
+        Parameters
+        ----------
+        system : control.NonlinearIOSystem
+            Continuous or discrete, from ``control.nlsys``; its outputs are not used. Period t begins at the time
+            t times sampling_time.
+        x, u : (n,) and (m,), or (T+1, n) and (T, m)
+            Where. The last state, x_T, takes no part, and may be missing.
+        sampling_time : float, optional
+            Seconds per step; required for a continuous model, and must agree with a discrete one's own.
+        params : dict, optional
+            Parameters of the model.
+        state_scale, control_scale : float, (n,) or (m,), optional
+            Natural sizes of the components; the differences take steps of ``RELATIVE_STEP`` (1/1024) times these.
+            Default: the square root of the largest absolute value along the trajectory, at least 1. Curvature asks for
+            less, rounding for more; give them where the model bends within a few steps, as with lengths of micrometres
+            in metres.
+        integrator : {"DOP853", "Radau"}
+            The method of ``scipy.integrate.solve_ivp`` for continuous models; "Radau" for stiff ones.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the model.
+
+        Raises
+        ------
+        ProblemError
+            If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
+            others: a kink) or no integral at some (x_t, u_t).
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(system, control.NonlinearIOSystem):
+            raise ProblemError("system", type(system).__name__, "a control.NonlinearIOSystem", "See control.nlsys.")
+        sizes = state_scale, control_scale
+        A, B, offset, step = linearisation(system, x, u, sampling_time, params, sizes, integrator)
+        states, controls = state_names or system.state_labels or None, control_names or system.input_labels or None
+        return cls(A, B, offset, step, states, controls)
 
     @property
     def state_dim(self) -> int:
