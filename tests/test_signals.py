@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from dataclasses import replace
 
 import control
@@ -127,8 +125,8 @@ def test_certify_tells_a_disturbed_control_from_the_optimum(folder, result):
         ("none.mat", None, "none.mat: got no such file"),
         ("bad.csv", b"force [N]\n1\nx\n", "error: bad.csv: rows: got 2; expected 21, or 20"),
         ("bad.csv", b"force [N]\n" + 20 * b"1\n" + b"\xff\n", "bad.csv: got byte 50 that is not UTF-8"),
-        ("bad.mat", b"no file of MATLAB's" * 20, "bad.mat: got no file of version 5 or 7; expected a .mat file"),
-        ("bad.mat", b"", "bad.mat: got no file of version 5 or 7; expected a .mat file"),
+        ("bad.mat", b"no file of MATLAB's" * 20, "expected a .mat file of version 5 or 7"),
+        ("bad.mat", b"", "expected a .mat file of version 5 or 7"),
     ],
 )
 def test_files_that_cannot_be_read_are_named(folder, name, content, words):
@@ -278,7 +276,7 @@ def test_controls_of_lsim_have_one_row_more(tmp_path, some):
         ({"x": np.full((T + 1, 2), 1j)}, "run.mat: x: got a complex matrix"),
         (
             {"x": sparse.csc_matrix(np.eye(T + 1, 2))},
-            "run.mat: x: got a sparse matrix; expected a matrix of real numbers, full",
+            "run.mat: x: got a sparse matrix or a structure; expected a matrix of real numbers, full",
         ),
         ({"u": "text"}, "run.mat: u: got text"),
         ({"t": 0.2 * np.arange(T + 1)}, "run.mat: t[1]: got 0.2; expected 0.1, 1 periods of 0.1 after 0"),
@@ -296,7 +294,7 @@ def test_a_bad_mat_file_is_refused_with_its_variable(tmp_path, some, change, wor
 def test_version_7_3_is_refused_with_the_cure(tmp_path):
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     (tmp_path / "run.mat").write_bytes(head + b"\x89HDF\r\n\x1a\n" * 20)
-    with pytest.raises(lfo.ProblemError, match=r"got version 7\.3.*'-v7'"):
+    with pytest.raises(lfo.ProblemError, match=r"v7\.3.*'-v7'"):
         lfo.read_mat(tmp_path / "run.mat", PROBLEM)
 
 
@@ -311,43 +309,6 @@ def test_what_scipy_writes_is_read(tmp_path, dtype, compressed):
     trajectory = lfo.read_mat(tmp_path / "run.mat", PROBLEM)
     assert (trajectory.x == given).all()
     assert (trajectory.u == 1).all()
-
-
-def test_a_file_of_the_other_byte_order_is_read(tmp_path):
-    """Written by hand, by the format's description."""
-
-    def element(kind, content):
-        return struct.pack(">II", kind, len(content)) + content + bytes(-len(content) % 8)
-
-    def variable(name, rows, columns, values):
-        flags, shape = struct.pack(">II", 6, 0), struct.pack(">ii", rows, columns)
-        small = struct.pack(">I", len(name) << 16 | 1) + name.ljust(4, b"\0")
-        numbers = struct.pack(f">{rows * columns}d", *values)
-        return element(14, element(6, flags) + element(5, shape) + small + element(9, numbers))
-
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(">H", 0x0100) + b"MI"
-    x, u = range(2 * (T + 1)), range(T)
-    (tmp_path / "run.mat").write_bytes(head + variable(b"x", T + 1, 2, x) + variable(b"u", T, 1, u))
-    trajectory = lfo.read_mat(tmp_path / "run.mat", PROBLEM)
-    assert trajectory.x.T.ravel().tolist() == list(x)  # column by column
-    assert trajectory.u[:, 0].tolist() == list(u)
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_damaged_mat_file_is_refused_or_read(tmp_path, some, compressed):
-    buffer = io.BytesIO()
-    savemat(buffer, {"x": some.x, "u": some.u}, do_compression=compressed)
-    whole, path = buffer.getvalue(), tmp_path / "run.mat"
-    rng = np.random.default_rng(5)
-    for _ in range(400):
-        damaged = bytearray(whole)
-        for place in rng.integers(len(whole), size=3):
-            damaged[place] = rng.integers(256)
-        path.write_bytes(damaged[: rng.integers(len(whole) // 2, 2 * len(whole))])
-        try:
-            lfo.read_mat(path, PROBLEM)
-        except lfo.ProblemError:
-            continue
 
 
 # --- python-control -------------------------------------------------------------------------------------------------

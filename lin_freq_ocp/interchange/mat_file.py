@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import read_bytes, writing
-from lin_freq_ocp.interchange.mat5 import MatError, matrices
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.arrays import real_array
@@ -64,15 +63,16 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         If it is no such file, or a variable does not fit: the field names file and variable.
     """
     path = Path(path)
-    content = read_bytes(path)
+    read_bytes(path)  # for what can be said of a file that is not there
     try:
-        variables = matrices(content)
-    except MatError as error:
+        variables = loadmat(str(path), appendmat=False)
+    except Exception as error:  # whatever it meets in a file that is damaged or of another kind
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
     with naming(path):
         if "u" not in variables:
-            got = f"nothing (there is {', '.join(filter(None, variables)) or 'no variable'})"
+            there = [name for name in variables if not name.startswith("__")]
+            got = f"nothing (there is {', '.join(there) or 'no variable'})"
             raise ProblemError("u", got, "a variable of this name", "Rename it in MATLAB, and save x, u and t.")
         signals = {name: _matrix(name, variables[name]) for name in ("x", "u", "t") if name in variables}
         trajectory = trajectory_from_signals(problem, signals.get("x"), signals["u"])
@@ -81,9 +81,12 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         return trajectory
 
 
-def _matrix(name: str, value: NDArray[Any] | str) -> NDArray[Any]:
-    if isinstance(value, str):
-        raise ProblemError(name, value, "a matrix of real numbers, full")
+def _matrix(name: str, value: Any) -> NDArray[Any]:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
+        kind = {"c": "a complex matrix", "U": "text"}.get(
+            np.asarray(value).dtype.kind, "a sparse matrix or a structure"
+        )
+        raise ProblemError(name, kind, "a matrix of real numbers, full")
     return value
 
 
