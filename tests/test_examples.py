@@ -11,6 +11,7 @@ SAYS = {
     "pendulum": "brickwall    peaks at 5.858 N and misses the end by 0.813 m and 16.72 rad",
     "state_frequency_constraint": "maximum principle: satisfied",
     "several_controls": "satisfied, normal",
+    "masked_pendulum": "peak in the band 0.05168 N   satisfied",
     "certify_somebody_elses": "maximum principle: satisfied",
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",

@@ -95,7 +95,7 @@ def compare(
     """
     names = list(FILTERS) if filters is None else list(filters)
     require_filters(names)
-    free = replace(problem, control_spectrum=None, state_spectrum=None)
+    free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
     classical = solve(free, backend=backend, time_limit=time_limit)
     constrained = solve(problem, backend=backend, time_limit=time_limit, throw=False)
     plan = classical.trajectory

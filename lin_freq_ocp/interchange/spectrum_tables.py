@@ -20,7 +20,7 @@ WHERE = ("bins", "band", "component", "penalty", "window", "oversampling")
 """Arguments that magnitude and energy bounds share."""
 
 BOUNDS: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "magnitude_bound": (MagnitudeBound, ("limit", "limit_db", "reference", *WHERE)),
+    "magnitude_bound": (MagnitudeBound, ("limit", "limit_db", "reference", *WHERE, "between")),
     "energy_bound": (EnergyBound, ("limit", *WHERE)),
     "linear_constraint": (LinearConstraint, ("coefficients", "constant", "penalty")),
 }
@@ -62,6 +62,8 @@ def table_from_spectrum(one: Any) -> dict[str, Any]:
         table["component"] = one.component if isinstance(one.component, str) else int(one.component)
     if one.oversampling != 1:
         table["oversampling"] = one.oversampling
+    if isinstance(one, MagnitudeBound) and one.between:
+        table["between"] = True
     return table | _given(one, "penalty", "window")
 
 
