@@ -44,7 +44,8 @@ from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch,
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solve import Result, certify, solve
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import certify, solve
 
 __version__ = "0.1.0"
 

@@ -39,7 +39,8 @@ from lin_freq_ocp.interchange.summary import (
 from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.interchange.trajectory_file import load_trajectory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import EXPLAIN_SECONDS, Result, certify, explained, solve
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
-from lin_freq_ocp.certificate.conflict import Conflict, prove_infeasible
+import numpy as np
+
+from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.directions import descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import (
     InfeasibleError,
@@ -19,26 +22,21 @@ from lin_freq_ocp.errors import (
 )
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
-from lin_freq_ocp.methods.multipliers import fit_multipliers
+from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.spectral import SpectralSolver
-from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
-from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from matplotlib.figure import Figure
-
-    from lin_freq_ocp.explain import Explanation
+from lin_freq_ocp.result import Result
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
 
 LEAST_TIME = 1e-3
 """Seconds that are left to a second method when the first one has used them all: it ends at once, with its words."""
+
+DIVERGED = 1e6
+"""Multipliers of a failed solve that are larger than this may be a ray: the judge decides."""
 
 EXPLAIN_SECONDS = 5.0
 """Time for saying why a problem has no solution, unless a time limit leaves less."""
@@ -51,161 +49,6 @@ ERRORS: dict[str, type[SolveError]] = {
     "limit": LimitError,
     "numerical_error": NumericalError,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a solve ended with; everything that does not exist is None.
-
-    Attributes
-    ----------
-    problem : OptimalControlProblem
-    status : str
-        "optimal", "infeasible", "unbounded", "limit" or "numerical_error": why it stopped.
-    method : str
-        What was used.
-    backend : str or None
-        The solver of the method "convex"; others need none.
-    seconds : dict
-        Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
-    trajectory, multipliers, certificate : or None
-        The best point found, whatever the status, and what is proven of it.
-    conflict : tuple of Conflict or None
-        If infeasible: the blocks of constraints that the proof rests on.
-    ray : Multipliers or None
-        If infeasible: the verified multipliers with eta_C = 0.
-    message : str
-        In words, how it ended.
-    interrupted : bool
-        Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
-    explanation : Explanation or None
-        If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
-    options : dict
-        What solve was given: "method", "backend", "time_limit" and "tolerance".
-    """
-
-    problem: OptimalControlProblem
-    status: str
-    method: str
-    backend: str | None
-    seconds: dict[str, float]
-    trajectory: Trajectory | None = None
-    multipliers: Multipliers | None = None
-    certificate: Certificate | None = None
-    conflict: tuple[Conflict, ...] | None = None
-    ray: Multipliers | None = field(default=None, repr=False)
-    message: str = ""
-    interrupted: bool = False
-    explanation: Explanation | None = None
-    options: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
-
-    @property
-    def primal(self) -> bool:
-        """Whether there is a point that satisfies every constraint, within the judge's tolerance."""
-        return self.certificate is not None and self.certificate.feasible
-
-    @property
-    def dual(self) -> bool:
-        """Whether there is a proof: a lower bound on the cost, or a verified infeasibility ray."""
-        return self.ray is not None or self.lower_bound is not None
-
-    @property
-    def cost(self) -> float | None:
-        """Return J of the trajectory."""
-        return None if self.certificate is None else self.certificate.cost
-
-    @property
-    def lower_bound(self) -> float | None:
-        """Return the judge's bound on the optimal cost."""
-        return None if self.certificate is None else self.certificate.lower_bound
-
-    @property
-    def gap(self) -> float | None:
-        """Return (cost - lower_bound) / max(1, |cost|)."""
-        return None if self.certificate is None else self.certificate.gap
-
-    @property
-    def solver(self) -> str:
-        """Return the method, with its backend if it has one."""
-        return self.method if self.backend is None else f"{self.method}, {self.backend}"
-
-    @property
-    def control(self) -> Array | None:
-        """Return u, shape (T, m)."""
-        return None if self.trajectory is None else self.trajectory.u
-
-    @property
-    def sensitivities(self) -> Sensitivities:
-        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
-        if self.status != "optimal" or self.multipliers is None:
-            raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
-        return sensitivities(self.problem, self.multipliers)
-
-    def __str__(self) -> str:
-        certificate = self.certificate
-        lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
-        if certificate is not None:
-            kind = "" if certificate.bound is None else f" ({certificate.bound.kind})"
-            worst, normal = certificate.worst, "normal" if certificate.normal else "abnormal"
-            lines += [
-                f"cost      {certificate.cost:.12g}",
-                f"bound     {_number(certificate.lower_bound)}{kind}",
-                f"gap       {_number(certificate.gap, '.2e')}"
-                + (" (global optimum)" if certificate.globally_optimal else ""),
-                f"theorem   {certificate.pmp}, {normal}",
-                f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
-            ]
-        lines.append(f"method    {self.solver}")
-        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
-        return "\n".join([str(self.problem), *lines])
-
-    def plot(self) -> Figure:
-        """Return a figure of controls, spectra and states."""
-        from lin_freq_ocp.report.figures import result_figure
-
-        return result_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write trajectory and multipliers to an .npz file."""
-        from lin_freq_ocp.interchange.results import save_solution
-        from lin_freq_ocp.interchange.summary import result_summary
-
-        save_solution(path, self._require_trajectory(), self.multipliers, result_summary(self))
-
-    def to_csv(self, path: str | Path) -> None:
-        """Write the trajectory as a table, one row per time."""
-        from lin_freq_ocp.interchange.results import save_csv
-
-        save_csv(path, self.problem, self._require_trajectory())
-
-    def to_mat(self, path: str | Path) -> None:
-        """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
-        from lin_freq_ocp.interchange.mat_file import save_mat
-
-        save_mat(path, self.problem, self._require_trajectory())
-
-    def to_time_response(self) -> Any:
-        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
-        from lin_freq_ocp.interchange.time_response import to_time_response
-
-        return to_time_response(self.problem, self._require_trajectory())
-
-    def dump(self, path: str | Path) -> None:
-        """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
-        from lin_freq_ocp.interchange.run_file import dump_run
-
-        dump_run(path, self.problem, self.options, self)
-
-    def to_json(self, path: str | Path) -> None:
-        """Write the object that ``lin-freq-ocp solve --json`` prints."""
-        from lin_freq_ocp.interchange.summary import result_summary, save_json
-
-        save_json(path, result_summary(self))
-
-    def _require_trajectory(self) -> Trajectory:
-        if self.trajectory is None:
-            raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)
-        return self.trajectory
 
 
 def solve(
@@ -276,7 +119,8 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     trajectory : Trajectory or (T, m)
         A trajectory, or controls alone, which are then replayed from the initial state.
     multipliers : Multipliers, optional
-        Without, those that fit the trajectory best are looked for first.
+        Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
+        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for.
 
     Raises
     ------
@@ -286,7 +130,17 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, trajectory)
     problem.require(trajectory)
-    return judge(problem, trajectory, multipliers or fit_multipliers(problem, trajectory))
+    if multipliers is not None:
+        return judge(problem, trajectory, multipliers)
+    fit = fit_multipliers(problem, trajectory)
+    normal = judge(problem, trajectory, fit.multipliers)
+    if normal.pmp == "satisfied":
+        return normal
+    abnormal = abnormal_multipliers(problem, trajectory) if normal.feasible else None
+    certificate = normal if abnormal is None else judge(problem, trajectory, abnormal)
+    if certificate.pmp != "satisfied":
+        certificate = normal
+    return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
 
 
 def _spectral(
@@ -337,13 +191,18 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, b
     status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
-    if status == "infeasible":
-        proof = None if candidate.ray is None else prove_infeasible(problem, candidate.ray)
-        if proof is None:
-            status, words = "numerical_error", f"{words}, but its ray proves nothing"
-        else:
-            conflict, ray = proof.conflict, proof.multipliers
-            words = f"proven by a {proof.bound.kind} ray"
+    direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
+    if status == "unbounded" and direction is None:
+        words = f"{words}, without a verified direction"
+    claimed = candidate.ray if status == "infeasible" else _diverged(candidate)
+    proof = None if claimed is None else prove_infeasible(problem, claimed)
+    if proof is not None:
+        status, conflict, ray = "infeasible", proof.conflict, proof.multipliers
+        words = f"proven by a {proof.bound.kind} ray"
+        candidate = replace(candidate, trajectory=None, multipliers=None)
+        certificate = None
+    elif status == "infeasible":
+        status, words = "numerical_error", f"{words}, but its ray proves nothing"
     return Result(
         problem=problem,
         status=status,
@@ -357,6 +216,22 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, b
         ray=ray,
         message="" if status == "optimal" else words,
         interrupted=candidate.interrupted,
+        direction=direction,
+    )
+
+
+def _diverged(candidate: Candidate) -> Multipliers | None:
+    """Return the multipliers of a solve that failed, divided by their size: near infeasibility they grow into a ray."""
+    if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
+        return None
+    given = candidate.multipliers
+    parts = (given.eta, given.mu, given.nu, np.abs(given.rho_u), np.abs(given.rho_x), *given.stage.values())
+    size = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    if size < DIVERGED:
+        return None
+    stage = {name: part / size for name, part in given.stage.items()}
+    return Multipliers(
+        0.0, given.eta / size, given.mu / size, given.nu / size, given.rho_u / size, given.rho_x / size, stage
     )
 
 
@@ -391,7 +266,3 @@ def _complaint(result: Result) -> str:
 def _require_positive(name: str, value: float | None) -> None:
     if value is not None and not value > 0:
         raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
-
-
-def _number(value: float | None, form: str = ".12g") -> str:
-    return "none" if value is None else format(value, form)

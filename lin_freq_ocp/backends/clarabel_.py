@@ -54,7 +54,6 @@ def _settings(tolerance: float, time_limit: float | None) -> clarabel.DefaultSet
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
-    settings.tol_infeas_abs = settings.tol_infeas_rel = tolerance
     settings.max_threads = 1
     if time_limit is not None:
         settings.time_limit = time_limit

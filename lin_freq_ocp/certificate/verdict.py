@@ -8,6 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions
+from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -35,6 +36,8 @@ class Certificate:
         J of the trajectory.
     bound : Bound or None
         The global lower bound; None if the cost is not convex or eta_C is not 1.
+    descent : Direction or None
+        A verified direction of descent: no normal multipliers exist.
     """
 
     pmp: str
@@ -42,6 +45,7 @@ class Certificate:
     conditions: tuple[Condition, ...]
     cost: float
     bound: Bound | None
+    descent: Direction | None = None
 
     @property
     def lower_bound(self) -> float | None:

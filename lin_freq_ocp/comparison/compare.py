@@ -12,7 +12,8 @@ from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.measures import Measures, measure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import Result, solve
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import solve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

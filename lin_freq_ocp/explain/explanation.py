@@ -15,7 +15,8 @@ from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import Result, solve
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import solve
 
 DECIDED = {"optimal": True, "infeasible": False}
 """Whether a problem has a solution, by the words that say so."""

@@ -9,7 +9,7 @@ from typing import Any
 from lin_freq_ocp.interchange.environment import environment
 from lin_freq_ocp.interchange.run_file import SavedRun, described
 from lin_freq_ocp.interchange.summary import result_summary
-from lin_freq_ocp.solve import Result
+from lin_freq_ocp.result import Result
 
 SAME_COST = 1e-6
 """Costs that differ by less, relative to the larger of 1 and the cost, are the same answer."""

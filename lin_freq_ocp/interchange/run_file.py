@@ -24,7 +24,8 @@ from lin_freq_ocp.interchange.results import SavedSolution, load_solution, save_
 from lin_freq_ocp.interchange.summary import result_summary
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import Result, solve
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import solve
 
 SCHEMA = 1
 """Version of the layout; a file with another one is refused."""

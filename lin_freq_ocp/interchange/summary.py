@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solve import Result
+from lin_freq_ocp.result import Result
 
 SCHEMA = 1
 

@@ -28,6 +28,8 @@ class Candidate:
         Wall time of "setup" (what precedes iterations) and "solve".
     interrupted : bool
         Whether the limit was Ctrl-C.
+    descent : Trajectory or None
+        If unbounded: a claimed direction (dx, du) along which the cost falls for ever.
     """
 
     status: str
@@ -38,3 +40,4 @@ class Candidate:
     words: str
     seconds: dict[str, float] = field(default_factory=dict[str, float])
     interrupted: bool = False
+    descent: Trajectory | None = None

@@ -92,8 +92,10 @@ def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Pr
         ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
         return Candidate("infeasible", None, None, ray, None, solution.words)
     if claim is Claim.UNBOUNDED:
-        proven = z is not None and program.descent_ray_residual(z) <= UNBOUNDED_TOLERANCE
-        return Candidate("unbounded" if proven else "numerical_error", None, None, None, None, solution.words)
+        if z is None or program.descent_ray_residual(z) > UNBOUNDED_TOLERANCE:
+            return Candidate("numerical_error", None, None, None, None, solution.words)
+        along = transcription.direction(scaling.primal(z))
+        return Candidate("unbounded", None, None, None, None, solution.words, descent=along)
     if z is None or y is None:
         return Candidate("numerical_error", None, None, None, None, solution.words)
     if not program.P.nnz and not program.q.any():

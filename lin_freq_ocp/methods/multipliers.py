@@ -1,14 +1,18 @@
 """Multipliers for a trajectory that came without any: those that violate the maximum principle least.
 
-At a fixed point z of the program, with g = P z + q,
+At a fixed point z of the program, with g = P z + q and N the normal cone of the constraints that are active there,
 
-    minimise  1/2 |s|^2   subject to   s = g + A'y,   y_i >= 0 at an active upper bound, <= 0 at a lower one,
-                                       y_i = 0 where neither is active, free for equations.
+    minimise  1/2 |s|^2   subject to   s = g + A'y,   y in N:  y_i >= 0 at an active upper bound, <= 0 at a lower one,
+                                       0 where neither is active, free for equations; in a second-order cone a
+                                       multiple of its normal, or any point of the polar cone at the apex.
 
-s = 0 iff z is extremal. Nothing here judges: the judge sees only what comes out.
+s = 0 iff z is extremal with eta_C = 1; else -s is the steepest direction of descent that keeps the active constraints.
+Nothing here judges: the judge sees only what comes out.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,8 +28,34 @@ from lin_freq_ocp.transcription.program import Program
 ACTIVE = 1e-6
 """Distance to a bound, on a program scaled to order 1, at which it counts as active: other tools stop at about 1e-8."""
 
+NONTRIVIAL = 1e-6
+"""Abnormal multipliers whose largest entry is below this are zero: the linear program would make it 1."""
 
-def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers:
+DEPENDENT = 1e-10
+"""Singular values of the active gradients, each of norm 1, below this part of the largest one are zero."""
+
+MOST_GRADIENTS = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The best normal multipliers, and the direction that shows where they fail."""
+
+    multipliers: Multipliers
+    descent: Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class _NormalCone:
+    """All y = basis w with w in [lower, upper], and -w in the second-order cones at some entries."""
+
+    basis: sp.csc_array
+    lower: Array
+    upper: Array
+    apexes: tuple[slice, ...]
+
+
+def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Fit:
     """Return normal multipliers (eta_C = 1) that fit the trajectory best.
 
     Raises
@@ -35,27 +65,142 @@ def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> M
     """
     transcription, scaling, program = scaled_program(problem)
     z = transcription.point(trajectory) / scaling.columns
-    solution = backend("clarabel")(_fitting_program(program, z), DEFAULT_TOLERANCE, None)
+    cone = _normal_cone(program, z)
+    solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
     if solution.z is None:
         raise NumericalError(f"No multipliers could be fitted to the trajectory ({solution.words}); pass multipliers=.")
-    y = solution.z[: len(program.lower)]
-    return transcription.multipliers(scaling.dual(y), 1.0)
+    w, s = np.split(solution.z, [len(cone.lower)])
+    multipliers = transcription.multipliers(scaling.dual(cone.basis @ w), 1.0)
+    return Fit(multipliers, transcription.direction(scaling.primal(-s)))
 
 
-def _fitting_program(program: Program, z: Array) -> Program:
-    """Return the least-squares problem in (y, s), with rows s - A'y = g and the signs of y."""
-    rows, variables = program.A.shape
-    gradient = program.P @ z + program.q
-    Az = program.A @ z
-    lower = np.where(Az <= program.lower + ACTIVE, -np.inf, 0.0)
-    upper = np.where(Az >= program.upper - ACTIVE, np.inf, 0.0)
-    identity = sp.eye_array(variables)
-    return Program(
-        P=sp.csc_array(sp.block_diag([sp.csc_array((rows, rows)), identity])),
-        q=np.zeros(rows + variables),
+def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers | None:
+    """Return multipliers with eta_C = 0, of which some are not zero, or None if none were found.
+
+    They exist where the gradients of active constraints depend on each other with signs that fit: A'y = 0, y in N. The
+    linear program asks for those with the largest product with a fixed random vector, all entries within [-1, 1].
+    """
+    transcription, scaling, program = scaled_program(problem)
+    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns)
+    count, variables = len(cone.lower), program.A.shape[1]
+    signs = np.sign(cone.lower) + np.sign(cone.upper)
+    free = (cone.lower < 0) & (cone.upper > 0)
+    rng = np.random.default_rng(0)
+    towards = rng.uniform(0.5, 1.0, count) * np.where(free, rng.choice([-1.0, 1.0], count), signs)
+    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.apexes] or [np.zeros(0, dtype=int)])
+    identity = sp.eye_array(count, format="csr")
+    search = Program(
+        P=sp.csc_array((count, count)),
+        q=-towards,
         constant=0.0,
-        A=sp.csc_array(sp.block_array([[-program.A.T, identity], [sp.eye_array(rows), None]])),
-        lower=np.concatenate([gradient, lower]),
-        upper=np.concatenate([gradient, upper]),
+        A=sp.csc_array(sp.vstack([program.A.T @ cone.basis, identity, -identity[curved]])),
+        lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
+        upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
         rows={},
+        cones=_following(cone.apexes, variables + count),
     )
+    solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
+    if solution.z is None or np.abs(solution.z).max() < NONTRIVIAL:
+        return None
+    return transcription.multipliers(scaling.dual(cone.basis @ solution.z), 0.0)
+
+
+@dataclass(frozen=True)
+class Uniqueness:
+    """Whether the multipliers of a trajectory are the only ones.
+
+    Attributes
+    ----------
+    active : int
+        Gradients of equations and active constraints.
+    rank : int
+        How many of them are independent.
+    """
+
+    active: int
+    rank: int
+
+    @property
+    def unique(self) -> bool:
+        """Whether all are independent: then there is at most one set of normal multipliers, and no abnormal one."""
+        return self.rank == self.active
+
+    def __str__(self) -> str:
+        if self.unique:
+            return f"unique: the {self.active} active gradients are independent"
+        return f"perhaps some of many: of {self.active} active gradients {self.rank} are independent"
+
+
+def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Uniqueness:
+    """Return the number and rank of the active gradients at a trajectory.
+
+    Raises
+    ------
+    UnsupportedError
+        If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
+    """
+    transcription, scaling, program = scaled_program(problem)
+    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns)
+    active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
+    if len(active) > MOST_GRADIENTS:
+        what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
+        raise UnsupportedError(f"uniqueness: got {what}.")
+    gradients = (program.A.T @ cone.basis[:, active]).toarray()
+    norms = np.linalg.norm(gradients, axis=0)
+    values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
+    return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
+
+
+def _normal_cone(program: Program, z: Array) -> _NormalCone:
+    """Return the normal cone at z; rows that are violated count as active."""
+    slack = program.A @ z - program.lower
+    alone = np.flatnonzero(program.alone)
+    Az = (program.A @ z)[alone]
+    lower = np.where(Az <= program.lower[alone] + ACTIVE, -np.inf, 0.0)
+    upper = np.where(Az >= program.upper[alone] - ACTIVE, np.inf, 0.0)
+    columns = [sp.csc_array((np.ones(len(alone)), (alone, np.arange(len(alone)))), shape=(len(slack), len(alone)))]
+    apexes: list[slice] = []
+    for cone in program.cones:
+        s, rows, count = slack[cone], np.arange(cone.start, cone.stop), len(lower)
+        tail = float(np.linalg.norm(s[1:]))
+        if s[0] - tail > ACTIVE:
+            continue
+        if tail <= ACTIVE:
+            apexes.append(slice(count, count + len(s)))
+            block, limits = np.eye(len(s)), (np.full(len(s), -np.inf), np.full(len(s), np.inf))
+        else:
+            block, limits = np.append(-1.0, s[1:] / tail)[:, None], (np.zeros(1), np.full(1, np.inf))
+        row, column = np.nonzero(np.ones_like(block))
+        shape = len(slack), block.shape[1]
+        columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=shape))
+        lower, upper = np.append(lower, limits[0]), np.append(upper, limits[1])
+    return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(apexes))
+
+
+def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
+    """Return the least-squares problem in (w, s), with rows s - A'y = g and the conditions on w."""
+    variables, count = program.A.shape[1], len(cone.lower)
+    gradient = program.P @ z + program.q
+    bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
+    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.apexes] or [np.zeros(0, dtype=int)])
+    identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
+    first = variables + len(bounded)
+    return Program(
+        P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
+        q=np.zeros(count + variables),
+        constant=0.0,
+        A=sp.csc_array(
+            sp.block_array([[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[curved], None]])
+        ),
+        lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
+        upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
+        rows={},
+        cones=_following(cone.apexes, first),
+    )
+
+
+def _following(cones: tuple[slice, ...], first: int) -> tuple[slice, ...]:
+    """Return slices of the same sizes, one after the other."""
+    sizes = [cone.stop - cone.start for cone in cones]
+    starts = first + np.cumsum([0, *sizes])
+    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))

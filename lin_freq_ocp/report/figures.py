@@ -48,7 +48,7 @@ from lin_freq_ocp.report.style import (
     new_figure,
     thinned,
 )
-from lin_freq_ocp.solve import Result
+from lin_freq_ocp.result import Result
 
 LEGEND_HEIGHT = 0.5
 """Inches for the legend above the panels."""

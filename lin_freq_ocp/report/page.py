@@ -25,7 +25,7 @@ from lin_freq_ocp.report.facts import problem_facts
 from lin_freq_ocp.report.numbers import number, rough
 from lin_freq_ocp.report.style import THEMED
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
-from lin_freq_ocp.solve import Result
+from lin_freq_ocp.result import Result
 
 SVG_SETTINGS: dict[Any, str] = {"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}
 """Names of shapes that do not change from run to run, and text that looks the same on every machine."""

@@ -15,7 +15,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
 from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
 from lin_freq_ocp.report.scales import frequency_scale
-from lin_freq_ocp.solve import Result
+from lin_freq_ocp.result import Result
 
 NAMED = 2
 """How many components a sentence names before it only counts the others."""

@@ -76,6 +76,11 @@ class LinearTranscription:
         x_ref, u_ref = self._references
         return Trajectory(x_ref + x.reshape(x_ref.shape), u_ref + u.reshape(u_ref.shape))
 
+    def direction(self, z: Array) -> Trajectory:
+        """Return the change (dx, du) that is a change z of the point of the program."""
+        x, u = np.split(z[: self.signals], [self._states])
+        return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
+
     def point(self, trajectory: Trajectory) -> Array:
         """Return the point of the program that is this trajectory."""
         a, b = self.problem.quadratic.deviations(trajectory.x, trajectory.u)

@@ -1,0 +1,150 @@
+"""Proofs by a direction (dx, du): that a trajectory is no extremal, or that the cost has no lower bound.
+
+A direction that keeps every active constraint to first order and along which the cost falls leaves no room for normal
+multipliers: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so that g + v is not 0. A
+direction along which every constraint holds for ever and the cost falls for ever shows that the problem is unbounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.certificate.slopes import leaving, recession, slope_of_penalty
+from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.maps import TrajectoryMap
+from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+DIRECTION_TOLERANCE = 1e-6
+"""How far a direction may lead out of a constraint, relative to its own size; its slope must be below minus this."""
+
+TOUCHING = 1e-9
+"""A constraint is active where its slack is at most this, relative to its size: those who look for directions take
+more constraints as active, so that no step is too short to count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction that was checked.
+
+    Attributes
+    ----------
+    x : (T+1, n), u : (T, m)
+        The change of states and controls; the largest is 1 in the sizes of the data.
+    slope : float
+        Change of the cost per unit of the direction, below zero.
+    residual : float
+        How far it leads out of constraints, relative to its size.
+    """
+
+    x: Array
+    u: Array
+    slope: float
+    residual: float
+
+    @property
+    def steepest(self) -> int:
+        """Return the time at which it changes a control most."""
+        return int(np.argmax(np.abs(self.u).max(1)))
+
+
+def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory) -> Direction | None:
+    """Return the direction if, to first order, it keeps what holds at the trajectory and lowers the cost; else None.
+
+    Constraints that the trajectory violates count as active: the direction does not make them worse.
+    """
+    x, u = trajectory.x, trajectory.u
+    along, sizes = _normalised(problem, along)
+    residuals = _linear_residuals(problem, along)
+    slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
+    for signal, change, tube, size in zip((x, u), (along.x, along.u), _tubes(problem), sizes, strict=True):
+        near = TOUCHING * (size + np.abs(signal))
+        residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
+    for term in problem.terms:
+        values, change = term.map.values(x, u), _change(term.map, along)
+        size = float((term.map.sizes(x, u) + term.penalty.sizes() + np.abs(change)).max())
+        residuals.append(leaving(term, values, change, TOUCHING * size) / max(float(np.abs(change).max()), size))
+        slopes.append(slope_of_penalty(term, values, change, TOUCHING * size))
+        scales.append(abs(slopes[-1]))
+    return _proven(along, residuals, slopes, scales)
+
+
+def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
+    """Return the direction if every constraint holds along it for ever while the cost falls for ever; else None."""
+    along, sizes = _normalised(problem, along)
+    residuals = _linear_residuals(problem, along)
+    at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
+    slopes, scales = _quadratic_slope(problem, along, at_rest)
+    curvature = _curvature(problem, along)
+    residuals.append(curvature / max(curvature, *scales) if curvature > 0 else 0.0)
+    for change, tube, size in zip((along.x, along.u), _tubes(problem), sizes, strict=True):
+        residuals.append(_box_residual(change / size, np.isfinite(tube.upper), np.isfinite(tube.lower)))
+    for term in problem.terms:
+        change = _change(term.map, along)
+        left, price = recession(term, change)
+        residuals.append(left / max(float(term.map.sizes(along.x, along.u).max()), left) if left > 0 else 0.0)
+        slopes.append(price)
+        scales.append(price)
+    return _proven(along, residuals, slopes, scales)
+
+
+def _proven(along: Trajectory, residuals: list[float], slopes: list[float], scales: list[float]) -> Direction | None:
+    slope, residual = sum(slopes), max(residuals)
+    if residual > DIRECTION_TOLERANCE or not slope < -DIRECTION_TOLERANCE * max(sum(scales), 0.0) or slope == 0:
+        return None
+    return Direction(along.x, along.u, slope, residual)
+
+
+def _normalised(problem: OptimalControlProblem, along: Trajectory) -> tuple[Trajectory, tuple[Array, Array]]:
+    """Return the direction with a largest entry of 1 in the sizes of the data, and these sizes."""
+    problem.require(along)
+    x, u = stated_sizes(problem)
+    largest = max(float(np.abs(along.x / x).max()), float(np.abs(along.u / u).max()))
+    return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along, (x, u)
+
+
+def _linear_residuals(problem: OptimalControlProblem, along: Trajectory) -> list[float]:
+    """Return how far it leaves the dynamics and the stop bands."""
+    dynamics = problem.dynamics
+    moved = dynamics.successors(along.x, along.u) - dynamics.offset
+    terms = np.abs(along.x[1:]) + dynamics.magnitudes().successors(np.abs(along.x), np.abs(along.u))
+    terms = (terms - np.abs(dynamics.offset)).max(0)
+    residuals = [float((np.abs(along.x[1:] - moved).max(0) / np.where(terms > 0, terms, 1.0)).max())]
+    for signal, stop in ((along.x, problem.state_stop), (along.u, problem.control_stop)):
+        norm = np.linalg.norm(signal, axis=0)
+        magnitude = np.where(stop, np.abs(np.fft.rfft(signal, axis=0)), 0.0).max(0)
+        residuals.append(float((magnitude / np.where(norm > 0, norm, 1.0)).max()))
+    return residuals
+
+
+def _quadratic_slope(
+    problem: OptimalControlProblem, along: Trajectory, gradient: tuple[Array, Array]
+) -> tuple[list[float], list[float]]:
+    products = [part * change for part, change in zip(gradient, (along.x, along.u), strict=True)]
+    return [float(part.sum()) for part in products], [float(np.abs(part).sum()) for part in products]
+
+
+def _curvature(problem: OptimalControlProblem, along: Trajectory) -> float:
+    """Return d'H d for the Hessian of the quadratic cost."""
+    zero = np.zeros_like(along.x), np.zeros_like(along.u)
+    at_rest, there = problem.quadratic.gradient(*zero), problem.quadratic.gradient(along.x, along.u)
+    changes = zip(at_rest, there, (along.x, along.u), strict=True)
+    return float(sum(((after - before) * change).sum() for before, after, change in changes))
+
+
+def _box_residual(change: Array, above: Mask, below: Mask) -> float:
+    """Return by how much a change leads out of the bounds that are looked at."""
+    return max(float(np.where(above, change, 0.0).max()), float(np.where(below, -change, 0.0).max()), 0.0)
+
+
+def _tubes(problem: OptimalControlProblem) -> tuple[Box, Box]:
+    return problem.state_tube, problem.control_tube
+
+
+def _change(one: TrajectoryMap, along: Trajectory) -> Array:
+    """Return the linear part of a map, of the direction."""
+    return one.values(along.x, along.u) - one.values(np.zeros_like(along.x), np.zeros_like(along.u))

@@ -1,0 +1,190 @@
+"""What a solve ends with: why it stopped, the best point, and everything that is proven of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from lin_freq_ocp.certificate.conflict import Conflict
+from lin_freq_ocp.certificate.directions import Direction
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+    from lin_freq_ocp.explain import Explanation
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a solve ended with; everything that does not exist is None.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+    status : str
+        "optimal", "infeasible", "unbounded", "limit" or "numerical_error": why it stopped.
+    method : str
+        What was used.
+    backend : str or None
+        The solver of the method "convex"; others need none.
+    seconds : dict
+        Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
+    trajectory, multipliers, certificate : or None
+        The best point found, whatever the status, and what is proven of it.
+    conflict : tuple of Conflict or None
+        If infeasible: the blocks of constraints that the proof rests on.
+    ray : Multipliers or None
+        If infeasible: the verified multipliers with eta_C = 0.
+    message : str
+        In words, how it ended.
+    interrupted : bool
+        Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
+    direction : Direction or None
+        If unbounded: the verified direction along which every constraint holds and the cost falls for ever.
+    explanation : Explanation or None
+        If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
+    options : dict
+        What solve was given: "method", "backend", "time_limit" and "tolerance".
+    """
+
+    problem: OptimalControlProblem
+    status: str
+    method: str
+    backend: str | None
+    seconds: dict[str, float]
+    trajectory: Trajectory | None = None
+    multipliers: Multipliers | None = None
+    certificate: Certificate | None = None
+    conflict: tuple[Conflict, ...] | None = None
+    ray: Multipliers | None = field(default=None, repr=False)
+    message: str = ""
+    interrupted: bool = False
+    explanation: Explanation | None = None
+    direction: Direction | None = None
+    options: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
+
+    @property
+    def primal(self) -> bool:
+        """Whether there is a point that satisfies every constraint, within the judge's tolerance."""
+        return self.certificate is not None and self.certificate.feasible
+
+    @property
+    def dual(self) -> bool:
+        """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
+        return self.ray is not None or self.direction is not None or self.lower_bound is not None
+
+    @property
+    def cost(self) -> float | None:
+        """Return J of the trajectory."""
+        return None if self.certificate is None else self.certificate.cost
+
+    @property
+    def lower_bound(self) -> float | None:
+        """Return the judge's bound on the optimal cost."""
+        return None if self.certificate is None else self.certificate.lower_bound
+
+    @property
+    def gap(self) -> float | None:
+        """Return (cost - lower_bound) / max(1, |cost|)."""
+        return None if self.certificate is None else self.certificate.gap
+
+    @property
+    def solver(self) -> str:
+        """Return the method, with its backend if it has one."""
+        return self.method if self.backend is None else f"{self.method}, {self.backend}"
+
+    @property
+    def control(self) -> Array | None:
+        """Return u, shape (T, m)."""
+        return None if self.trajectory is None else self.trajectory.u
+
+    @property
+    def sensitivities(self) -> Sensitivities:
+        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
+        if self.status != "optimal" or self.multipliers is None:
+            raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
+        return sensitivities(self.problem, self.multipliers)
+
+    @property
+    def uniqueness(self) -> Uniqueness:
+        """Return whether the multipliers are the only ones; SolveError if the solve ended without a trajectory."""
+        return uniqueness(self.problem, self._require_trajectory())
+
+    def __str__(self) -> str:
+        certificate = self.certificate
+        lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
+        if certificate is not None:
+            kind = "" if certificate.bound is None else f" ({certificate.bound.kind})"
+            worst, normal = certificate.worst, "normal" if certificate.normal else "abnormal"
+            lines += [
+                f"cost      {certificate.cost:.12g}",
+                f"bound     {_number(certificate.lower_bound)}{kind}",
+                f"gap       {_number(certificate.gap, '.2e')}"
+                + (" (global optimum)" if certificate.globally_optimal else ""),
+                f"theorem   {certificate.pmp}, {normal}",
+                f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
+            ]
+        lines.append(f"method    {self.solver}")
+        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
+        return "\n".join([str(self.problem), *lines])
+
+    def plot(self) -> Figure:
+        """Return a figure of controls, spectra and states."""
+        from lin_freq_ocp.report.figures import result_figure
+
+        return result_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write trajectory and multipliers to an .npz file."""
+        from lin_freq_ocp.interchange.results import save_solution
+        from lin_freq_ocp.interchange.summary import result_summary
+
+        save_solution(path, self._require_trajectory(), self.multipliers, result_summary(self))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the trajectory as a table, one row per time."""
+        from lin_freq_ocp.interchange.results import save_csv
+
+        save_csv(path, self.problem, self._require_trajectory())
+
+    def to_mat(self, path: str | Path) -> None:
+        """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
+        from lin_freq_ocp.interchange.mat_file import save_mat
+
+        save_mat(path, self.problem, self._require_trajectory())
+
+    def to_time_response(self) -> Any:
+        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
+        from lin_freq_ocp.interchange.time_response import to_time_response
+
+        return to_time_response(self.problem, self._require_trajectory())
+
+    def dump(self, path: str | Path) -> None:
+        """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
+        from lin_freq_ocp.interchange.run_file import dump_run
+
+        dump_run(path, self.problem, self.options, self)
+
+    def to_json(self, path: str | Path) -> None:
+        """Write the object that ``lin-freq-ocp solve --json`` prints."""
+        from lin_freq_ocp.interchange.summary import result_summary, save_json
+
+        save_json(path, result_summary(self))
+
+    def _require_trajectory(self) -> Trajectory:
+        if self.trajectory is None:
+            raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)
+        return self.trajectory
+
+
+def _number(value: float | None, form: str = ".12g") -> str:
+    return "none" if value is None else format(value, form)
