@@ -8,11 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.interchange.cvxpy_terms import constraints_of, costs_of, stage_products
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
-from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.transcription.real_rows import real_rows
 
 if TYPE_CHECKING:
@@ -25,8 +25,14 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     Variables (``var_dict``): "x" of shape (T+1, n), "u" of shape (T, m). Constraints carry labels: "dynamics", whose
     dual value is the adjoint eta (T, n); "initial state", "terminal state", "state set", "control set" where a
     component is fixed, and the same with " lower" and " upper" for bounds (only the finite ones, in the order of
-    time, then component); "control spectrum", "state spectrum": orthonormal real rows per component. Joint rows carry
-    their own name ("stage rows" by default): only those with a finite limit, in the order of time, then row.
+    time, then component); "control spectrum", "state spectrum": orthonormal real rows per component.
+
+    Whatever else must hold carries the name under which its multipliers stand in ``result.multipliers.stage``: joint
+    rows ("stage rows" by default), "control set" and the like beyond boxes (components that such a set also fixes are
+    then "control set fixed"), "mask on ...", "energy bound on ...". Rows and equations have the multipliers as their
+    dual value, only finite limits, in the order of time or bin, then row. Euclidean norms and cones are ``cvxpy.SOC``,
+    one cone per time or bin, whose dual values are a number sigma >= |z| and a vector z of each: the multiplier is -z
+    of a norm, and (-sigma, -z) of a cone. Soft constraints and nonsmooth costs are in the objective.
 
     Parameters
     ----------
@@ -44,15 +50,17 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
     states = stacked("state_set", problem.state_set, n, T + 1)
+    terms = constraints_of(problem, x, u)
+    taken = {constraint.label for constraint in terms}
     return cp.Problem(
-        cp.Minimize(_cost(problem.quadratic, x, u)),
+        cp.Minimize(sum(costs_of(problem, x, u), _cost(problem.quadratic, x, u))),
         [
             _dynamics(problem, x, u),
-            *_within(problem.initial_box, x[0], "initial state"),
-            *_within(problem.terminal_box, x[T], "terminal state"),
-            *_within(_free_of_ends(states, problem), x, "state set"),
-            *_within(problem.control_tube, u, "control set"),
-            *(constraint for rows in problem.stage_rows for constraint in _joint(rows, x, u)),
+            *_within(problem.initial_box, x[0], "initial state", taken),
+            *_within(problem.terminal_box, x[T], "terminal state", taken),
+            *_within(_free_of_ends(states, problem), x, "state set", taken),
+            *_within(problem.control_tube, u, "control set", taken),
+            *terms,
             *_spectrum(problem.control_stop, u, "control spectrum"),
             *_spectrum(problem.state_stop, x, "state spectrum"),
         ],
@@ -100,17 +108,7 @@ def _dynamics(problem: OptimalControlProblem, x: Any, u: Any) -> Any:
     """Return x_{t+1} - A_t x_t - B_t u_t = d_t: in this form its dual is eta, without a change of sign."""
     dynamics = problem.dynamics
     offset = np.broadcast_to(dynamics.offset, (problem.horizon, problem.state_dim))
-    return (x[1:] - _times(dynamics.A, x[:-1]) - _times(dynamics.B, u) == offset).set_label("dynamics")
-
-
-def _times(matrix: Array, vectors: Any) -> Any:
-    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
-    import cvxpy as cp
-
-    if matrix.ndim == 2:
-        return vectors @ matrix.T
-    products = sp.block_diag(matrix, format="csr") @ cp.vec(vectors, order="C")
-    return cp.reshape(products, matrix.shape[:2], order="C")
+    return (x[1:] - stage_products(dynamics.A, x[:-1]) - stage_products(dynamics.B, u) == offset).set_label("dynamics")
 
 
 def _free_of_ends(states: Box, problem: OptimalControlProblem) -> Box:
@@ -121,23 +119,15 @@ def _free_of_ends(states: Box, problem: OptimalControlProblem) -> Box:
     return Box(lower, upper)
 
 
-def _within(box: Box, signal: Any, label: str) -> list[Any]:
+def _within(box: Box, signal: Any, label: str, taken: set[str]) -> list[Any]:
     """Return signal = value where the box leaves no freedom, and its finite bounds elsewhere."""
     lower, upper, free = box.lower, box.upper, ~box.fixed
     parts = (
-        (box.fixed, lambda here: signal[here] == lower[here], label),
+        (box.fixed, lambda here: signal[here] == lower[here], f"{label} fixed" if label in taken else label),
         (free & np.isfinite(lower), lambda here: signal[here] >= lower[here], f"{label} lower"),
         (free & np.isfinite(upper), lambda here: signal[here] <= upper[here], f"{label} upper"),
     )
     return [constraint(here).set_label(name) for here, constraint, name in parts if here.any()]
-
-
-def _joint(rows: StageRows, x: Any, u: Any) -> list[Any]:
-    """Return C x_t + D u_t <= e_t where there is a limit: its dual is the multiplier, without a change of sign."""
-    bounded = rows.bounded(u.shape[0])
-    values = _times(rows.C, x[:-1]) + _times(rows.D, u)
-    limits = np.broadcast_to(rows.e, bounded.shape)
-    return [(values[bounded] <= limits[bounded]).set_label(rows.name)] if bounded.any() else []
 
 
 def _spectrum(stopped: Mask, signal: Any, label: str) -> list[Any]:

@@ -279,6 +279,7 @@ class Intersection(ConvexSet):
         if len(known) > 1:
             raise ProblemError("Intersection", f"sets in {sorted(known)} dimensions", "the same dimension for all")
         assign(self, sets=tuple(sets))
+        _ = self.box  # which must not be empty
 
     @property
     def dimension(self) -> int | None:
@@ -289,10 +290,15 @@ class Intersection(ConvexSet):
     def box(self) -> Box:
         """Return the bounds of all sets together."""
         boxes = [one if isinstance(one, Box) else one.box for one in self.sets]
-        common = boxes[0]
-        for box in boxes[1:]:
-            common = Box(np.maximum(common.lower, box.lower), np.minimum(common.upper, box.upper))
-        return common
+        try:
+            lower = np.max(np.broadcast_arrays(*(box.lower for box in boxes)), axis=0)
+            upper = np.min(np.broadcast_arrays(*(box.upper for box in boxes)), axis=0)
+        except ValueError:
+            raise ProblemError("Intersection", "boxes for different numbers of times", "the same for all") from None
+        if (lower > upper).any():
+            got = f"bounds >= {lower[lower > upper][0]:g} and <= {upper[lower > upper][0]:g} on one component"
+            raise ProblemError("Intersection", got, "sets with a point in common")
+        return Box(lower, upper)
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return the parts of all sets."""

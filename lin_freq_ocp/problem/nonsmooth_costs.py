@@ -115,6 +115,8 @@ class CostSum:
     norms: tuple[_NormCost, ...]
 
     def __init__(self, costs: list[Any]):
+        if not isinstance(costs, (list, tuple)):
+            raise ProblemError("cost", brief(costs), "a list of costs")
         quadratic: list[QuadraticCost] = []
         norms: list[_NormCost] = []
         for cost in costs:

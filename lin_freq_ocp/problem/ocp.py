@@ -101,7 +101,7 @@ class OptimalControlProblem:
 
         Parameters
         ----------
-        initial_state, terminal_state : (n,) or Box, optional
+        initial_state, terminal_state : (n,) or set, optional
             None keeps what the problem has; a free end is Everything().
 
         Raises
@@ -120,8 +120,8 @@ class OptimalControlProblem:
                 )
         problem.__dict__["ends"] = tuple(ends)
         problem.__dict__.pop("state_tube", None)
-        if self.terms:
-            problem.__dict__.pop("terms")
+        if self.terms or not (isinstance(problem.initial_state, Box) and isinstance(problem.terminal_state, Box)):
+            problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem
 
@@ -162,8 +162,8 @@ class OptimalControlProblem:
         beyond = [
             *row_terms(self.stage_rows, T),
             *set_terms("state_set", self.state_set, n, np.arange(T + 1), self._fixed_ends),
-            *set_terms("initial_state", self.initial_state, n, np.array([0]), {}),
-            *set_terms("terminal_state", self.terminal_state, n, np.array([T]), {}),
+            *set_terms("initial_state", self.initial_state, n, np.array([0]), self._fixed_ends),
+            *set_terms("terminal_state", self.terminal_state, n, np.array([T]), self._fixed_ends),
             *set_terms("control_set", self.control_set, m, np.arange(T), {}),
             *spectrum_terms(
                 "state_spectrum", self.state_spectrum, T + 1, self.state_names, self.sampling_time, of_state=True

@@ -12,7 +12,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, real_array
 from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
-from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty
+from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -55,7 +55,7 @@ class OutputSpectrum:
             for name, value in (("C", C), ("D", D))
         ]
         given = [matrix for matrix in matrices if matrix is not None]
-        if not given or any(matrix.ndim != 2 or len(matrix) != len(given[0]) for matrix in given):
+        if not given or any(matrix.ndim != 2 or 0 in matrix.shape or len(matrix) != len(given[0]) for matrix in given):
             shapes = ", ".join(str(matrix.shape) for matrix in given) or "neither C nor D"
             raise ProblemError("output_spectrum", shapes, "a matrix C or D, or both, with one row per output")
         listed = tuple(constraints) if isinstance(constraints, (list, tuple)) else (constraints,)
@@ -83,28 +83,30 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
     given : set, sequence of sets (one per time), or None
     times : times that the set or sets hold at
     fixed : mapping from time to value
-        Where the signal is fixed: there the set is only looked at, not made a constraint.
+        Where the signal is fixed: there a hard set is only looked at, not made a constraint.
 
     Raises
     ------
     ProblemError
         If a dimension does not fit, or a fixed value lies outside its set.
     """
-    listed = list(given) if isinstance(given, (list, tuple)) else [given] * len(times)
+    listed = given if isinstance(given, (list, tuple)) else [given] * len(times)
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
     parts_of: dict[int, tuple[Part, ...]] = {}
-    for one, t in zip(listed, times, strict=True):
+    for place, (one, t) in enumerate(zip(listed, times, strict=True)):
         if not isinstance(one, ConvexSet):
             continue
         own = dimension_of(one)
         if own not in (None, dimension):
-            raise ProblemError(kind, f"a set in {own} dimensions", f"a set in {dimension}")
-        if t in fixed:
-            _require_inside(kind, one, int(t), fixed[t])
-            continue
+            field = f"{kind}[{place}]" if listed is given else kind
+            raise ProblemError(field, f"a set in {own} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
             parts_of[id(one)] = one.parts(dimension)
+        if t in fixed:
+            _require_inside(kind, parts_of[id(one)], int(t), fixed[t])
         for i, part in enumerate(parts_of[id(one)]):
+            if t in fixed and hard(part.penalty.weight):
+                continue
             parts.setdefault((i, *_signature(part)), []).append((int(t), part))
     of_state = kind != "control_set"
     kind_of_term = "control set" if kind == "control_set" else "state set"
@@ -166,6 +168,8 @@ def output_terms(
             row = None if given.C is None else given.C[j], None if given.D is None else given.D[j]
             if isinstance(one, Band):
                 bins = np.flatnonzero(one.stopped(length, sampling_time, where))
+                if not len(bins):  # of which a warning has told
+                    continue
                 stopped = SpectrumMap(*row, np.ones(length), length, bins, together=True)
                 zero = Norm(2, np.zeros(()), np.asarray(np.inf))
                 yield Term(f"stop band on {given.output_names[j]}", kind, stopped, zero, source)
@@ -203,8 +207,8 @@ def _bounded(
     return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight), source)
 
 
-def _require_inside(kind: str, one: ConvexSet, t: int, value: Array) -> None:
-    excess = float(one.violation_of_parts(value))
+def _require_inside(kind: str, parts: Sequence[Part], t: int, value: Array) -> None:
+    excess = max((float(part.penalty.violation((part.F @ value + part.c)[None]).max()) for part in parts), default=0.0)
     if excess > INSIDE * max(1.0, float(np.abs(value).max())):
         raise ProblemError(
             kind, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"

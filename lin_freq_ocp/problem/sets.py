@@ -152,10 +152,12 @@ def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
     if given is None:
         given = Everything()
     if isinstance(given, Sequence) and not isinstance(given, str):
-        if len(given) != times or not all(isinstance(box_of(one), Box) for one in given):
-            raise ProblemError(
-                field, f"a sequence of {len(given)}", f"one set, or a sequence of {times} sets, one per time"
-            )
+        expected = f"one set, or a sequence of {times} sets, one per time"
+        if len(given) != times:
+            raise ProblemError(field, f"a sequence of {len(given)}", expected)
+        for t, one in enumerate(given):
+            if not isinstance(box_of(one), Box):
+                raise ProblemError(field, f"{brief(one)} at place {t}", expected)
         boxes = [box_of(one).at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
         return Box(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
     bounds = box_of(given)
@@ -171,19 +173,21 @@ def end_set(field: str, given: Any, dimension: int) -> Any:
     """Return the set of an end of the horizon, from a point, a set, or None."""
     if given is None:
         given = Everything()
-    if not isinstance(given, Box) and isinstance(box_of(given), Box):
-        return given
-    if not isinstance(given, Box):
-        point = real_array(field, given)
+    expected = f"numbers, one for each of the {dimension} states, a set, or None"
+    if not isinstance(box_of(given), Box):
+        try:
+            point = real_array(field, given)
+        except ProblemError as error:
+            if error.field == field:  # and not one of its entries
+                error = ProblemError(field, error.got, expected)
+            raise error from None
         if point.shape != (dimension,):
-            raise ProblemError(
-                field, f"shape {point.shape}", f"one number for each of the {dimension} states, a set, or None"
-            )
+            raise ProblemError(field, f"shape {point.shape}", expected)
         given = Point(point)
-    box = given.at_dimension(dimension, field)
+    box = box_of(given).at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
-    return box
+    return box if isinstance(given, Box) else given
 
 
 def box_of(given: Any) -> Any:

@@ -205,9 +205,10 @@ def stopped_bins(
         if isinstance(band, others):
             continue
         if not isinstance(band, Band):
-            raise ProblemError(
-                where, brief(band), "a band", "Make one with low_pass, high_pass, band_pass, notch or stop_band."
-            )
+            expected = ", ".join(["a band", *(other.__name__ for other in others[:-1])])
+            expected += "".join(f" or {other.__name__}" for other in others[-1:])
+            advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
+            raise ProblemError(where, brief(band), expected, advice)
         columns = component_indices(where, band.component, component_names)
         alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
         stopped[:, columns] |= alone[:, None]

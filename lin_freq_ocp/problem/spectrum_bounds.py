@@ -47,7 +47,8 @@ class _SpectrumBound:
             raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
         where = stop_band(bins=bins) if band is None else band  # type: ignore[arg-type]  # one of them is there
         if component is not None and where.component is not None:
-            raise ProblemError(f"{kind}.component", "two", "one", "The band has a component of its own.")
+            got = f"{component!r}, and {where.component!r} from the band"
+            raise ProblemError(f"{kind}.component", got, "one component")
         if isinstance(window, str):
             _named_window(kind, window, 8)
         elif window is not None:
@@ -165,6 +166,15 @@ class MagnitudeBound(_SpectrumBound):
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
 
+    def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
+        """Return where on the grid it holds: indices within 0 .. points/2, in the order of the limits."""
+        found = super().bins(length, sampling_time, field)
+        listed = [int(k) for k in self.band.edges] if self.band.unit == "bins" and self.limit.ndim else []
+        if listed and (listed != sorted(set(listed)) or not 0 <= listed[0] <= listed[-1] <= length // 2):
+            got = f"{brief(listed)}, with a limit for each"
+            raise ProblemError(f"{field}.bins", got, f"increasing bins within 0 .. {length // 2}")
+        return found
+
     def limits(self, count: int, field: str) -> Array:
         """Return one limit for each of ``count`` bins."""
         if self.limit.shape not in ((), (count,)):
@@ -244,6 +254,11 @@ class LinearConstraint:
         if right.shape != (rows,):
             raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
         soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
+        impossible = ~matrices.any(axis=(0, 2)) & (right != 0)
+        if impossible.any() and soft is None:
+            row = int(np.argmax(impossible))
+            got = f"{right[row]:g} for row {row}, which has no coefficients"
+            raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
         assign(self, coefficients=matrices, constant=right, penalty=soft)
 
     @property
@@ -260,16 +275,20 @@ def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
         raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
     if limit_db is None:
         bound = real_array(field, limit, allow_infinite=True)
-    else:
-        level = positive_number("MagnitudeBound.reference", reference)
-        bound = level * 10 ** (real_array("MagnitudeBound.limit_db", limit_db) / 20)
-    if bound.ndim > 1 or (bound < 0).any():
-        raise ProblemError(field, brief(limit), "one number, zero or above, or one for each bin")
-    return bound
+        if bound.ndim > 1 or (bound < 0).any():
+            raise ProblemError(field, brief(limit), "one number, zero or above, or one for each bin")
+        return bound
+    level, decibels = positive_number("MagnitudeBound.reference", reference), real_array(f"{field}_db", limit_db)
+    if decibels.ndim > 1:
+        raise ProblemError(f"{field}_db", brief(limit_db), "one number, or one for each bin")
+    with np.errstate(over="ignore"):  # inf: no limit
+        return level * 10 ** (decibels / 20)
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
     try:
         return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
     except ValueError:
-        raise ProblemError(f"{field}.window", repr(name), "a window of scipy.signal, such as 'hann'") from None
+        raise ProblemError(
+            f"{field}.window", repr(name), "a window of scipy.signal, such as 'hann', or numbers"
+        ) from None

@@ -1,0 +1,189 @@
+"""Maps of a trajectory against plain sums and their adjoints; what the terms of a problem cost, by plain formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap, TrajectoryMap
+
+N, M = 3, 2
+DIM = 4
+SEEDS = st.integers(0, 2**32 - 1)
+quick = settings(max_examples=60, deadline=None, derandomize=True)
+
+
+def signals(rng: np.random.Generator, T: int) -> tuple[np.ndarray, np.ndarray]:
+    return rng.standard_normal((T + 1, N)), rng.standard_normal((T, M))
+
+
+def some(rng: np.random.Generator, *arrays: np.ndarray) -> list[np.ndarray | None]:
+    """Return the arrays, of two perhaps without one of them."""
+    left_out = int(rng.integers(3))
+    return [None if i == left_out else array for i, array in enumerate(arrays)]
+
+
+def stage_map(rng: np.random.Generator, T: int) -> StageMap:
+    per_time = rng.random() < 0.5
+    C, D = some(rng, rng.standard_normal((DIM, N)), rng.standard_normal((DIM, M)))
+    times = np.sort(rng.choice(T + (D is None), size=int(rng.integers(1, T + 1)), replace=False))
+    if per_time:
+        C, D = (None if part is None else part * rng.standard_normal((len(times), 1, 1)) for part in (C, D))
+    return StageMap(times, C, D, rng.standard_normal((len(times), DIM) if per_time else DIM))
+
+
+def spectrum_map(rng: np.random.Generator, T: int, together: bool = False) -> SpectrumMap:
+    C, D = some(rng, rng.standard_normal(N), rng.standard_normal(M))
+    samples = T + (D is None)
+    points = samples * int(rng.choice([1, 2, 5]))
+    bins = np.sort(rng.choice(points // 2 + 1, size=int(rng.integers(1, points // 2 + 2)), replace=False))
+    window = rng.standard_normal(samples) if rng.random() < 0.5 else np.ones(samples)
+    return SpectrumMap(C, D, window, points, bins, together)
+
+
+def together(rng: np.random.Generator, T: int) -> SpectrumMap:
+    return spectrum_map(rng, T, together=True)
+
+
+def sum_map(rng: np.random.Generator, T: int) -> SumMap:
+    Phi, Psi = some(rng, rng.standard_normal((T + 1, DIM, N)), rng.standard_normal((T, DIM, M)))
+    return SumMap(Phi, Psi, rng.standard_normal(DIM))
+
+
+MAPS = (stage_map, spectrum_map, together, sum_map)
+
+
+def plain_values(one: TrajectoryMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the values by the definition, one sum after the other."""
+    if isinstance(one, SumMap):
+        v = one.constant.copy()
+        for matrices, signal in ((one.Phi, x), (one.Psi, u)):
+            for t in range(len(signal) if matrices is not None else 0):
+                v += matrices[t] @ signal[t]
+        return v[None]
+    if isinstance(one, StageMap):
+        v = np.array(np.broadcast_to(one.constant, one.shape))
+        for matrix, signal in ((one.C, x), (one.D, u)):
+            for g, t in enumerate(one.times if matrix is not None else ()):
+                v[g] += (matrix if matrix.ndim == 2 else matrix[g]) @ signal[t]
+        return v
+    y = np.zeros(len(one.window))
+    for row, signal in ((one.C, x), (one.D, u)):
+        y += 0 if row is None else signal[: len(y)] @ row
+    waves = np.exp(-2j * np.pi * np.outer(one.bins, np.arange(len(y))) / one.points)
+    spectrum = waves @ (one.window * y)
+    if not one.together:
+        return np.column_stack([spectrum.real, spectrum.imag])
+    real_only = (one.bins == 0) | (2 * one.bins == one.points)
+    pairs = [
+        [value.real] if real else [value.real, value.imag] for value, real in zip(spectrum, real_only, strict=True)
+    ]
+    return np.concatenate(pairs)[None]
+
+
+@pytest.mark.parametrize("make", MAPS)
+@given(seed=SEEDS, T=st.integers(1, 12))
+@quick
+def test_values_are_those_of_the_definition(make, seed, T):
+    rng = np.random.default_rng(seed)
+    one, (x, u) = make(rng, T), signals(rng, T)
+    v = one.values(x, u)
+    assert v.shape == one.shape
+    np.testing.assert_allclose(v, plain_values(one, x, u), atol=1e-11)
+
+
+@pytest.mark.parametrize("make", MAPS)
+@given(seed=SEEDS, T=st.integers(1, 12))
+@quick
+def test_pull_back_is_the_adjoint_of_values(make, seed, T):
+    rng = np.random.default_rng(seed)
+    one, (x, u) = make(rng, T), signals(rng, T)
+    multipliers = rng.standard_normal(one.shape)
+    of_x, of_u = one.pull_back(multipliers, (x.shape, u.shape))
+    assert (of_x.shape, of_u.shape) == (x.shape, u.shape)
+    change = one.values(x, u) - one.values(np.zeros_like(x), np.zeros_like(u))
+    assert (multipliers * change).sum() == pytest.approx((of_x * x).sum() + (of_u * u).sum(), abs=1e-10)
+
+
+@pytest.mark.parametrize("make", MAPS)
+@given(seed=SEEDS, T=st.integers(1, 12))
+@quick
+def test_sizes_bound_the_absolute_values(make, seed, T):
+    rng = np.random.default_rng(seed)
+    one, (x, u) = make(rng, T), signals(rng, T)
+    if isinstance(one, SpectrumMap):  # the norm of the signal, which every bin has on average
+        bound = one.sizes(x, u) * np.sqrt(len(one.window))
+    else:
+        bound = one.sizes(x, u)
+    assert (np.abs(one.values(x, u)) <= bound * (1 + 1e-12)).all()
+    multipliers = rng.standard_normal(one.shape)
+    shapes = x.shape, u.shape
+    for pulled, size in zip(one.pull_back(multipliers, shapes), one.pulled_sizes(multipliers, shapes), strict=True):
+        assert (np.abs(pulled) <= size * (1 + 1e-12) + 1e-12).all()
+
+
+@pytest.mark.parametrize("make", MAPS)
+def test_extended_precision_stays(make):
+    rng = np.random.default_rng(0)
+    one = make(rng, 9)
+    x, u = (signal.astype(np.longdouble) for signal in signals(rng, 9))
+    assert one.values(x, u).dtype == np.longdouble
+    pulled = one.pull_back(np.ones(one.shape, dtype=np.longdouble), (x.shape, u.shape))
+    assert all(part.dtype == np.longdouble for part in pulled)
+
+
+# --- the terms of a problem -----------------------------------------------------------------------------------------
+
+
+def value(T: int = 8, **fields) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return a random trajectory of a problem without quadratic cost, and J."""
+    rng = np.random.default_rng(3)
+    dynamics = lfo.LinearDynamics(np.eye(N), rng.standard_normal((N, M)))
+    problem = lfo.OptimalControlProblem(dynamics, T, **({"cost": lfo.QuadraticCost()} | fields))
+    x, u = signals(rng, T)
+    return x, u, problem.value(x, u)
+
+
+def test_costs_of_norms_by_their_formulas():
+    weights, reference = np.array([1.0, 0.0, 2.0]), np.linspace(-1, 1, 27).reshape(9, 3)
+    x, u, cost = value(cost=lfo.L1Cost(x=weights, u=0.5, terminal=3.0, x_ref=reference, u_ref=[1, 2]))
+    stages = (weights * np.abs(x - reference)[:-1]).sum() + 0.5 * np.abs(u - [1, 2]).sum()
+    assert cost == pytest.approx(stages + 3 * np.abs(x - reference)[-1].sum())
+    x, u, cost = value(cost=lfo.LInfCost(x=weights, u=0.5, terminal=3.0, x_ref=reference, u_ref=[1, 2]))
+    stages = (weights * np.abs(x - reference)[:-1]).max(1).sum() + 0.5 * np.abs(u - [1, 2]).max(1).sum()
+    assert cost == pytest.approx(stages + 3 * np.abs(x - reference)[-1].max())
+
+
+@pytest.mark.parametrize("start", [None, [1.0, 2.0, 0.0]])
+def test_soft_sets_count_at_all_times_that_of_a_fixed_state_too(start):
+    x, _, cost = value(state_set=lfo.Soft(lfo.Ball(0.5, 1.0), 2.0), initial_state=start)
+    assert cost == pytest.approx(2 * np.maximum(np.linalg.norm(x - 1, axis=1) - 0.5, 0).sum())
+    _, u, cost = value(control_set=lfo.Soft(lfo.Box([None, -0.3], 0.2), 2.0))
+    assert cost == pytest.approx(2 * (np.maximum(u - 0.2, 0).sum() + np.maximum(-0.3 - u[:, 1], 0).sum()))
+    x, _, cost = value(terminal_state=lfo.Soft(lfo.Polyhedron([[1, 1, 1]], [-5]), 2.0), initial_state=start)
+    assert cost == pytest.approx(2 * max(x[-1].sum() + 5, 0))
+
+
+def test_the_optimum_where_a_fixed_state_lies_outside_a_soft_set():
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 3, lfo.QuadraticCost(R=1.0), [lfo.Box(-0.5, 0.5)] * 3,
+        state_set=lfo.Soft(lfo.Box(-1, 1), 10.0), initial_state=[3.0],
+    )  # fmt: skip
+    result = lfo.solve(problem)
+    np.testing.assert_allclose(result.control[:, 0], [-0.5, -0.5, -0.5], atol=1e-7)
+    assert result.cost == pytest.approx(3 * 0.125 + 10 * (2 + 1.5 + 1 + 0.5))
+
+
+def test_soft_frequency_constraints_by_their_formulas():
+    x, u, cost = value(
+        control_spectrum=lfo.MagnitudeBound([0.5, 1.5, np.inf], bins=[0, 2, 4], component=1, penalty=2.0)
+    )
+    assert cost == pytest.approx(2 * np.maximum(np.abs(np.fft.rfft(u[:, 1]))[[0, 2]] - [0.5, 1.5], 0).sum())
+    window = np.hanning(9)
+    bound = lfo.EnergyBound(0.4, bins=[1, 3], component=0, penalty=2.0, window=window, oversampling=4)
+    x, u, cost = value(state_spectrum=bound)
+    energy = (np.abs(np.fft.rfft(window * x[:, 0], 36))[[4, 12]] ** 2).sum() / 4
+    assert cost == pytest.approx(2 * 2 * max(np.sqrt(energy) - np.sqrt(0.4), 0))  # the root of 4: on the finer grid
