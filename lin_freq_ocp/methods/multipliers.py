@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
