@@ -59,7 +59,10 @@ def table_from_set(one: Any) -> dict[str, Any]:
         return {"kind": "intersection", "sets": [table_from_set(member) for member in one.sets]}
     if isinstance(one, Soft):
         return {"kind": "soft", "set": table_from_set(one.soft_set), "penalty": one.penalty}
-    kind, (_, required, optional) = next((kind, entry) for kind, entry in PLAIN.items() if type(one) is entry[0])
+    kind = next((kind for kind, entry in PLAIN.items() if type(one) is entry[0]), None)
+    if kind is None:
+        raise ProblemError("set", brief(one), f"a set that a problem file can hold: {', '.join(SET_KINDS)}")
+    _, required, optional = PLAIN[kind]
     return {"kind": kind, **{key: getattr(one, key) for key in (*required, *optional)}}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -275,6 +276,7 @@ class Intersection(ConvexSet):
         if len(known) > 1:
             raise ProblemError("Intersection", f"sets in {sorted(known)} dimensions", "the same dimension for all")
         assign(self, sets=tuple(sets))
+        _ = self.box  # there is a point within all bounds
 
     @property
     def dimension(self) -> int | None:
@@ -284,11 +286,7 @@ class Intersection(ConvexSet):
     @property
     def box(self) -> Box:
         """Return the bounds of all sets together."""
-        boxes = [one if isinstance(one, Box) else one.box for one in self.sets]
-        common = boxes[0]
-        for box in boxes[1:]:
-            common = Box(np.maximum(common.lower, box.lower), np.minimum(common.upper, box.upper))
-        return common
+        return reduce(_common, (one if isinstance(one, Box) else one.box for one in self.sets))
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return the parts of all sets."""
@@ -339,6 +337,19 @@ def dimension_of(one: Any) -> int | None:
     if isinstance(one, Box):
         return one.lower.shape[-1] if one.lower.ndim else None
     return one.dimension
+
+
+def _common(one: Box, other: Box) -> Box:
+    try:
+        lower, upper = np.maximum(one.lower, other.lower), np.minimum(one.upper, other.upper)
+    except ValueError:
+        got = f"bounds for {len(one.lower)} and {len(other.lower)} times"
+        raise ProblemError("Intersection", got, "the same times for all") from None
+    apart = lower > upper
+    if apart.any():
+        got = f"bounds {lower[apart].flat[0]:g} <= v <= {upper[apart].flat[0]:g} on a component"
+        raise ProblemError("Intersection", got, "a point within the bounds of all sets")
+    return Box(lower, upper)
 
 
 def _softened(penalty: Penalty, weight: Array) -> Penalty:

@@ -172,8 +172,9 @@ class OptimalControlProblem:
                 "control_spectrum", self.control_spectrum, T, self.control_names, self.sampling_time, of_state=False
             ),
         ]
-        for outputs in _listed("output_spectrum", self.output_spectrum, OutputSpectrum):
-            beyond += output_terms(outputs, n, m, T, self.sampling_time)
+        for i, outputs in enumerate(_listed("output_spectrum", self.output_spectrum, OutputSpectrum)):
+            where = "output_spectrum" if outputs is self.output_spectrum else f"output_spectrum[{i}]"
+            beyond += output_terms(where, outputs, n, m, T, self.sampling_time)
         if isinstance(self.cost, CostSum):
             beyond += self.cost.terms(n, m, T)
         return uniquely_named(beyond)

@@ -82,7 +82,7 @@ class _SpectrumBound:
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
         """Return where on the grid it holds: indices within 0 .. points/2."""
         if self.band.unit != "bins":
-            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, field))
+            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, f"{field}.band"))
             if not len(found):
                 raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
             return found
@@ -242,10 +242,12 @@ def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
     if limit_db is None:
         bound = real_array(field, limit, allow_infinite=True)
     else:
-        level = positive_number("MagnitudeBound.reference", reference)
-        bound = level * 10 ** (real_array("MagnitudeBound.limit_db", limit_db) / 20)
+        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
+        with np.errstate(over="ignore"):  # so high that there is no limit
+            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
     if bound.ndim > 1 or (bound < 0).any():
-        raise ProblemError(field, brief(limit), "one number, zero or above, or one for each bin")
+        given = limit if limit_db is None else limit_db
+        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
     return bound
 
 
