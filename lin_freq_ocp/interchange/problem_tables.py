@@ -88,8 +88,8 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": problem.name,
         "horizon": problem.horizon,
-        "initial_state": _table_of_end(problem.initial_state),
-        "terminal_state": _table_of_end(problem.terminal_state),
+        "initial_state": _table_of_end("initial_state", problem.initial_state),
+        "terminal_state": _table_of_end("terminal_state", problem.terminal_state),
         "dynamics": _table_of_dynamics(problem.dynamics),
         "cost": _table_of_cost(problem.cost),
         "control_set": tables_from_sets("control_set", problem.control_set, problem.control_dim, problem.horizon),
@@ -172,11 +172,11 @@ def _end(field: str, tables: Mapping[str, Any]) -> Any:
         return Point(tables[field])
 
 
-def _table_of_end(end: Any) -> Any:
+def _table_of_end(field: str, end: Any) -> Any:
     if isinstance(end, Box) and end.fixed.all():
         return end.lower
     free = isinstance(end, Box) and np.isinf(end.lower).all() and np.isinf(end.upper).all()
-    return None if free else table_from_set(end)
+    return None if free else table_from_set(field, end)
 
 
 def _each(field: str, tables: Mapping[str, Any], read: Callable[[str, Any], Any], within: str = "") -> Any:
