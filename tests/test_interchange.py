@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -16,8 +17,12 @@ from hypothesis.extra.numpy import arrays
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.array_references import INLINE_LIMIT
+from lin_freq_ocp.interchange.band_tables import MAKERS
 from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.problem_tables import NORM_COSTS
 from lin_freq_ocp.interchange.results import load_solution, save_csv, save_solution
+from lin_freq_ocp.interchange.set_tables import SET_KINDS
+from lin_freq_ocp.interchange.spectrum_tables import BOUNDS
 from lin_freq_ocp.interchange.template import init_problem_file, template
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs import QuadraticCost
@@ -449,38 +454,47 @@ def test_the_template_is_a_problem(tmp_path):
     np.testing.assert_allclose(problem.dynamics.B, [[0.5e-4], [0.01]], rtol=1e-13)
 
 
+OPTIONAL = re.compile(r"# (\[\[|[A-Za-z_]+ = |     \[)")
+"""What the template calls a line that begins with "# " and a key, a table, or another row of a matrix."""
+
+OTHER_ENDS = [line[2:] for line in template().splitlines() if line.startswith("# terminal_state")]
+
+
 def test_every_optional_line_of_the_template_can_be_used(tmp_path):
-    key_line = (
-        "# offset",
-        "# component",
-        "# Q",
-        "#      [",
-        "# S =",
-        "# q",
-        "# r =",
-        "# P",
-        "# p =",
-        "# x_ref",
-        "# u_ref",
-        "# name",
-        "# C =",
-        "# D =",
-        "# e =",
-    )
-    band_line = ("# [[", "# kind", "# cutoff_hz", "# lower_hz", "# upper_hz", "# centre_hz", "# width_hz", "# bins")
-    lines = [line[2:] if line.startswith((*key_line, *band_line)) else line for line in template().splitlines()]
+    optional = [OPTIONAL.match(line) and line[2:] not in OTHER_ENDS for line in template().splitlines()]
+    lines = [line[2:] if used else line for line, used in zip(template().splitlines(), optional, strict=True)]
     problem = read_problem(file_with(tmp_path, "\n".join(lines)))
-    assert [band.kind for band in bands(problem.control_spectrum)] == [
-        *("low_pass", "high_pass", "band_pass", "notch", "stop_band")
-    ]
+    *given, mask, energy = problem.control_spectrum
+    assert [band.kind for band in given] == ["low_pass", "high_pass", "band_pass", "notch", "stop_band"]
+    assert (mask.window, mask.oversampling, mask.penalty) == ("hann", 4, 10.0)
+    assert (energy.limit, energy.penalty) == (400.0, None)
     assert len(bands(problem.state_spectrum)) == 1
-    assert problem.cost.x_ref.tolist() == [1.0, 0.0]
+    assert problem.quadratic.x_ref.tolist() == [1.0, 0.0]
+    assert problem.cost.norms[0].u == 0.01
     assert [rows.name for rows in problem.stage_rows] == ["speed and force"]
     assert problem.stage_rows[0].e.tolist() == [2.5, np.inf]
-    box_end = "terminal_state = {lower"
-    lines = [line for line in template().splitlines() if not line.startswith("terminal_state")]
-    lines = [line.removeprefix("# ") if box_end in line else line for line in lines]
-    assert read_problem(file_with(tmp_path, "\n".join(lines))).terminal_state.lower.tolist() == [0.9, 0.0]
+    assert problem.stage_rows[0].penalty == 10.0
+    assert problem.output_spectrum[0].output_names == ("tip [m]",)
+    assert [term.name for term in problem.terms] == [
+        *("speed and force", "mask on force [N]", "energy bound on force [N]", "energy bound on tip [m]"),
+        *("L1 cost of states", "L1 cost of controls"),
+    ]
+
+
+@pytest.mark.parametrize("end", OTHER_ENDS)
+def test_every_other_end_of_the_template_can_be_used(tmp_path, end):
+    lines = [end if line.startswith("terminal_state") else line for line in template().splitlines()]
+    problem = read_problem(file_with(tmp_path, "\n".join(lines)))
+    kind = tomllib.loads(end)["terminal_state"].get("kind", "box")
+    assert type(problem.terminal_state).__name__ == "".join(word.capitalize() for word in kind.split("_"))
+    goal = np.tile([1.0, 0.0], (201, 1))
+    assert problem.terminal_state.violation(goal[-1]).max() == 0
+    assert all(term.violation(goal, np.zeros((200, 1))).max() == 0 for term in problem.terms)
+
+
+def test_the_template_shows_every_kind_of_set_and_constraint():
+    for kind in (*SET_KINDS[1:], *MAKERS, *BOUNDS, *NORM_COSTS):
+        assert f'kind = "{kind}"' in template() or kind in ("linear_constraint", "Linf")
 
 
 def test_the_template_never_replaces_a_file(tmp_path):

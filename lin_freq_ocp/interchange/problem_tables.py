@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.keys import require_keys, suggestion
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.interchange.set_tables import sets_from_tables, table_from_set, tables_from_sets
 from lin_freq_ocp.interchange.spectrum_tables import (
@@ -36,6 +36,21 @@ NORM_COSTS = {"L1": L1Cost, "Linf": LInfCost}
 
 NORM_COST_KEYS = ("x", "u", "terminal", "x_ref", "u_ref")
 
+REQUIRED_KEYS = ("schema", "horizon", "dynamics", "cost")
+
+OPTIONAL_KEYS = (
+    *("name", "initial_state", "terminal_state"),
+    *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows", "output_spectrum"),
+)
+
+NAME_KEYS = ("state_names", "control_names")
+
+DYNAMICS_KEYS = ("offset", "continuous", "sampling_time", *NAME_KEYS)
+"""Of dynamics, beside A and B."""
+
+ROW_KEYS = ("C", "D", "name", "penalty")
+"""Of stage rows, beside e."""
+
 
 def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
     """Return the problem the tables describe; arrays are nested lists or numpy arrays.
@@ -45,15 +60,7 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
     ProblemError
         With the field as it stands in the file (``"dynamics.A"``).
     """
-    require_keys(
-        "",
-        tables,
-        required=("schema", "horizon", "dynamics", "cost"),
-        optional=(
-            *("name", "initial_state", "terminal_state"),
-            *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows", "output_spectrum"),
-        ),
-    )
+    require_keys("", tables, REQUIRED_KEYS, OPTIONAL_KEYS)
     schema, name = tables["schema"], tables.get("name", "")
     if isinstance(schema, bool) or not isinstance(schema, int) or schema != SCHEMA:
         raise ProblemError("schema", brief(schema), f"{SCHEMA}", "Another version of this package may have written it.")
@@ -81,8 +88,8 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": problem.name,
         "horizon": problem.horizon,
-        "initial_state": _table_of_end(problem.initial_state),
-        "terminal_state": _table_of_end(problem.terminal_state),
+        "initial_state": _table_of_end("initial_state", problem.initial_state),
+        "terminal_state": _table_of_end("terminal_state", problem.terminal_state),
         "dynamics": _table_of_dynamics(problem.dynamics),
         "cost": _table_of_cost(problem.cost),
         "control_set": tables_from_sets("control_set", problem.control_set, problem.control_dim, problem.horizon),
@@ -96,9 +103,8 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
 
 
 def _dynamics(table: Any) -> LinearDynamics:
-    name_keys = ("state_names", "control_names")
-    require_keys("dynamics", table, ("A", "B"), ("offset", "continuous", "sampling_time", *name_keys))
-    for key in name_keys:
+    require_keys("dynamics", table, ("A", "B"), DYNAMICS_KEYS)
+    for key in NAME_KEYS:
         if key in table and not isinstance(table[key], list):
             raise ProblemError(f"dynamics.{key}", brief(table[key]), "a list of names")
     arguments = dict(table)
@@ -127,18 +133,18 @@ def _cost(table: Any) -> QuadraticCost | CostSum:
     given = {key: value for key, value in table.items() if key != "norms"}
     with placed("cost"):
         quadratic = QuadraticCost(**given)
-    norms = _each("norms", table, _norm_cost)
+    norms = _each("norms", table, _norm_cost, "cost.")
     if norms is None:
         return quadratic
     return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
 
 
 def _norm_cost(place: str, table: Any) -> Any:
-    place = f"cost.{place}"
     require_keys(place, table, required=("kind",), optional=NORM_COST_KEYS)
     kind = table["kind"]
     if not isinstance(kind, str) or kind not in NORM_COSTS:
-        raise ProblemError(f"{place}.kind", brief(kind), f"one of {', '.join(NORM_COSTS)}")
+        known = f"one of {', '.join(NORM_COSTS)}"
+        raise ProblemError(f"{place}.kind", brief(kind), known, suggestion(kind, NORM_COSTS))
     with placed(place, NORM_COSTS[kind].__name__):
         return NORM_COSTS[kind](**{key: value for key, value in table.items() if key != "kind"})
 
@@ -152,7 +158,9 @@ def _table_of_cost(cost: QuadraticCost | CostSum) -> dict[str, Any]:
 
 
 def _table_of_norm_cost(cost: Any) -> dict[str, Any]:
-    kind = next(kind for kind, one in NORM_COSTS.items() if type(cost) is one)
+    kind = next((kind for kind, one in NORM_COSTS.items() if type(cost) is one), None)
+    if kind is None:
+        raise ProblemError("cost", brief(cost), "a cost that a problem file can hold: quadratic, L1Cost or LInfCost")
     given = {key: getattr(cost, key) for key in NORM_COST_KEYS}
     return {"kind": kind, **{key: value for key, value in given.items() if value.any()}}
 
@@ -164,21 +172,21 @@ def _end(field: str, tables: Mapping[str, Any]) -> Any:
         return Point(tables[field])
 
 
-def _table_of_end(end: Any) -> Any:
+def _table_of_end(field: str, end: Any) -> Any:
     if isinstance(end, Box) and end.fixed.all():
         return end.lower
     free = isinstance(end, Box) and np.isinf(end.lower).all() and np.isinf(end.upper).all()
-    return None if free else table_from_set(end)
+    return None if free else table_from_set(field, end)
 
 
-def _each(field: str, tables: Mapping[str, Any], read: Callable[[str, Any], Any]) -> Any:
+def _each(field: str, tables: Mapping[str, Any], read: Callable[[str, Any], Any], within: str = "") -> Any:
     """Return what a table, or each one of a list of tables, says; None where there is nothing."""
-    given = tables.get(field)
+    given, place = tables.get(field), within + field
     if given is None or isinstance(given, Mapping):
-        return None if given is None else read(field, given)
+        return None if given is None else read(place, given)
     if not isinstance(given, list):
-        raise ProblemError(field, brief(given), f"tables that begin with [[{field}]]")
-    return [read(f"{field}[{i}]", table) for i, table in enumerate(given)]
+        raise ProblemError(place, brief(given), f"tables that begin with [[{place}]]")
+    return [read(f"{place}[{i}]", table) for i, table in enumerate(given)]
 
 
 def _tables(given: Any, table_of: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]] | None:
@@ -187,7 +195,7 @@ def _tables(given: Any, table_of: Callable[[Any], dict[str, Any]]) -> list[dict[
 
 
 def _rows_from_table(place: str, table: Any) -> StageRows:
-    require_keys(place, table, required=("e",), optional=("C", "D", "name", "penalty"))
+    require_keys(place, table, required=("e",), optional=ROW_KEYS)
     named = {key: table[key] for key in ("name", "penalty") if key in table}
     with placed(place, "stage_rows"):
         return StageRows(table.get("C"), table.get("D"), table["e"], **named)

@@ -51,15 +51,18 @@ def set_from_table(place: str, table: Any) -> Any:
         return maker(**arguments)
 
 
-def table_from_set(one: Any) -> dict[str, Any]:
-    """Return the table from which ``set_from_table`` makes the same set."""
+def table_from_set(place: str, one: Any) -> dict[str, Any]:
+    """Return the table from which ``set_from_table`` makes the same set; ``place`` is where it stands."""
     if isinstance(one, Box):
         return {"lower": one.lower, "upper": one.upper}
     if isinstance(one, Intersection):
-        return {"kind": "intersection", "sets": [table_from_set(member) for member in one.sets]}
+        return {"kind": "intersection", "sets": [table_from_set(place, member) for member in one.sets]}
     if isinstance(one, Soft):
-        return {"kind": "soft", "set": table_from_set(one.soft_set), "penalty": one.penalty}
-    kind, (_, required, optional) = next((kind, entry) for kind, entry in PLAIN.items() if type(one) is entry[0])
+        return {"kind": "soft", "set": table_from_set(place, one.soft_set), "penalty": one.penalty}
+    kind = next((kind for kind, entry in PLAIN.items() if type(one) is entry[0]), None)
+    if kind is None:
+        raise ProblemError(place, brief(one), f"a set that a problem file can hold: {', '.join(SET_KINDS)}")
+    _, required, optional = PLAIN[kind]
     return {"kind": kind, **{key: getattr(one, key) for key in (*required, *optional)}}
 
 
@@ -76,7 +79,7 @@ def tables_from_sets(field: str, given: Any, dimension: int, times: int) -> Any:
     if given is None:
         return None
     if not isinstance(given, (list, tuple)):
-        return table_from_set(given)
+        return table_from_set(field, given)
     if all(isinstance(one, Box) for one in given):
-        return table_from_set(stacked(field, given, dimension, times))
-    return [table_from_set(one) for one in given]
+        return table_from_set(field, stacked(field, given, dimension, times))
+    return [table_from_set(f"{field}[{i}]", one) for i, one in enumerate(given)]

@@ -19,12 +19,15 @@ from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, 
 WHERE = ("bins", "band", "component", "penalty", "window", "oversampling")
 """Arguments that magnitude and energy bounds share."""
 
-BOUNDS: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "magnitude_bound": (MagnitudeBound, ("limit", "limit_db", "reference", *WHERE, "between")),
-    "energy_bound": (EnergyBound, ("limit", *WHERE)),
-    "linear_constraint": (LinearConstraint, ("coefficients", "constant", "penalty")),
+BOUNDS: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...]]] = {
+    "magnitude_bound": (MagnitudeBound, (), ("limit", "limit_db", "reference", *WHERE, "between")),
+    "energy_bound": (EnergyBound, ("limit",), WHERE),
+    "linear_constraint": (LinearConstraint, ("coefficients",), ("constant", "penalty")),
 }
-"""What else than bands may stand in a spectrum: class and arguments."""
+"""What else than bands may stand in a spectrum: class, required and optional arguments."""
+
+OUTPUT_KEYS = ("C", "D", "output_names")
+"""Of an output spectrum, beside its constraints."""
 
 
 def spectrum_from_table(place: str, table: Any) -> Any:
@@ -35,17 +38,14 @@ def spectrum_from_table(place: str, table: Any) -> Any:
             known = (*MAKERS, *BOUNDS)
             raise ProblemError(f"{place}.kind", repr(kind), f"one of {', '.join(known)}", suggestion(kind, known))
         return band_from_table(place, table)
-    maker, keys = BOUNDS[kind]
-    require_keys(place, table, required=("kind",), optional=keys)
+    maker, required, optional = BOUNDS[kind]
+    require_keys(place, table, ("kind", *required), optional)
     arguments = {key: value for key, value in table.items() if key != "kind"}
     if "band" in arguments:
         arguments["band"] = band_from_table(f"{place}.band", arguments["band"])
     if "bins" in arguments and not isinstance(arguments["bins"], (list, np.ndarray)):
         raise ProblemError(f"{place}.bins", brief(arguments["bins"]), "a list of whole numbers")
-    if kind != "magnitude_bound":
-        required = "limit" if kind == "energy_bound" else "coefficients"
-        require_keys(place, arguments, required=(required,), optional=keys)
-    with placed(place, maker.__name__):
+    with placed(place, maker.__name__, "stop_band"):
         return maker(**arguments)
 
 
@@ -69,7 +69,7 @@ def table_from_spectrum(one: Any) -> dict[str, Any]:
 
 def outputs_from_table(place: str, table: Any) -> OutputSpectrum:
     """Return the constraints on outputs of a table."""
-    require_keys(place, table, required=("constraints",), optional=("C", "D", "output_names"))
+    require_keys(place, table, required=("constraints",), optional=OUTPUT_KEYS)
     given = table["constraints"]
     listed = given if isinstance(given, list) else [given]
     constraints = [spectrum_from_table(f"{place}.constraints[{i}]", one) for i, one in enumerate(listed)]

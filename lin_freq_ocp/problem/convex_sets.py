@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -289,16 +290,7 @@ class Intersection(ConvexSet):
     @property
     def box(self) -> Box:
         """Return the bounds of all sets together."""
-        boxes = [one if isinstance(one, Box) else one.box for one in self.sets]
-        try:
-            lower = np.max(np.broadcast_arrays(*(box.lower for box in boxes)), axis=0)
-            upper = np.min(np.broadcast_arrays(*(box.upper for box in boxes)), axis=0)
-        except ValueError:
-            raise ProblemError("Intersection", "boxes for different numbers of times", "the same for all") from None
-        if (lower > upper).any():
-            got = f"bounds >= {lower[lower > upper][0]:g} and <= {upper[lower > upper][0]:g} on one component"
-            raise ProblemError("Intersection", got, "sets with a point in common")
-        return Box(lower, upper)
+        return reduce(_common, (one if isinstance(one, Box) else one.box for one in self.sets))
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return the parts of all sets."""
@@ -349,6 +341,19 @@ def dimension_of(one: Any) -> int | None:
     if isinstance(one, Box):
         return one.lower.shape[-1] if one.lower.ndim else None
     return one.dimension
+
+
+def _common(one: Box, other: Box) -> Box:
+    try:
+        lower, upper = np.maximum(one.lower, other.lower), np.minimum(one.upper, other.upper)
+    except ValueError:
+        got = f"bounds for {len(one.lower)} and {len(other.lower)} times"
+        raise ProblemError("Intersection", got, "the same times for all") from None
+    apart = lower > upper
+    if apart.any():
+        got = f"bounds {lower[apart].flat[0]:g} <= v <= {upper[apart].flat[0]:g} on a component"
+        raise ProblemError("Intersection", got, "a point within the bounds of all sets")
+    return Box(lower, upper)
 
 
 def _softened(penalty: Penalty, weight: Array) -> Penalty:

@@ -44,14 +44,14 @@ class _NormCost:
     def __add__(self, other: Any) -> CostSum:
         return CostSum([self, other])
 
-    def terms(self, n: int, m: int, horizon: int, name: str) -> list[Term]:
+    def terms(self, n: int, m: int, horizon: int, place: str, name: str) -> list[Term]:
         """Return its terms with v = weight * deviation, checked against the problem's dimensions."""
         T, order = horizon, (1 if isinstance(self, L1Cost) else np.inf)
 
         def array(field: str, size: int, times: int | None) -> Array:
             value: Array = getattr(self, field)
             complete = np.full(size, value) if value.ndim == 0 else value
-            return shaped(f"cost.{type(self).__name__}.{field}", complete, (size,), times)
+            return shaped(f"{place}.{field}", complete, (size,), times)
 
         x, u, terminal = array("x", n, T), array("u", m, T), array("terminal", n, None)
         x_ref = np.broadcast_to(array("x_ref", n, T + 1), (T + 1, n))
@@ -149,7 +149,7 @@ class CostSum:
         for i, cost in enumerate(self.norms):
             kind = "L1 cost" if isinstance(cost, L1Cost) else "Linf cost"
             before = sum(type(other) is type(cost) for other in self.norms[:i])
-            found += cost.terms(n, m, horizon, kind + (f" {before + 1}" if before else ""))
+            found += cost.terms(n, m, horizon, f"cost.norms[{i}]", kind + (f" {before + 1}" if before else ""))
         return found
 
 

@@ -173,7 +173,8 @@ class OptimalControlProblem:
             ),
         ]
         for i, outputs in enumerate(_listed("output_spectrum", self.output_spectrum, OutputSpectrum)):
-            beyond += output_terms(outputs, n, m, T, self.sampling_time, i)
+            where = "output_spectrum" if outputs is self.output_spectrum else f"output_spectrum[{i}]"
+            beyond += output_terms(where, outputs, n, m, T, self.sampling_time, i)
         if isinstance(self.cost, CostSum):
             beyond += self.cost.terms(n, m, T)
         return uniquely_named(beyond)

@@ -93,21 +93,20 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
     listed = given if isinstance(given, (list, tuple)) else [given] * len(times)
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
     parts_of: dict[int, tuple[Part, ...]] = {}
-    for place, (one, t) in enumerate(zip(listed, times, strict=True)):
+    for i, (one, t) in enumerate(zip(listed, times, strict=True)):
         if not isinstance(one, ConvexSet):
             continue
-        own = dimension_of(one)
+        own, where = dimension_of(one), f"{kind}[{i}]" if isinstance(given, (list, tuple)) else kind
         if own not in (None, dimension):
-            field = f"{kind}[{place}]" if listed is given else kind
-            raise ProblemError(field, f"a set in {own} dimensions", f"a set in {dimension}")
+            raise ProblemError(where, f"a set in {own} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
             parts_of[id(one)] = one.parts(dimension)
         if t in fixed:
-            _require_inside(kind, parts_of[id(one)], int(t), fixed[t])
-        for i, part in enumerate(parts_of[id(one)]):
+            _require_inside(where, parts_of[id(one)], int(t), fixed[t])
+        for k, part in enumerate(parts_of[id(one)]):
             if t in fixed and hard(part.penalty.weight):
                 continue
-            parts.setdefault((i, *_signature(part)), []).append((int(t), part))
+            parts.setdefault((k, *_signature(part)), []).append((int(t), part))
     of_state = kind != "control_set"
     kind_of_term = "control set" if kind == "control_set" else "state set"
     return [
@@ -154,16 +153,16 @@ def spectrum_terms(
 
 
 def output_terms(
-    given: OutputSpectrum, n: int, m: int, horizon: int, sampling_time: float | None, index: int
+    field: str, given: OutputSpectrum, n: int, m: int, horizon: int, sampling_time: float | None, index: int
 ) -> Iterator[Term]:
-    """Yield the terms of frequency constraints on outputs, the entry ``index`` of its field."""
+    """Yield the terms of frequency constraints on outputs, the entry ``index`` of its field, named by ``field``."""
     source = "output_spectrum", index
     for name, matrix, columns in (("C", given.C, n), ("D", given.D, m)):
         if matrix is not None and matrix.shape[1] != columns:
-            raise ProblemError(f"output_spectrum.{name}", f"shape {matrix.shape}", f"{columns} columns")
+            raise ProblemError(f"{field}.{name}", f"shape {matrix.shape}", f"{columns} columns")
     length, kind = horizon + (given.D is None), "output spectrum"
     for i, one in enumerate(given.constraints):
-        where = f"output_spectrum.constraints[{i}]"
+        where = f"{field}.constraints[{i}]"
         for j in component_indices(where, one.component, given.output_names):
             row = None if given.C is None else given.C[j], None if given.D is None else given.D[j]
             if isinstance(one, Band):
@@ -207,11 +206,11 @@ def _bounded(
     return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight), source)
 
 
-def _require_inside(kind: str, parts: Sequence[Part], t: int, value: Array) -> None:
+def _require_inside(where: str, parts: Sequence[Part], t: int, value: Array) -> None:
     excess = max((float(part.penalty.violation((part.F @ value + part.c)[None]).max()) for part in parts), default=0.0)
     if excess > INSIDE * max(1.0, float(np.abs(value).max())):
         raise ProblemError(
-            kind, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"
+            where, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"
         )
 
 
@@ -223,12 +222,14 @@ def _signature(part: Part) -> tuple[object, ...]:
 
 def _stacked(found: list[tuple[int, Part]], of_state: bool) -> StageMap:
     times = np.array([t for t, _ in found])
-    first = found[0][1]
-    if all(part.F is first.F and part.c is first.c for _, part in found):
-        F, c = first.F, first.c
-    else:
-        F, c = np.array([part.F for _, part in found]), np.array([part.c for _, part in found])
+    F, c = _once([part.F for _, part in found]), _once([part.c for _, part in found])
     return StageMap(times, F if of_state else None, None if of_state else F, c)
+
+
+def _once(arrays: list[Array]) -> Array:
+    """Return the array if all are equal, else all of them, one per time."""
+    first = arrays[0]
+    return first if all(one is first or np.array_equal(one, first) for one in arrays) else np.array(arrays)
 
 
 def _together(found: list[tuple[int, Part]]) -> Penalty:

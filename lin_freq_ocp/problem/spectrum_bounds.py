@@ -90,7 +90,7 @@ class _SpectrumBound:
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
         """Return where on the grid it holds: indices within 0 .. points/2."""
         if self.band.unit != "bins":
-            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, field))
+            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, f"{field}.band"))
             if not len(found):
                 raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
             return found
@@ -275,14 +275,14 @@ def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
         raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
     if limit_db is None:
         bound = real_array(field, limit, allow_infinite=True)
-        if bound.ndim > 1 or (bound < 0).any():
-            raise ProblemError(field, brief(limit), "one number, zero or above, or one for each bin")
-        return bound
-    level, decibels = positive_number("MagnitudeBound.reference", reference), real_array(f"{field}_db", limit_db)
-    if decibels.ndim > 1:
-        raise ProblemError(f"{field}_db", brief(limit_db), "one number, or one for each bin")
-    with np.errstate(over="ignore"):  # inf: no limit
-        return level * 10 ** (decibels / 20)
+    else:
+        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
+        with np.errstate(over="ignore"):  # so high that there is no limit
+            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
+    if bound.ndim > 1 or (bound < 0).any():
+        given = limit if limit_db is None else limit_db
+        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
+    return bound
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
