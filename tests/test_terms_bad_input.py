@@ -231,7 +231,12 @@ SETS = {
     "intersection": (lambda: problem(state_set=Ball(1) & BOX_3), "state_set", "3 components", "bounds for 2"),
     "one of many": (lambda: problem(control_set=[Ball(1)] * 7 + [BALL_3]), "control_set[7]", "3 dim", "a set in 1"),
     "start outside": (lambda: problem(state_set=Ball(0.5)), "state_set", "t = 0 violates by 0.5", "contains it"),
-    "start outside now": (lambda: problem(state_set=[Ball(0.5)] * 9), "state_set[0]", "t = 0 violates by 0.5", "contains"),
+    "start outside now": (
+        lambda: problem(state_set=[Ball(0.5)] * 9),
+        "state_set[0]",
+        "t = 0 violates by 0.5",
+        "contains",
+    ),
     "end outside": (
         lambda: problem(state_set=Ball(1.5), terminal_state=[2, 0]),
         "state_set",
@@ -272,12 +277,17 @@ SETS = {
     "a ball for bounds": (lambda: Box(Ball(1), 1), "Box.lower", "Ball(", "numbers"),
     "a box for rows": (lambda: lfo.Polyhedron(Box(0, 1), [1]), "Polyhedron.F", "Box(", "numbers"),
     "a set for rows": (lambda: problem(stage_rows=Ball(1)), "stage_rows", "Ball(", "StageRows, a sequence of them"),
-    "boxes apart": (lambda: Box(0, 1) & Box(2, 3), "Intersection", "2 <= v <= 1", "sets with a point in common"),
+    "boxes apart": (
+        lambda: Box(0, 1) & Box(2, 3),
+        "Intersection",
+        "2 <= v <= 1",
+        "a point within the bounds of all sets",
+    ),
     "boxes of other times": (
         lambda: Box(np.zeros((8, 1)), 1) & Box(np.zeros((9, 1)), 1),
         "Intersection",
         "bounds for 8 and 9 times",
-        "the same for all",
+        "the same times for all",
     ),
     "and a number": (lambda: Box(0, 1) & 3, "Intersection", "3", "sets such as Box"),
     "soft and soft": (lambda: Soft(Soft(Ball(1), 1.0), 1.0), "Soft", "Soft(", "a Box, Polyhedron, Ball or Ellipsoid"),

@@ -3,10 +3,11 @@
 At a fixed point z of the program, with g = P z + q and N the normal cone of the constraints that are active there,
 
     minimise  1/2 |s|^2   subject to   s = g + A'y,   y in N:  y_i >= 0 at an active upper bound, <= 0 at a lower one,
-                                       0 where neither is active, free for equations; in a second-order cone a
-                                       multiple of its normal, or any point of the polar cone at the apex.
+                                       0 where neither is active, free for equations; in the polar of a second-order
+                                       cone, at a small price for what is not its normal at z.
 
-s = 0 iff z is extremal with eta_C = 1; else -s is the steepest direction of descent that keeps the active constraints.
+s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
+is that of the gap -<y, A z - lower> of a cone: a solver's point has a direction that is wrong by the root of its gap.
 Nothing here judges: the judge sees only what comes out.
 """
 
@@ -28,6 +29,9 @@ from lin_freq_ocp.transcription.program import Program
 ACTIVE = 1e-6
 """Distance to a bound, on a program scaled to order 1, at which it counts as active: other tools stop at about 1e-8."""
 
+GAP_PRICE = 1e-3
+"""Price of a unit of a cone's gap, against squares of residuals: gaps are squares of errors in direction."""
+
 NONTRIVIAL = 1e-6
 """Abnormal multipliers whose largest entry is below this are zero: the linear program would make it 1."""
 
@@ -47,12 +51,13 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _NormalCone:
-    """All y = basis w with w in [lower, upper], and -w in the second-order cones at some entries."""
+    """All y = basis w with w in [lower, upper], and -w in the second-order cones at some entries; prices of w."""
 
     basis: sp.csc_array
     lower: Array
     upper: Array
-    apexes: tuple[slice, ...]
+    polars: tuple[slice, ...]
+    prices: Array
 
 
 def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Fit:
@@ -87,17 +92,17 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     free = (cone.lower < 0) & (cone.upper > 0)
     rng = np.random.default_rng(0)
     towards = rng.uniform(0.5, 1.0, count) * np.where(free, rng.choice([-1.0, 1.0], count), signs)
-    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.apexes] or [np.zeros(0, dtype=int)])
+    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity = sp.eye_array(count, format="csr")
     search = Program(
         P=sp.csc_array((count, count)),
-        q=-towards,
+        q=cone.prices - towards,
         constant=0.0,
         A=sp.csc_array(sp.vstack([program.A.T @ cone.basis, identity, -identity[curved]])),
         lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
         upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
         rows={},
-        cones=_following(cone.apexes, variables + count),
+        cones=_following(cone.polars, variables + count),
     )
     solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
     if solution.z is None or np.abs(solution.z).max() < NONTRIVIAL:
@@ -140,7 +145,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns)
+    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
         what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
@@ -151,30 +156,34 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
 
-def _normal_cone(program: Program, z: Array) -> _NormalCone:
-    """Return the normal cone at z; rows that are violated count as active."""
+def _normal_cone(program: Program, z: Array, at_edges: bool = False) -> _NormalCone:
+    """Return the normal cone at z; rows that are violated count as active.
+
+    With ``at_edges``, a second-order cone at whose edge z lies has the multiples of one normal, else its whole polar.
+    """
     slack = program.A @ z - program.lower
     alone = np.flatnonzero(program.alone)
     Az = (program.A @ z)[alone]
     lower = np.where(Az <= program.lower[alone] + ACTIVE, -np.inf, 0.0)
     upper = np.where(Az >= program.upper[alone] - ACTIVE, np.inf, 0.0)
     columns = [sp.csc_array((np.ones(len(alone)), (alone, np.arange(len(alone)))), shape=(len(slack), len(alone)))]
-    apexes: list[slice] = []
+    polars, prices = list[slice](), np.zeros(len(alone))
     for cone in program.cones:
         s, rows, count = slack[cone], np.arange(cone.start, cone.stop), len(lower)
         tail = float(np.linalg.norm(s[1:]))
         if s[0] - tail > ACTIVE:
             continue
-        if tail <= ACTIVE:
-            apexes.append(slice(count, count + len(s)))
-            block, limits = np.eye(len(s)), (np.full(len(s), -np.inf), np.full(len(s), np.inf))
+        if at_edges and tail > ACTIVE:
+            block, low = np.append(-1.0, s[1:] / tail)[:, None], 0.0
         else:
-            block, limits = np.append(-1.0, s[1:] / tail)[:, None], (np.zeros(1), np.full(1, np.inf))
+            block, low = np.eye(len(s)), -np.inf
+            polars.append(slice(count, count + len(s)))
+            prices = np.append(prices, -GAP_PRICE * s)
         row, column = np.nonzero(np.ones_like(block))
-        shape = len(slack), block.shape[1]
-        columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=shape))
-        lower, upper = np.append(lower, limits[0]), np.append(upper, limits[1])
-    return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(apexes))
+        columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=(len(slack), block.shape[1])))
+        lower = np.append(lower, np.full(block.shape[1], low))
+        upper = np.append(upper, np.full(block.shape[1], np.inf))
+    return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(polars), prices)
 
 
 def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
@@ -182,12 +191,12 @@ def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
     variables, count = program.A.shape[1], len(cone.lower)
     gradient = program.P @ z + program.q
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
-    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.apexes] or [np.zeros(0, dtype=int)])
+    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
     first = variables + len(bounded)
     return Program(
         P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
-        q=np.zeros(count + variables),
+        q=np.concatenate([cone.prices, np.zeros(variables)]),
         constant=0.0,
         A=sp.csc_array(
             sp.block_array([[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[curved], None]])
@@ -195,7 +204,7 @@ def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
         lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
         upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
         rows={},
-        cones=_following(cone.apexes, first),
+        cones=_following(cone.polars, first),
     )
 
 

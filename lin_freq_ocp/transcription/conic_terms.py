@@ -117,6 +117,16 @@ class ConicTerms:
         return _joined([part.prices for part in self.parts])
 
     @property
+    def of_costs(self) -> Mask:
+        """Return which slacks are those of nonsmooth costs, whose prices say how large the cost is; a penalty's do not."""
+        return np.concatenate(
+            [
+                np.zeros(0, dtype=bool),
+                *(np.full(len(part.prices), part.term.kind.endswith("cost")) for part in self.parts),
+            ]
+        )
+
+    @property
     def cones(self) -> list[slice]:
         """Return the rows of each second-order cone."""
         firsts = np.cumsum([0, *(len(part.lower) for part in self.parts)])

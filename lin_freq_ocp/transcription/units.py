@@ -29,7 +29,7 @@ ROW_REGULARISATION = 1e-10
 NEGLIGIBLE = 1e-6
 """A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
 
-TERM_SHARE = 1e-2
+TERM_SHARE = 0.1
 """With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
 than this part of what the data state of it; a second solve corrects it."""
 
@@ -63,8 +63,9 @@ def _scaling(transcription: LinearTranscription, columns: Array, typical: Array)
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
     slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
-    steepest = float(slopes[: transcription.signals].max(initial=0.0))
-    if steepest == 0:  # nothing but prices
+    costs = np.append(np.ones(transcription.signals, dtype=bool), transcription.conic_terms.of_costs)
+    steepest = float(slopes[costs].max(initial=0.0))
+    if steepest == 0:  # nothing but penalties
         steepest = float(slopes.max(initial=0.0))
     cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)

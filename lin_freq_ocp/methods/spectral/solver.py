@@ -234,16 +234,19 @@ class SpectralSolver:
 
     def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
         outcome, measured = answer.outcome, answer.measured
-        multipliers = in_units(problem, self._structure, self._units, answer.found)
-        infeasible = outcome.status == "infeasible"
         status, words = outcome.status, outcome.words
+        finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
+        multipliers = in_units(problem, self._structure, self._units, answer.found) if finite else None
+        if multipliers is None:
+            status, words = "numerical_error", f"{words}, with numbers that are not finite"
+        infeasible = status == "infeasible"
         if status == "optimal" and measured is not None and not answer.accurate:
             status, words = "numerical_error", f"settled with residuals of {measured.worst:.1e}"
         active = outcome.working.weights > 0
         t, f, sign = outcome.working.rows()
         return SpectralSolution(
             status=status,
-            trajectory=None if infeasible else trajectory(outcome, self._units),
+            trajectory=None if infeasible or not finite else trajectory(outcome, self._units),
             multipliers=None if infeasible else multipliers,
             ray=multipliers if infeasible else None,
             residuals=measured,
