@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.certificate.directions import descent_direction, unbounded_direction
+from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import (
     InfeasibleError,
@@ -192,8 +192,8 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, b
     if candidate.trajectory is not None and candidate.multipliers is not None:
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
-    if status == "unbounded" and direction is None:
-        words = f"{words}, without a verified direction"
+    if status == "unbounded":
+        words = _fall(problem, direction) if direction else f"{words}, without a verified direction"
     claimed = candidate.ray if status == "infeasible" else _diverged(candidate)
     proof = None if claimed is None else prove_infeasible(problem, claimed)
     if proof is not None:
@@ -217,6 +217,14 @@ def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, b
         message="" if status == "optimal" else words,
         interrupted=candidate.interrupted,
         direction=direction,
+    )
+
+
+def _fall(problem: OptimalControlProblem, direction: Direction) -> str:
+    t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
+    return (
+        f"the cost falls for ever along a verified direction, most with {problem.control_names[j]} "
+        f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"
     )
 
 

@@ -271,7 +271,7 @@ def test_multipliers_are_found_for_a_trajectory_alone(varying):
     certificate = lfo.certify(problem, result.trajectory)
     assert certificate.pmp == "satisfied"
     assert certificate.gap < 1e-6
-    found = fit_multipliers(problem, result.trajectory).stage["rows on xu"]
+    found = fit_multipliers(problem, result.trajectory).multipliers.stage["rows on xu"]
     np.testing.assert_allclose(found, result.multipliers.stage["rows on xu"], atol=1e-4 * found.max())
     free = solve(replace(problem, stage_rows=None))
     assert "S-z" in failed(lfo.certify(problem, free.trajectory))

@@ -48,7 +48,7 @@ class Direction:
 
     @property
     def steepest(self) -> int:
-        """Return the time at which it changes a control most."""
+        """Return the time at which it changes a control most, in the units of the problem."""
         return int(np.argmax(np.abs(self.u).max(1)))
 
 

@@ -28,6 +28,9 @@ MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4
 """Of the search for the least rise of a limit, relative to it: where it begins, how it grows, when it is enough."""
 
+TINY = 1e-9
+"""No smaller part of a cure is looked for."""
+
 CONTROL_PRICE = 1e-6
 """Cost of controls of their stated sizes, relative to that of a delta as large: a flat program is hard on solvers."""
 
@@ -73,12 +76,29 @@ def least_cure(
     if least > LARGEST * max(map(np.max, sizes)):
         return None
     end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
+
+    def given(amount: float) -> OptimalControlProblem:
+        return widened(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
+
     for margin in MARGINS:
         amount = least * (1 + margin)
-        cured = widened(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
-        if feasible(cured):
-            return Cure(block.name, amount, _words(problem, cured, block, amount, end))
+        if feasible(given(amount)):
+            if block.kind not in ENDS:
+                amount = _less(amount, lambda less: bool(feasible(given(less))))
+            return Cure(block.name, amount, _words(problem, given(amount), block, amount, end))
     return None
+
+
+def _less(amount: float, suffices: Callable[[float], bool]) -> float:
+    """Return a smaller amount, to 5 %, if much less suffices: tiny ones are lost in the price of the controls."""
+    least, most = amount / GROWTH, amount
+    while least > TINY * amount and suffices(least):
+        least, most = least / GROWTH, least
+    if most < amount:
+        while most > 1.05 * least:
+            middle = np.sqrt(least * most)
+            least, most = (least, middle) if suffices(middle) else (middle, most)
+    return most
 
 
 def _least_widening(
@@ -203,14 +223,20 @@ def _words(
     if block.kind == "row":
         limits = next(one for one in problem.stage_rows if one.name == block.family).e[..., block.index]
         if np.ptp(limits) == 0:
-            return f"<= {np.max(limits):.6g} -> {np.max(limits) + amount:.6g}"
+            shown = [f"{limit:.6g}" for limit in (np.max(limits), np.max(limits) + amount)]
+            return f"<= {shown[0]} -> {shown[1]}" + _if_too_small(shown, amount)
         return f"limits higher by {amount:.6g}"
     tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
     lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
     if (lower == lower[0]).all() and (upper == upper[0]).all():
         shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
-        return " -> ".join(shown)
+        return " -> ".join(shown) + _if_too_small(shown, amount)
     return f"bounds wider by {amount:.6g}"
+
+
+def _if_too_small(shown: list[str], amount: float) -> str:
+    """Return the amount where what is shown does not show it: the problem is nearly feasible."""
+    return f" (by {amount:.2g}: nearly feasible)" if shown[0] == shown[1] else ""
 
 
 def _point(end: Box) -> str:

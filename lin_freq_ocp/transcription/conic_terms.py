@@ -118,7 +118,7 @@ class ConicTerms:
 
     @property
     def of_costs(self) -> Mask:
-        """Return which slacks are those of nonsmooth costs, whose prices say how large the cost is; a penalty's do not."""
+        """Return which slacks are those of nonsmooth costs: their prices say how large the cost is."""
         return np.concatenate(
             [
                 np.zeros(0, dtype=bool),

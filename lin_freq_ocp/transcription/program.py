@@ -150,7 +150,8 @@ class Program:
         bound = np.where((y > 0) & self.alone, self.upper, self.lower)
         impossible = ~np.isfinite(bound) & (y != 0)
         support = float((y * np.where(np.isfinite(bound), bound, 0.0)).sum())
-        curvature, linear = float(z @ Pz), float(self.q @ z)
+        with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
+            curvature, linear = float(z @ Pz), float(self.q @ z)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
             primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
