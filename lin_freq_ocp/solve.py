@@ -23,7 +23,7 @@ from lin_freq_ocp.errors import (
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
-from lin_freq_ocp.methods.spectral import SpectralSolver
+from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -147,13 +147,17 @@ def _spectral(
     problem: OptimalControlProblem, required: bool, tolerance: float | None, time_limit: float | None
 ) -> Result | None:
     """Return what the Fourier-domain method ends with; None, unless required, if that is no answer with a proof."""
+    rows = row_form(problem)
     try:
-        solver = SpectralSolver(problem)
+        solver = SpectralSolver(rows.problem)
     except UnsupportedError:
         if required:
             raise
         return None
-    candidate = solver.solve(tolerance=tolerance, time_limit=time_limit)
+    candidate: Candidate = solver.solve(tolerance=tolerance, time_limit=time_limit)
+    if rows.polyhedra:
+        found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
+        candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
     result = _judged(problem, candidate, "spectral", None)

@@ -20,6 +20,7 @@ from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchang
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
 from lin_freq_ocp.methods.spectral.optimality import residuals
+from lin_freq_ocp.methods.spectral.polyhedra import row_form
 from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.working_set import Rows
@@ -76,7 +77,8 @@ class SpectralSolver:
     Parameters
     ----------
     problem : OptimalControlProblem
-        Linear time-invariant, with a constant convex quadratic stage cost.
+        Linear time-invariant, with a constant convex quadratic stage cost. Polyhedral sets become joint rows: then
+        ``problem`` of the solver and of its solutions is the problem in rows.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
+        problem = row_form(problem).problem
         reason = refusal(problem)
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
