@@ -48,6 +48,9 @@ PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200}
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 """Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
 
+MASKED = 1e-6
+"""Relative error of the cost of the reference problem with a mask, which is known to no more."""
+
 COST_AGREEMENT = 1e-6
 """Relative difference of two costs from solvers that stop at 1e-8 or better."""
 
@@ -211,7 +214,7 @@ def known_problems() -> dict[str, tuple[lfo.OptimalControlProblem, float]]:
     known = {name: (lfo.library.pendulum(**keywords), cost) for name, (keywords, cost) in PENDULUM.items()}
     known["physical, constrained"] = lfo.library.pendulum(parameters="physical"), 3611.455894278
     known["physical, classical"] = lfo.library.pendulum(parameters="physical", cutoff=None), 3204.426641194
-    return known | {name: (reference_problem(name), INSTANCES[name]["optimal_value"]) for name in STATED}
+    return known | {name: (reference_problem(name), INSTANCES[name]["optimal_value"]) for name in INSTANCES}
 
 
 def known_optima() -> tuple[Table, bool]:
@@ -222,6 +225,10 @@ def known_optima() -> tuple[Table, bool]:
     for name, (problem, optimum) in known_problems().items():
         cells = []
         for backend, promise in PROMISED.items():
+            if backend != "clarabel" and name not in STATED and name in INSTANCES:
+                cells.append("no cones")
+                continue
+            promise = promise if name in STATED or name not in INSTANCES else MASKED
             result = lfo.solve(problem, backend=backend, throw=False)
             if result.status != "optimal" or result.cost is None:
                 cells.append(result.status)

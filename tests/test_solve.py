@@ -52,6 +52,12 @@ def test_reference_problems(name, method):
     assert_proven(result)
 
 
+def test_the_reference_problem_with_a_mask():
+    result = lfo.solve(reference_problem("dint200_soft"))
+    assert result.cost == pytest.approx(INSTANCES["dint200_soft"]["optimal_value"], rel=1e-6)
+    assert_proven(result)
+
+
 def assert_proven(result):
     assert result.status == "optimal"
     assert result.primal

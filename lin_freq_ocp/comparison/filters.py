@@ -13,7 +13,6 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.maps import SpectrumMap
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
@@ -58,27 +57,16 @@ def filter_stop(problem: OptimalControlProblem) -> Mask:
     Where no control has a stop band, the filter removes the frequencies of the states' stop bands from every control,
     as one does who must not excite them.
     """
-    stop = problem.control_stop | _masked(problem)
-    if stop.any() or not problem.state_stop.any():
+    stop = problem.control_band
+    if stop.any() or not problem.state_band.any():
         return stop
     T = problem.horizon
     k = np.arange(T // 2 + 1) / T
     removed = np.zeros(len(k), dtype=bool)
     for i in range(problem.state_dim):
-        for first, last in stopped_runs(problem.state_stop[:, i]):
+        for first, last in stopped_runs(problem.state_band[:, i]):
             removed |= (k >= (first - 0.5) / (T + 1)) & (k <= (last + 0.5) / (T + 1))
     return np.repeat(removed[:, None], problem.control_dim, axis=1)
-
-
-def _masked(problem: OptimalControlProblem) -> Mask:
-    """Return the bins of controls that magnitude and energy bounds are about."""
-    masked = np.zeros_like(problem.control_stop)
-    for term in problem.terms:
-        if term.kind == "control spectrum" and isinstance(term.map, SpectrumMap) and term.map.D is not None:
-            finer = term.map.points // problem.horizon
-            bins = term.map.bins[term.map.bins % finer == 0] // finer
-            masked[np.ix_(bins, np.flatnonzero(term.map.D))] = True
-    return masked
 
 
 def brick_wall(u: Array, stop: Mask, tube: Box) -> FilteredControl:

@@ -107,6 +107,18 @@ class SpectrumMap:
     together: bool = False
 
     @property
+    def component(self) -> int:
+        """Return the state or control that it is a spectrum of, if it is that of one."""
+        row = self.C if self.C is not None else self.D
+        assert row is not None  # there is a signal
+        return int(np.flatnonzero(row)[0])
+
+    @property
+    def nearest_bins(self) -> Indices:
+        """Return the nearest bin of the plain DFT to each of the bins, (bins,)."""
+        return np.rint(self.bins * len(self.window) / self.points).astype(int)
+
+    @property
     def single(self) -> Mask:
         """Which of the bins are real for every signal, (bins,)."""
         return np.asarray((self.bins == 0) | (2 * self.bins == self.points))

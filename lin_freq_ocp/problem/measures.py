@@ -42,7 +42,7 @@ class Measures:
     terminal_errors : (n,) or None
         That distance for every component.
     stopband_energy, state_stopband_energy : float or None
-        Sum of |DFT|^2 over the stopped bins 0 .. Nyquist of the controls, of the states.
+        Sum of |DFT|^2 over the stopped (or bounded) bins 0 .. Nyquist of the controls, of the states.
     stopband_peak, state_stopband_peak : float or None
         Largest magnitude of the zero-padded spectrum between the first and last bin of each stopped run.
     amplification : float
@@ -79,10 +79,10 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
         stage_violation=max((float(rows.violation(x, u).max()) for rows in problem.stage_rows), default=None),
         terminal_error=float(missed.max()) if has_end else None,
         terminal_errors=tuple(float(miss) for miss in missed) if has_end else None,
-        stopband_energy=stopband_energy(u, problem.control_stop),
-        stopband_peak=stopband_peak(u, problem.control_stop),
-        state_stopband_energy=stopband_energy(x, problem.state_stop),
-        state_stopband_peak=stopband_peak(x, problem.state_stop),
+        stopband_energy=stopband_energy(u, problem.control_band),
+        stopband_peak=stopband_peak(u, problem.control_band),
+        state_stopband_energy=stopband_energy(x, problem.state_band),
+        state_stopband_peak=stopband_peak(x, problem.state_band),
         amplification=amplification(problem),
     )
 

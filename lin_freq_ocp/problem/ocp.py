@@ -18,6 +18,7 @@ from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.problem_terms import (
     BEYOND_BANDS,
     OutputSpectrum,
+    bounded_bins,
     output_terms,
     row_terms,
     set_terms,
@@ -244,6 +245,16 @@ class OptimalControlProblem:
         return stopped_bins(
             "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time, BEYOND_BANDS
         )
+
+    @cached_property
+    def control_band(self) -> Mask:
+        """Which bins of which control are removed or bounded by a mask or an energy: shape (T//2 + 1, m)."""
+        return self.control_stop | bounded_bins(self.terms, "control spectrum", self.control_stop.shape)
+
+    @cached_property
+    def state_band(self) -> Mask:
+        """Which bins of which state are removed or bounded by a mask or an energy: shape ((T+1)//2 + 1, n)."""
+        return self.state_stop | bounded_bins(self.terms, "state spectrum", self.state_stop.shape)
 
     def require(self, trajectory: Trajectory) -> None:
         """Raise ProblemError unless the trajectory has this problem's shape."""

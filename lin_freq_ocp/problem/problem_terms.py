@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, real_array
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, real_array
 from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard
@@ -174,6 +174,19 @@ def output_terms(
                 yield Term(f"stop band on {given.output_names[j]}", kind, stopped, zero, source)
             else:
                 yield _bounded(where, one, row, length, sampling_time, kind, given.output_names[j], source)
+
+
+def bounded_bins(terms: Sequence[Term], kind: str, shape: tuple[int, int]) -> Mask:
+    """Return which bins of which component the magnitude and energy bounds of a spectrum are about, (bins, components).
+
+    A point of a finer grid belongs to the nearest bin.
+    """
+    bounded = np.zeros(shape, dtype=bool)
+    for term in terms:
+        if term.kind == kind and isinstance(term.map, SpectrumMap):
+            bounded[term.map.nearest_bins, term.map.component] = True
+    bounded.flags.writeable = False
+    return bounded
 
 
 def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:

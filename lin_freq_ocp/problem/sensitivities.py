@@ -9,7 +9,10 @@ import numpy as np
 
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, ComplexArray
+from lin_freq_ocp.problem.maps import SpectrumMap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.penalties import Cone, Norm
+from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 
@@ -29,6 +32,9 @@ class Sensitivities:
     control_upper, control_lower : (T, m)
     stage_rows : mapping from name to (T, rows)
         By the limits e_t.
+    limits : mapping from name to (groups, dim) or (groups, 1)
+        By the limits of all other terms: of the rows of a set; of the radius of a ball, the limit of a mask at each of
+        its bins, the root of an energy.
     offset : (T, n)
         By the offset d_t of the dynamics: what a push at time t is worth.
     control_bins : complex (T//2 + 1, m), state_bins : complex ((T+1)//2 + 1, n)
@@ -43,6 +49,7 @@ class Sensitivities:
     control_upper: Array
     control_lower: Array
     stage_rows: Mapping[str, Array]
+    limits: Mapping[str, Array]
     offset: Array
     control_bins: ComplexArray
     state_bins: ComplexArray
@@ -82,7 +89,37 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         control_upper=-np.maximum(nu, 0.0),
         control_lower=-np.minimum(nu, 0.0),
         stage_rows={rows.name: -multipliers.stage[rows.name] for rows in problem.stage_rows},
+        limits={
+            term.name: -_sizes(term, multipliers.stage[term.name])
+            for term in problem.terms
+            if term.kind != "stage rows" and not term.kind.endswith("cost") and not isinstance(term.penalty, Cone)
+        },
         offset=-multipliers.eta,
         control_bins=-multipliers.rho_u,
         state_bins=-multipliers.rho_x,
     )
+
+
+def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tuple[Array, Array]:
+    """Return what a little more room at each bin is worth, (T//2 + 1, m) for controls, ((T+1)//2 + 1, n) for states.
+
+    |rho| of removed bins, and for masks and energies |lambda|, of points between bins at the nearest one: dJ*/dlimit is
+    minus that.
+    """
+    prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
+    for term in problem.terms:
+        weights = multipliers.stage.get(term.name)
+        if weights is None or not isinstance(term.map, SpectrumMap) or term.kind == "output spectrum":
+            continue
+        size, component = np.linalg.norm(term.map.pairs(weights), axis=1), term.map.component
+        of_component = prices[term.kind == "state spectrum"][:, component]
+        np.add.at(of_component, term.map.nearest_bins, size)
+    return prices
+
+
+def _sizes(term: Term, weights: Array) -> Array:
+    """Return the multipliers of a term's limits from those of its values."""
+    if not isinstance(term.penalty, Norm):
+        return weights
+    order = {1: np.inf, 2: 2, np.inf: 1}[term.penalty.order]
+    return np.linalg.norm(weights, order, axis=1)[:, None]

@@ -102,7 +102,7 @@ class Entry:
 
     def leaves_band_empty(self, of_states: bool) -> bool | None:
         """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""
-        stop = self.problem.state_stop if of_states else self.problem.control_stop
+        stop = self.problem.state_band if of_states else self.problem.control_band
         if self.trajectory is None or not stop.any() or (of_states and not self.replayed):
             return None
         signal = self.trajectory.x if of_states else self.trajectory.u
@@ -159,8 +159,8 @@ def shown_filter(comparison: Comparison, name: str | None = None) -> Filtered | 
 
 
 def has_stop_band(problem: OptimalControlProblem) -> bool:
-    """Whether any bin of any control or state is removed."""
-    return bool(problem.control_stop.any() or problem.state_stop.any())
+    """Whether any bin of any control or state is removed or bounded."""
+    return bool(problem.control_band.any() or problem.state_band.any())
 
 
 def state_bounds(problem: OptimalControlProblem) -> Box:

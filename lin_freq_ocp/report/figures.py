@@ -19,6 +19,7 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.numbers import number, split_unit
@@ -131,7 +132,7 @@ def four_panels(scene: Scene) -> Figure:
         )
     for column, title in zip(range(2), letters, strict=False):
         _draw_states(figure, grid, scene, column, f"({title})")
-    _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_stop.any()))
+    _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_band.any()))
     return figure
 
 
@@ -167,7 +168,7 @@ def states_figure(scene: Scene) -> Figure:
 
 def state_spectra_figure(scene: Scene) -> Figure:
     """Return the spectra of the states that have a stop band (there must be one)."""
-    stopped = [int(i) for i in np.flatnonzero(scene.problem.state_stop.any(0))]
+    stopped = [int(i) for i in np.flatnonzero(scene.problem.state_band.any(0))]
     figure, panels = _two_columns(len(stopped), ROW_HEIGHT)
     for i, ax in zip(stopped, panels, strict=True):
         spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {split_unit(scene.problem.state_names[i])[0]}")
@@ -214,24 +215,24 @@ def gap_figure(scene: Scene, certificate: Certificate) -> Figure | None:
 
 
 def price_figure(scene: Scene, multipliers: Multipliers) -> Figure:
-    """Return |d J* / d bin| of every removed bin over its frequency (there must be a stop band)."""
-    problem = scene.problem
+    """Return |d J* / d bin| of every removed or bounded bin over its frequency (there must be one)."""
+    problem, prices = scene.problem, bin_prices(scene.problem, multipliers)
     kinds = [
-        (rho, [component(int(i)) for i in np.flatnonzero(stop.any(0))], what, length)
-        for rho, component, stop, what, length in (
-            (multipliers.rho_u, scene.control, problem.control_stop, "control", problem.horizon),
-            (multipliers.rho_x, scene.state, problem.state_stop, "state", problem.horizon + 1),
+        (price, [component(int(i)) for i in np.flatnonzero(stop.any(0))], what, length)
+        for price, component, stop, what, length in (
+            (prices[0], scene.control, problem.control_band, "control", problem.horizon),
+            (prices[1], scene.state, problem.state_band, "state", problem.horizon + 1),
         )
         if stop.any()
     ]
     figure = new_figure(0.85 * ROW_HEIGHT * len(kinds))
-    for row, (rho, components, what, length) in enumerate(kinds):
+    for row, (price, components, what, length) in enumerate(kinds):
         ax = figure.add_subplot(len(kinds), 1, row + 1)
-        frequency = scene.frequency.factor * 2 * np.pi * np.arange(len(rho)) / length
+        frequency = scene.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
         for i, one in enumerate(components):
             shade_stop_band(ax, one.stop, length, scene.frequency.factor)
-            _draw_prices(ax, one, frequency, np.abs(rho[:, one.index]), i)
-        highest = float(np.abs(rho[:, [one.index for one in components]]).max())
+            _draw_prices(ax, one, frequency, price[:, one.index], i)
+        highest = float(price[:, [one.index for one in components]].max())
         ax.set_ylim(0, 1.08 * highest or 1.0)
         if len(components) > 1:
             ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)

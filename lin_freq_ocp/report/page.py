@@ -147,7 +147,7 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
     )
     filtered = "" if one is None else f" Filtered: {one.description}."
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
-    if comparison.problem.state_stop.any():
+    if comparison.problem.state_band.any():
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
     yield "states", "Every state in time", "", figures.states_figure(scene)
     if result.certificate is not None and result.multipliers is not None:

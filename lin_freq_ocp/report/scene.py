@@ -52,7 +52,7 @@ class Component:
     @property
     def stop(self) -> Mask:
         """Return its stopped bins, (N//2 + 1,)."""
-        return (self.problem.state_stop if self.is_state else self.problem.control_stop)[:, self.index]
+        return (self.problem.state_band if self.is_state else self.problem.control_band)[:, self.index]
 
     @property
     def bounds(self) -> tuple[Array, Array]:

@@ -209,7 +209,7 @@ def _excess(entry: Entry, excess: Excess | None, i: int) -> Cell:
 
 
 def _stop_band(title: str, columns: Sequence[Entry], of_states: bool) -> Group:
-    stopped = columns[0].problem.state_stop if of_states else columns[0].problem.control_stop
+    stopped = columns[0].problem.state_band if of_states else columns[0].problem.control_band
     if not stopped.any():
         return Group(title, ())
     prefix = "state_" if of_states else ""
