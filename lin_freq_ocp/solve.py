@@ -25,7 +25,7 @@ from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem, simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
@@ -88,6 +88,7 @@ def solve(
     UnsupportedError
         If the method or backend does not exist or cannot take this problem.
     """
+    require_problem(problem)
     if method not in METHODS:
         raise UnsupportedError(f"method: got {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or 'spectral'.")
     if method == "spectral" and backend != "auto":
@@ -127,6 +128,7 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     ProblemError
         If a shape does not fit the problem.
     """
+    require_problem(problem)
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, trajectory)
     problem.require(trajectory)

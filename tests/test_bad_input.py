@@ -608,3 +608,12 @@ def test_what_is_not_supported_says_so(call, error, words):
         call()
     assert words in str(caught.value)
     assert isinstance(caught.value, lfo.LinFreqOCPError)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [lfo.solve, lfo.compare, lfo.explain, lambda text: lfo.certify(text, 1), lambda text: lfo.rate_limited(text, 1)],
+)
+def test_what_is_no_problem_is_refused(call):
+    with pytest.raises(lfo.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
+        call("cart.toml")

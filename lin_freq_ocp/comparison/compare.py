@@ -11,7 +11,7 @@ from lin_freq_ocp.comparison.filters import FILTERS, filtered, require_filters
 from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.measures import Measures, measure
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 
@@ -94,6 +94,7 @@ def compare(
     SolveError
         If the problem has no solution even without its frequency constraints.
     """
+    require_problem(problem)
     names = list(FILTERS) if filters is None else list(filters)
     require_filters(names)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)

@@ -14,7 +14,7 @@ from lin_freq_ocp.explain.relaxation import Cure, least_cure
 from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.measures import stated_sizes
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 
@@ -70,6 +70,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     UnsupportedError
         If the problem has a solution, or none of the methods could prove that it has none.
     """
+    require_problem(problem)
     if time_limit is not None:
         positive_number("time_limit", time_limit)
     search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)

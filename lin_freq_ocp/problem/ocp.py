@@ -287,6 +287,12 @@ def _listed(field: str, given: Any, kind: type) -> Sequence[Any]:
     return listed
 
 
+def require_problem(problem: Any) -> None:
+    """Raise ProblemError unless it is an optimal control problem."""
+    if not isinstance(problem, OptimalControlProblem):
+        raise ProblemError("problem", brief(problem), "an OptimalControlProblem", "Of a file: lfo.read_problem(path).")
+
+
 def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) -> Trajectory:
     """Return the trajectory of the controls u from the initial state, by the dynamics alone.
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Bound, brief, real_array
 from lin_freq_ocp.problem.extension import FurtherStates, extended
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.stage_rows import StageRows
 
@@ -41,6 +41,7 @@ def rate_limited(
     ProblemError
         If the limit or the previous control does not fit the problem.
     """
+    require_problem(problem)
     m = problem.control_dim
     limits = _limits(limit, m)
     limited = np.flatnonzero(np.isfinite(limits))
