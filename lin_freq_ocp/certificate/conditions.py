@@ -9,7 +9,7 @@ is where it must be, and that its multipliers are subgradients of h there (for a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.terms import Term
 
 CONDITION_TOLERANCE = 1e-6
 """Residual over scale. Good solvers reach 1e-9; an error in a sign, an index or a row gives 1e-3 or more."""
@@ -56,7 +57,8 @@ class Condition:
     residual, scale, tolerance : float
         In the units of the condition; of the worst component.
     time, component : int or None
-        Where it is worst; for a frequency constraint, time is the bin. None: the condition is one number.
+        Where it is worst; for a frequency constraint, time is the bin. None: the condition is one number, or (the
+        component) that of a vector.
     """
 
     label: str
@@ -253,7 +255,7 @@ def term_holds(label: str, lifted: TermLift, least: Array) -> Condition:
     scales = _scales(lifted.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if lifted.term.kind == "stage rows" else "holds"
-    return _worst(label, f"{what}: {lifted.term.name}", violation, scales)
+    return _at_place(lifted.term, _worst(label, f"{what}: {lifted.term.name}", violation, scales))
 
 
 def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -> Condition:
@@ -269,7 +271,14 @@ def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -
     t, row = _argmax(gap.astype(np.float64))
     what = "row multipliers complementary" if lifted.term.kind == "stage rows" else "multipliers are subgradients"
     name = f"{what}: {lifted.term.name}"
-    return Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row)
+    return _at_place(lifted.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
+
+
+def _at_place(term: Term, condition: Condition) -> Condition:
+    """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
+    places = term.map.places
+    time = None if condition.time is None or len(places) != term.shape[0] else int(places[condition.time])
+    return replace(condition, time=time, component=condition.component if term.kind == "stage rows" else None)
 
 
 def _scales(terms: Array, least: Array) -> Array:

@@ -145,7 +145,7 @@ def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflic
         if _bound(problem, without).value <= 0:
             places = term.map.places
             acting = _important(np.abs(weights).sum(1)) if len(weights) == len(places) else range(len(places))
-            yield Conflict(term.name, 1.0, tuple(int(places[i]) for i in acting))
+            yield Conflict(term.name, 1.0, tuple(sorted({int(places[i]) for i in acting})))
 
 
 def _important(weights: Array) -> tuple[int, ...]:

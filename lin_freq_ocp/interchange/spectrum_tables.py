@@ -14,7 +14,7 @@ from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.spectrum import Band
-from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum_bounds import NO_LOWER_MASK, EnergyBound, LinearConstraint, MagnitudeBound
 
 WHERE = ("bins", "band", "component", "penalty", "window", "oversampling")
 """Arguments that magnitude and energy bounds share."""
@@ -38,6 +38,8 @@ def spectrum_from_table(place: str, table: Any) -> Any:
             known = (*MAKERS, *BOUNDS)
             raise ProblemError(f"{place}.kind", repr(kind), f"one of {', '.join(known)}", suggestion(kind, known))
         return band_from_table(place, table)
+    if kind == "magnitude_bound" and "at_least" in table:
+        raise ProblemError(f"{place}.at_least", brief(table["at_least"]), "an upper limit", NO_LOWER_MASK)
     maker, required, optional = BOUNDS[kind]
     require_keys(place, table, ("kind", *required), optional)
     arguments = {key: value for key, value in table.items() if key != "kind"}

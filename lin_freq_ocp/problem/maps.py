@@ -125,8 +125,8 @@ class SpectrumMap:
 
     @property
     def places(self) -> Indices:
-        """Return the bins, of the finer grid where there is one."""
-        return self.bins
+        """Return the bins; of points between them, the nearest."""
+        return self.nearest_bins
 
     @property
     def additions(self) -> float:

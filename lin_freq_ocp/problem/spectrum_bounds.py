@@ -19,6 +19,12 @@ from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
 from lin_freq_ocp.problem.spectrum import Band, stop_band
 
+NO_LOWER_MASK = (
+    "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
+    "could be proven. Ask for a reference instead: u_ref, x_ref."
+)
+"""Why there is none."""
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class _SpectrumBound:
@@ -155,10 +161,7 @@ class MagnitudeBound(_SpectrumBound):
         between: bool = False,
     ):
         if at_least is not None:
-            raise UnsupportedError(
-                "MagnitudeBound.at_least: a lower bound on a magnitude is not convex (of two signals above it, the "
-                "mean can be zero), so no global optimum could be proven. Ask for a reference instead: u_ref, x_ref."
-            )
+            raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
         assign(self, limit=_limit(limit, limit_db, reference), between=between)
         self._place(bins, band, component, penalty, window, oversampling)
         if not isinstance(between, bool):

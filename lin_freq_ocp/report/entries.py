@@ -13,7 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import Measures, one_step_residual, stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 CLASSICAL, CONSTRAINED, OPTIMAL = "classical", "constrained", "optimal"
@@ -88,10 +88,10 @@ class Entry:
 
     @property
     def rows(self) -> Excess | None:
-        """Return how far the joint rows are violated, at the worst row of every family."""
+        """Return how far joint rows, sets, masks and the like are violated, at the worst entry of each."""
         if self.trajectory is None or not self.replayed:
             return None
-        found = [_excess_of_rows(one, self.trajectory, *self._least) for one in self.problem.stage_rows]
+        found = [_excess_of_term(one, self.trajectory, *self._least) for one in self.problem.terms if one.hard]
         values, allowed = np.array(found).reshape(-1, 2).T
         return Excess(values, allowed, np.ones(len(found), dtype=bool))
 
@@ -102,7 +102,7 @@ class Entry:
 
     def leaves_band_empty(self, of_states: bool) -> bool | None:
         """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""
-        stop = self.problem.state_band if of_states else self.problem.control_band
+        stop = self.problem.state_stop if of_states else self.problem.control_stop
         if self.trajectory is None or not stop.any() or (of_states and not self.replayed):
             return None
         signal = self.trajectory.x if of_states else self.trajectory.u
@@ -168,11 +168,12 @@ def state_bounds(problem: OptimalControlProblem) -> Box:
     return stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)
 
 
-def _excess_of_rows(rows: StageRows, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
-    """Return the largest violation of the row that is worst for its size, and what S-z of the certificate lets pass."""
+def _excess_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+    """Return the largest violation of the entry that is worst for its size, and what the certificate lets pass."""
     x, u = trajectory.x, trajectory.u
-    terms = rows.magnitudes().values(np.abs(x), np.abs(u)).max(0)
-    violation, scale = rows.violation(x, u).max(0), np.maximum(terms, rows.sizes(least_x, least_u))
+    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
+    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
+    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
     worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
     return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
 

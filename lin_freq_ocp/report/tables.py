@@ -26,7 +26,7 @@ OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
 OF_ROWS = ("S-z", "N-z")
 """Conditions whose component is a joint row."""
 
-IN_FREQUENCY = ("C-vi", "C-vii")
+IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
 """Conditions whose worst place is a bin."""
 
 
@@ -94,7 +94,7 @@ def comparison_rows(comparison: Comparison) -> ComparisonRows:
         _largest_controls(problem, columns),
         _excesses("Beyond the control bounds by", problem.control_names, columns, lambda entry: entry.controls),
         _excesses("Beyond the state bounds by", problem.state_names, columns, lambda entry: entry.states),
-        _excesses("Beyond the joint rows by", _names_of_rows(problem), columns, lambda entry: entry.rows),
+        _excesses(_title_of_rows(problem), _names_of_rows(problem), columns, lambda entry: entry.rows),
         _excesses("Misses the end state by", problem.state_names, columns, lambda entry: entry.end),
         _stop_band("Stop band of the controls", columns, of_states=False),
         _stop_band("Stop band of the states", columns, of_states=True),
@@ -198,8 +198,13 @@ def _excesses(
     return Group(title, tuple(rows))
 
 
+def _title_of_rows(problem: OptimalControlProblem) -> str:
+    others = any(term.hard and term.kind != "stage rows" for term in problem.terms)
+    return "Beyond other constraints by" if others else "Beyond the joint rows by"
+
+
 def _names_of_rows(problem: OptimalControlProblem) -> list[str]:
-    return [rows.name for rows in problem.stage_rows]
+    return [term.name for term in problem.terms if term.hard]
 
 
 def _excess(entry: Entry, excess: Excess | None, i: int) -> Cell:
@@ -250,10 +255,12 @@ def _one_step(problem: OptimalControlProblem, columns: Sequence[Entry]) -> Group
 
 def _place(problem: OptimalControlProblem, condition: Condition) -> str:
     """Return where a condition is worst; nothing where it holds exactly."""
-    if condition.time is None or condition.component is None or condition.residual == 0:
+    if condition.time is None or condition.residual == 0:
         return NOTHING
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
+    if condition.component is None:
+        return f"{axis} {condition.time}"
     return f"{axis} {condition.time}, {split_unit(names[condition.component])[0]}"

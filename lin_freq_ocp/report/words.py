@@ -78,7 +78,7 @@ def faults(entry: Entry, comparison: Comparison) -> list[str]:
     words += _exceeded(entry.controls, problem.control_names, entry.trajectory.u)
     if entry.replayed:
         words += _left(entry.states, problem.state_names)
-        words += _violated(entry.rows, [rows.name for rows in problem.stage_rows])
+        words += _violated(entry.rows, [term.name for term in problem.terms if term.hard])
         words += _missed(entry.end, problem.state_names)
     for of_states, what in ((False, "control"), (True, "state")):
         if entry.leaves_band_empty(of_states) is False:
