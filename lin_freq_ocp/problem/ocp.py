@@ -121,7 +121,8 @@ class OptimalControlProblem:
                 )
         problem.__dict__["ends"] = tuple(ends)
         problem.__dict__.pop("state_tube", None)
-        if self.terms or not (isinstance(problem.initial_state, Box) and isinstance(problem.terminal_state, Box)):
+        boxes = isinstance(problem.initial_state, Box) and isinstance(problem.terminal_state, Box)
+        if not boxes or any(term.kind == "state set" for term in self.terms):  # what else there is knows no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem

@@ -156,6 +156,11 @@ class Cone:
 Penalty = Below | Norm | Cone
 
 
+def weight_of(penalty: float | None) -> Array:
+    """Return the weight of a penalty as users give it: a price per unit of excess, or None for what must hold."""
+    return np.asarray(np.inf if penalty is None else penalty)
+
+
 def hard(weight: Array) -> bool:
     """Whether anything with this weight must hold exactly."""
     return bool(np.isinf(weight).any())

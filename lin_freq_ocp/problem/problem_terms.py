@@ -12,7 +12,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, real_array
 from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
-from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard
+from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -122,7 +122,7 @@ def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
             rows.name,
             "stage rows",
             StageMap(np.arange(horizon), rows.C, rows.D, np.zeros(rows.rows)),
-            Below(np.where(rows.bounded(horizon), rows.e, np.inf), rows.weight),
+            Below(np.where(rows.bounded(horizon), rows.e, np.inf), weight_of(rows.penalty)),
         )
         for rows in families
     ]
@@ -142,7 +142,7 @@ def spectrum_terms(
             if one.coefficients.shape != expected:
                 raise ProblemError(f"{where}.coefficients", f"shape {one.coefficients.shape}", f"shape {expected}")
             matrices = (one.coefficients, None) if of_state else (None, one.coefficients)
-            equation = Norm(2, np.zeros(()), one.weight)
+            equation = Norm(2, np.zeros(()), weight_of(one.penalty))
             sums = SumMap(*matrices, one.constant)
             found.append(Term(f"linear constraint of {kind}", kind, sums, equation, (field, i)))
         elif isinstance(one, (MagnitudeBound, EnergyBound)):
@@ -211,12 +211,12 @@ def _bounded(
     source: tuple[str, int],
 ) -> Term:
     bins = one.bins(length, sampling_time, where)
-    window, points = one.samples(length, where), one.points(length)
+    window, points, weight = one.samples(length, where), one.points(length), weight_of(one.penalty)
     if isinstance(one, EnergyBound):
         energy = SpectrumMap(row[0], row[1], window, points, bins, together=True)
-        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), one.weight), source)
+        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), weight), source)
     magnitudes = SpectrumMap(row[0], row[1], window, points, bins)
-    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), one.weight), source)
+    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), weight), source)
 
 
 def _require_inside(where: str, parts: Sequence[Part], t: int, value: Array) -> None:

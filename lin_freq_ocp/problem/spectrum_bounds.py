@@ -68,11 +68,6 @@ class _SpectrumBound:
             oversampling=positive_integer(f"{kind}.oversampling", oversampling),
         )
 
-    @property
-    def weight(self) -> Array:
-        """Return the price per unit of excess; inf for a hard bound."""
-        return np.asarray(np.inf if self.penalty is None else self.penalty)
-
     def on(self, component: int | str) -> Self:
         """Return the same bound on one component."""
         alone = copy(self)
@@ -263,11 +258,6 @@ class LinearConstraint:
             got = f"{right[row]:g} for row {row}, which has no coefficients"
             raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
         assign(self, coefficients=matrices, constant=right, penalty=soft)
-
-    @property
-    def weight(self) -> Array:
-        """Return the price per unit of excess; inf for a hard constraint."""
-        return np.asarray(np.inf if self.penalty is None else self.penalty)
 
 
 def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:

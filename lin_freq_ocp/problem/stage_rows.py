@@ -97,11 +97,6 @@ class StageRows:
         return self.e.shape[-1]
 
     @property
-    def weight(self) -> Array:
-        """Return the price per unit of excess; inf for hard rows."""
-        return np.asarray(np.inf if self.penalty is None else self.penalty)
-
-    @property
     def time_varying(self) -> bool:
         """Whether C or D depends on time."""
         return self.C.ndim == 3 or self.D.ndim == 3
