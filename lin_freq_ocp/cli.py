@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError
+from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.interchange.keys import suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.rerun import rerun, rerun_summary
@@ -38,7 +39,9 @@ from lin_freq_ocp.interchange.summary import (
 )
 from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.interchange.trajectory_file import load_trajectory
+from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
 
@@ -191,6 +194,7 @@ def certify_command(problem: str, solution: str, settings: tuple[str, ...], as_j
         _print_json(certificate_summary(description, certificate))
     else:
         _print_certificate(description, certificate)
+        _print_multipliers(description, trajectory, certificate)
     return certificate_status(certificate)
 
 
@@ -369,6 +373,22 @@ def _print_certificate(problem: OptimalControlProblem, certificate: Certificate 
         from lin_freq_ocp.report.tables import certificate_table
 
         out.print(certificate_table(problem, certificate))
+
+
+def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
+    """Say whether there are others, or the direction that proves that there are none."""
+    descent = certificate.descent
+    if descent is not None:
+        control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
+        click.echo(
+            f"descent     no normal multipliers exist: along a verified direction, which changes {control} most at "
+            f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
+        )
+    elif certificate.pmp == "satisfied":
+        try:
+            click.echo(f"multipliers {uniqueness(problem, trajectory)}")
+        except UnsupportedError:  # too many to count in a moment
+            return
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -63,7 +63,9 @@ HEAD = {
     "version": str,
     "problem": {"name": str, "horizon": int, "state_dim": int, "control_dim": int, "sampling_time": (float, None)},
 }
+DIRECTION = {"slope": float, "residual": float, "time": int}
 CERTIFICATE = {
+    "descent": (DIRECTION, None),
     "pmp": str,
     "normal": (bool, None),
     "global": bool,
@@ -100,6 +102,7 @@ SOLVE = {
         {"family": [str], "irreducible": bool, "cures": [{"block": str, "amount": float, "words": str}]},
         None,
     ),
+    "direction": (DIRECTION, None),
     "message": (str, None),
 }
 MEASURES = {
@@ -824,3 +827,15 @@ def test_it_is_said_that_nothing_was_saved(tmp_path, monkeypatch):
 def test_a_nearby_parameter_is_suggested():
     assert "Did you mean 'cutoff'?" in run("solve", "pendulum", "--set", "cutof=1")[2]
     assert run("solve", "pendulum", "--set", "")[0] == 2
+
+
+def test_certify_says_whether_multipliers_are_unique_or_shows_a_descent(tmp_path):
+    problem = ("double_integrator", "--set", "horizon=40", "--set", "sampling_time=0.1")
+    status, _, _ = run("solve", *problem, "--save", str(tmp_path / "run.npz"))
+    assert status == 0
+    _, said, _ = run("certify", *problem, str(tmp_path / "run.npz"))
+    assert "multipliers unique: the " in said
+    (tmp_path / "constant.csv").write_text("acceleration [m/s^2]\n" + "0.1\n" * 40)
+    status, said, _ = run("certify", *problem, str(tmp_path / "constant.csv"))
+    assert "descent     no normal multipliers exist" in said
+    assert status == 3

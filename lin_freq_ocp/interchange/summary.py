@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.measures import Measures
@@ -37,6 +38,7 @@ def result_summary(result: Result) -> dict[str, Any]:
             "certificate": _certificate(result.certificate),
             "conflict": conflict,
             "explanation": None if result.explanation is None else asdict(result.explanation),
+            "direction": _direction(result.direction),
             "message": result.message or None,
         }
     )
@@ -118,7 +120,14 @@ def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
         "normal": certificate.normal,
         "global": certificate.globally_optimal,
         "conditions": [{**asdict(one), "passed": one.passed} for one in certificate.conditions],
+        "descent": _direction(certificate.descent),
     }
+
+
+def _direction(direction: Direction | None) -> dict[str, Any] | None:
+    if direction is None:
+        return None
+    return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
 
 
 def _measures(measures: Measures | None) -> dict[str, Any] | None:

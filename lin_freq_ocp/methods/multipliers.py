@@ -38,7 +38,8 @@ NONTRIVIAL = 1e-6
 DEPENDENT = 1e-10
 """Singular values of the active gradients, each of norm 1, below this part of the largest one are zero."""
 
-MOST_GRADIENTS = 4000
+MOST_GRADIENTS = 2000
+"""More of them take more than a few seconds."""
 
 
 @dataclass(frozen=True, eq=False)
