@@ -31,6 +31,9 @@ FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4
 TINY = 1e-9
 """No smaller part of a cure is looked for."""
 
+CLOSE = 1.05
+"""A cure by bounds or rows is the least one to this factor."""
+
 CONTROL_PRICE = 1e-6
 """Cost of controls of their stated sizes, relative to that of a delta as large: a flat program is hard on solvers."""
 
@@ -90,14 +93,15 @@ def least_cure(
 
 
 def _less(amount: float, suffices: Callable[[float], bool]) -> float:
-    """Return a smaller amount, to 5 %, if much less suffices: tiny ones are lost in the price of the controls."""
-    least, most = amount / GROWTH, amount
+    """Return a smaller amount, to 5 %, if less suffices: small ones are lost in the price of the controls."""
+    if not suffices(amount / CLOSE):
+        return amount
+    least, most = amount / GROWTH, amount / CLOSE
     while least > TINY * amount and suffices(least):
         least, most = least / GROWTH, least
-    if most < amount:
-        while most > 1.05 * least:
-            middle = np.sqrt(least * most)
-            least, most = (least, middle) if suffices(middle) else (middle, most)
+    while most > CLOSE * least:
+        middle = float(np.sqrt(least * most))
+        least, most = (least, middle) if suffices(middle) else (middle, most)
     return most
 
 
