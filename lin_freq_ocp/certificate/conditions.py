@@ -87,7 +87,8 @@ class Floors:
     x : (n,), u : (m,)
         Of states and controls, from ends, references, bounds and dynamics.
     cost : float
-        Of what one stage costs with states and controls of their natural sizes.
+        Of what one stage costs with states and controls of their natural sizes; for eta_C = 0, of the largest terms of
+        the Hamiltonian there.
     in_x : (n,), in_u : (m,)
         Of multipliers in the adjoint equation and in D_u H: what changes that cost by its own size.
     terms : tuple of (dim,)
@@ -111,6 +112,9 @@ def floors(lift: Lift) -> Floors:
     in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
     priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
     cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+    if lift.multipliers.eta_C == 0:  # no unit of cost: any multiple of abnormal multipliers is as good
+        before = np.abs(lift.eta_before) + lift.in_x_terms
+        cost = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
     terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
     return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, terms)
 
@@ -118,7 +122,7 @@ def floors(lift: Lift) -> Floors:
 def all_conditions(lift: Lift) -> tuple[Condition, ...]:
     """Judge all conditions, in the paper's order."""
     problem, (x, u), least = lift.problem, (lift.trajectory.x, lift.trajectory.u), floors(lift)
-    level = max(abs(problem.value(x, u)), least.cost)
+    level = least.cost if lift.multipliers.eta_C == 0 else max(abs(problem.value(x, u)), least.cost)
     mu, nu = lift.multipliers.mu, lift.multipliers.nu
     return (
         non_negativity(lift),
