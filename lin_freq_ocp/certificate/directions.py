@@ -62,6 +62,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     along, sizes = _normalised(problem, along)
     residuals = _linear_residuals(problem, along, sizes)
     slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
+    scales.append(_least_slope(problem, trajectory, along, sizes))
     for signal, change, tube, size in zip((x, u), (along.x, along.u), _tubes(problem), sizes, strict=True):
         near = TOUCHING * (size + np.abs(signal))
         residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
@@ -127,6 +128,22 @@ def _quadratic_slope(
 ) -> tuple[list[float], list[float]]:
     products = [part * change for part, change in zip(gradient, (along.x, along.u), strict=True)]
     return [float(part.sum()) for part in products], [float(np.abs(part).sum()) for part in products]
+
+
+def _least_slope(
+    problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory, sizes: tuple[Array, Array]
+) -> float:
+    """Return what slopes are measured by: each component's largest gradient, on all of its change.
+
+    At an optimum to six digits the gradient and the multipliers cancel to these digits of their largest entries.
+    """
+    T, (x, u) = problem.horizon, sizes
+    natural = problem.quadratic.gradient_magnitudes(np.tile(x, (T + 1, 1)), np.tile(u, (T, 1)))
+    there = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
+    return sum(
+        float(np.maximum(now.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
+        for now, least, change in zip(there, natural, (along.x, along.u), strict=True)
+    )
 
 
 def _curvature(problem: OptimalControlProblem, along: Trajectory) -> float:
