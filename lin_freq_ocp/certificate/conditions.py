@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
-from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.problem.sets import Box
@@ -31,6 +31,9 @@ rounding only."""
 MISFIT_SHARE = 1e-2
 """How much a wrong direction of a multiplier counts: its cost is of second order, and an interior-point method that
 ends with a gap of 1e-10 has directions to 1e-5."""
+
+TRIVIAL = 1e-9
+"""What is smaller than this part of the largest multiplier of a set or a row is rounding."""
 
 LABELS = {
     "state set": ("S-x", "N-x"),
@@ -154,8 +157,10 @@ def non_negativity(lift: Lift) -> Condition:
 def non_triviality(lift: Lift) -> Condition:
     """C-ii: eta_C, the adjoint and the frequency multipliers are not all zero."""
     multipliers = lift.multipliers
-    parts = [np.array([multipliers.eta_C]), multipliers.eta, multipliers.rho_u, multipliers.rho_x]
-    trivial = not any(np.any(part) for part in parts)
+    spectra = [one.weights for one in lift.terms if one.term.kind.endswith("spectrum")]
+    counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
+    rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in lift.terms))
+    trivial = multipliers.eta_C == 0 and counted <= TRIVIAL * rest
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
@@ -274,6 +279,10 @@ def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -
     what = "row multipliers complementary" if lifted.term.kind == "stage rows" else "multipliers are subgradients"
     name = f"{what}: {lifted.term.name}"
     return Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row)
+
+
+def _largest(*parts: Array | ComplexArray) -> float:
+    return max(float(np.abs(part).max(initial=0.0)) for part in parts)
 
 
 def _scales(terms: Array, least: Array) -> Array:
