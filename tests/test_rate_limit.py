@@ -7,6 +7,8 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from verify_mixed import problem_of as problem_of_model
+from verify_mixed import random_model
 
 import lin_freq_ocp as lfo
 
@@ -115,6 +117,49 @@ def test_all_that_constrains_and_costs_survives():
     assert loose.sampling_time == 0.1
     np.testing.assert_array_equal(loose.state_stop[:, :N], problem.state_stop)
     assert not loose.state_stop[:, N:].any()
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_limit_that_is_not_active_changes_nothing_of_mixed_features(seed):
+    """Convex sets, soft rows, L1 and Linf costs, masks and energies of states and of outputs, in larger states."""
+    problem = problem_of_model(random_model(seed))
+    result = lfo.solve(problem)
+    limit = 10 * np.abs(np.diff(result.control, axis=0)).max() + 1e-3
+    limited = lfo.rate_limited(problem, limit)
+    again = lfo.solve(limited)
+    assert again.status == result.status == "optimal"
+    assert again.cost == pytest.approx(result.cost, rel=1e-8, abs=1e-8)
+    assert again.certificate.pmp == "satisfied"
+    assert again.certificate.globally_optimal
+    assert len(limited.terms) == len(problem.terms) + 1
+    n, m = problem.state_dim, problem.control_dim
+    rng = np.random.default_rng(seed)
+    x, u = rng.standard_normal((problem.horizon + 1, n)), rng.standard_normal((problem.horizon, m))
+    for t, end in zip((0, -1), problem.ends, strict=True):
+        x[t] = np.where(end.fixed, end.lower, x[t])
+    before = np.vstack([np.zeros(m), u])
+    assert limited.value(np.hstack([x, before]), u) == pytest.approx(problem.value(x, u), rel=1e-12)
+    own = {term.name: term for term in limited.terms}
+    for term in problem.terms:  # at any point, every constraint is violated as much as it was
+        there = own[term.name].violation(np.hstack([x, before]), u)
+        assert there.max() == pytest.approx(term.violation(x, u).max(), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 5, 7, 9, 14, 17, 20, 23])
+def test_an_active_limit_of_mixed_features_costs_what_a_model_by_hand_does(seed):
+    model = random_model(seed)
+    problem = problem_of_model(model)
+    free = lfo.solve(problem)
+    limit = 0.8 * np.abs(np.diff(free.control, axis=0)).max()
+    by_hand = cp.Problem(cp.Minimize(model.cost), [*model.constraints, cp.abs(cp.diff(model.u, axis=0)) <= limit])
+    by_hand.solve(solver="CLARABEL")
+    result = lfo.solve(lfo.rate_limited(problem, limit), throw=False)
+    assert result.status == by_hand.status
+    if result.status == "optimal":
+        assert result.cost == pytest.approx(by_hand.value, rel=1e-6, abs=1e-6)
+        assert result.cost > free.cost + 1e-6 * max(1.0, abs(free.cost))
+        assert np.abs(np.diff(result.control, axis=0)).max() <= limit + 1e-7
+        assert result.certificate.pmp == "satisfied"
 
 
 @pytest.mark.parametrize(

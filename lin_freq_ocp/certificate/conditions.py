@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
-from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.problem.sets import Box
@@ -32,6 +32,9 @@ rounding only."""
 MISFIT_SHARE = 1e-2
 """How much a wrong direction of a multiplier counts: its cost is of second order, and an interior-point method that
 ends with a gap of 1e-10 has directions to 1e-5."""
+
+TRIVIAL = 1e-9
+"""What is smaller than this part of the largest multiplier of a set or a row is rounding."""
 
 LABELS = {
     "state set": ("S-x", "N-x"),
@@ -89,7 +92,8 @@ class Floors:
     x : (n,), u : (m,)
         Of states and controls, from ends, references, bounds and dynamics.
     cost : float
-        Of what one stage costs with states and controls of their natural sizes.
+        Of what one stage costs with states and controls of their natural sizes; for eta_C = 0, of the largest terms of
+        the Hamiltonian there.
     in_x : (n,), in_u : (m,)
         Of multipliers in the adjoint equation and in D_u H: what changes that cost by its own size.
     terms : tuple of (dim,)
@@ -113,6 +117,9 @@ def floors(lift: Lift) -> Floors:
     in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
     priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
     cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+    if lift.multipliers.eta_C == 0:  # no unit of cost: any multiple of abnormal multipliers is as good
+        before = np.abs(lift.eta_before) + lift.in_x_terms
+        cost = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
     terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
     return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, terms)
 
@@ -120,7 +127,7 @@ def floors(lift: Lift) -> Floors:
 def all_conditions(lift: Lift) -> tuple[Condition, ...]:
     """Judge all conditions, in the paper's order."""
     problem, (x, u), least = lift.problem, (lift.trajectory.x, lift.trajectory.u), floors(lift)
-    level = max(abs(problem.value(x, u)), least.cost)
+    level = least.cost if lift.multipliers.eta_C == 0 else max(abs(problem.value(x, u)), least.cost)
     mu, nu = lift.multipliers.mu, lift.multipliers.nu
     return (
         non_negativity(lift),
@@ -152,8 +159,10 @@ def non_negativity(lift: Lift) -> Condition:
 def non_triviality(lift: Lift) -> Condition:
     """C-ii: eta_C, the adjoint and the frequency multipliers are not all zero."""
     multipliers = lift.multipliers
-    parts = [np.array([multipliers.eta_C]), multipliers.eta, multipliers.rho_u, multipliers.rho_x]
-    trivial = not any(np.any(part) for part in parts)
+    spectra = [one.weights for one in lift.terms if one.term.kind.endswith("spectrum")]
+    counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
+    rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in lift.terms))
+    trivial = multipliers.eta_C == 0 and counted <= TRIVIAL * rest
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
@@ -279,6 +288,10 @@ def _at_place(term: Term, condition: Condition) -> Condition:
     places = term.map.places
     time = None if condition.time is None or len(places) != term.shape[0] else int(places[condition.time])
     return replace(condition, time=time, component=condition.component if term.kind == "stage rows" else None)
+
+
+def _largest(*parts: Array | ComplexArray) -> float:
+    return max(float(np.abs(part).max(initial=0.0)) for part in parts)
 
 
 def _scales(terms: Array, least: Array) -> Array:

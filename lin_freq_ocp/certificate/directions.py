@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.certificate.conditions import SCALE_FLOOR
 from lin_freq_ocp.certificate.slopes import leaving, recession, slope_of_penalty
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.maps import TrajectoryMap
@@ -59,8 +60,9 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     """
     x, u = trajectory.x, trajectory.u
     along, sizes = _normalised(problem, along)
-    residuals = _linear_residuals(problem, along)
+    residuals = _linear_residuals(problem, along, sizes)
     slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
+    scales.append(_least_slope(problem, trajectory, along, sizes))
     for signal, change, tube, size in zip((x, u), (along.x, along.u), _tubes(problem), sizes, strict=True):
         near = TOUCHING * (size + np.abs(signal))
         residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
@@ -76,7 +78,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
     """Return the direction if every constraint holds along it for ever while the cost falls for ever; else None."""
     along, sizes = _normalised(problem, along)
-    residuals = _linear_residuals(problem, along)
+    residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
     slopes, scales = _quadratic_slope(problem, along, at_rest)
     curvature = _curvature(problem, along)
@@ -107,17 +109,17 @@ def _normalised(problem: OptimalControlProblem, along: Trajectory) -> tuple[Traj
     return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along, (x, u)
 
 
-def _linear_residuals(problem: OptimalControlProblem, along: Trajectory) -> list[float]:
-    """Return how far it leaves the dynamics and the stop bands."""
+def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> list[float]:
+    """Return how far it leaves the dynamics and the stop bands; what should be zero holds rounding only."""
     dynamics = problem.dynamics
     moved = dynamics.successors(along.x, along.u) - dynamics.offset
     terms = np.abs(along.x[1:]) + dynamics.magnitudes().successors(np.abs(along.x), np.abs(along.u))
-    terms = (terms - np.abs(dynamics.offset)).max(0)
-    residuals = [float((np.abs(along.x[1:] - moved).max(0) / np.where(terms > 0, terms, 1.0)).max())]
-    for signal, stop in ((along.x, problem.state_stop), (along.u, problem.control_stop)):
-        norm = np.linalg.norm(signal, axis=0)
+    terms = np.maximum((terms - np.abs(dynamics.offset)).max(0), SCALE_FLOOR * sizes[0])
+    residuals = [float((np.abs(along.x[1:] - moved).max(0) / terms).max())]
+    stops = problem.state_stop, problem.control_stop
+    for signal, stop, size in zip((along.x, along.u), stops, sizes, strict=True):
         magnitude = np.where(stop, np.abs(np.fft.rfft(signal, axis=0)), 0.0).max(0)
-        residuals.append(float((magnitude / np.where(norm > 0, norm, 1.0)).max()))
+        residuals.append(float((magnitude / np.maximum(np.linalg.norm(signal, axis=0), SCALE_FLOOR * size)).max()))
     return residuals
 
 
@@ -126,6 +128,22 @@ def _quadratic_slope(
 ) -> tuple[list[float], list[float]]:
     products = [part * change for part, change in zip(gradient, (along.x, along.u), strict=True)]
     return [float(part.sum()) for part in products], [float(np.abs(part).sum()) for part in products]
+
+
+def _least_slope(
+    problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory, sizes: tuple[Array, Array]
+) -> float:
+    """Return what slopes are measured by: each component's largest gradient, on all of its change.
+
+    At an optimum to six digits the gradient and the multipliers cancel to these digits of their largest entries.
+    """
+    T, (x, u) = problem.horizon, sizes
+    natural = problem.quadratic.gradient_magnitudes(np.tile(x, (T + 1, 1)), np.tile(u, (T, 1)))
+    there = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
+    return sum(
+        float(np.maximum(now.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
+        for now, least, change in zip(there, natural, (along.x, along.u), strict=True)
+    )
 
 
 def _curvature(problem: OptimalControlProblem, along: Trajectory) -> float:

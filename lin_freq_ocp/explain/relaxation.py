@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.explain.blocks import ENDS, Block, kept_stopped, widened
+from lin_freq_ocp.explain.wider import hard_only
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.extension import FurtherStates, extended
@@ -31,6 +32,9 @@ FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4
 TINY = 1e-9
 """No smaller part of a cure is looked for."""
 
+CLOSE = 1.05
+"""A cure by bounds or rows is the least one to this factor."""
+
 CONTROL_PRICE = 1e-6
 """Cost of controls of their stated sizes, relative to that of a delta as large: a flat program is hard on solvers."""
 
@@ -48,7 +52,8 @@ class Cure:
         In words, as in a Conflict.
     amount : float
         By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
-        relative to its size; for a stop band, how many of its bins are passed on each edge.
+        relative to its size; for a stop band, how many of its bins are passed on each edge; for an energy bound, of the
+        root of its limit.
     words : str
         From what to what.
     """
@@ -90,14 +95,15 @@ def least_cure(
 
 
 def _less(amount: float, suffices: Callable[[float], bool]) -> float:
-    """Return a smaller amount, to 5 %, if much less suffices: tiny ones are lost in the price of the controls."""
-    least, most = amount / GROWTH, amount
+    """Return a smaller amount, to 5 %, if less suffices: small ones are lost in the price of the controls."""
+    if not suffices(amount / CLOSE):
+        return amount
+    least, most = amount / GROWTH, amount / CLOSE
     while least > TINY * amount and suffices(least):
         least, most = least / GROWTH, least
-    if most < amount:
-        while most > 1.05 * least:
-            middle = np.sqrt(least * most)
-            least, most = (least, middle) if suffices(middle) else (middle, most)
+    while most > CLOSE * least:
+        middle = float(np.sqrt(least * most))
+        least, most = (least, middle) if suffices(middle) else (middle, most)
     return most
 
 
@@ -117,14 +123,19 @@ def _least_widening(
     while most - least > PRECISION * (unit + most):
         middle = (least + most) / 2
         least, most = (least, middle) if feasible(widened(problem, block, middle)) else (middle, most)
-    return Cure(block.name, most, f"limit {limit:.6g} -> {limit + most:.6g}" if limit > 0 else f"wider by {most:.6g}")
+    if limit == 0:
+        return Cure(block.name, most, f"wider by {most:.6g}")
+    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
+    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
 
 
 def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
     """Return the problem of the least delta >= 0, its last state, by which the block must give way."""
     m, T = problem.control_dim, problem.horizon
     delta = FurtherStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
-    held = replace(widened(problem, block, np.inf), cost=QuadraticCost(), name=f"least change of the {block.name}")
+    held = replace(
+        hard_only(widened(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
+    )
     elastic = extended(held, delta)
     price = np.diag(np.append(np.zeros(problem.state_dim), _unit(problem, block) ** -2))
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / stated_sizes(problem)[1] ** 2), P=price)

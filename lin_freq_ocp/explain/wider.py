@@ -1,4 +1,4 @@
-"""Terms of a problem made wider by an amount, or taken away: sets, masks, energy bounds."""
+"""Terms of a problem made wider by an amount, or taken away: sets, masks, energy bounds; and all soft ones."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from lin_freq_ocp.problem.convex_sets import Ball, ConvexSet, Ellipsoid, Interse
 from lin_freq_ocp.problem.extension import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
-from lin_freq_ocp.problem.sets import Box, box_of
+from lin_freq_ocp.problem.sets import Box, Everything, box_of
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, MagnitudeBound
+
+SETS = ("state_set", "control_set", "initial_state", "terminal_state")
+"""The fields of a problem that hold sets."""
 
 
 def with_wider_term(problem: OptimalControlProblem, field: str, index: int, amount: float) -> OptimalControlProblem:
     """Return the problem with one entry of a field made wider, or without it if the amount is infinite."""
     given = getattr(problem, field)
-    if field in ("state_set", "control_set", "initial_state", "terminal_state"):
+    if field in SETS:
         sets = given if isinstance(given, (list, tuple)) else [given]
         wider = [wider_set(one, amount) for one in sets]
         return replace(problem, **{field: wider if isinstance(given, (list, tuple)) else wider[0]})
@@ -30,6 +33,31 @@ def with_wider_term(problem: OptimalControlProblem, field: str, index: int, amou
     )
     kept = [*entries[:index], *([] if wider is None else [wider]), *entries[index + 1 :]]
     return replace(problem, **{field: kept or None})
+
+
+def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
+    sets = {field: _hard_part(getattr(problem, field)) for field in SETS}
+    spectra = {field: _hard_bounds(getattr(problem, field)) for field in ("state_spectrum", "control_spectrum")}
+    outputs = [
+        OutputSpectrum(one.C, one.D, kept, one.output_names)
+        for one in listed(problem.output_spectrum)
+        if (kept := _hard_bounds(one.constraints))
+    ]
+    rows = [one for one in problem.stage_rows if one.penalty is None]
+    return replace(problem, **sets, **spectra, stage_rows=rows, output_spectrum=outputs or None)
+
+
+def _hard_part(given: Any) -> Any:
+    if isinstance(given, (list, tuple)):
+        return [_hard_part(one) for one in given]
+    if isinstance(given, Intersection):
+        return Intersection([_hard_part(member) for member in given.sets])
+    return Everything() if isinstance(given, Soft) else given
+
+
+def _hard_bounds(given: Any) -> list[Any] | None:
+    return [one for one in listed(given) if getattr(one, "penalty", None) is None] or None
 
 
 def wider_set(one: Any, amount: float) -> Any:

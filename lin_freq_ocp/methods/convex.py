@@ -6,10 +6,12 @@ import time
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
@@ -65,6 +67,40 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription,
     return transcription, scaling, scaling.apply(transcription.program)
 
 
+def nearest_recession(program: Program, z: Array) -> Array:
+    """Return the point nearest to z that recedes from no constraint, P z = 0; z itself if it was not found.
+
+    A ray ends where its slope is steep enough, however inaccurate: equations are met to the root of a tolerance where
+    they stand in a cone. Here s_0 >= |(s_1, ...)| with a constant s_0, as of a mask, says s = 0.
+    """
+    fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
+    kept, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
+    constant = abs(program.A).sum(1) == 0
+    for cone in program.cones:
+        if constant[cone.start]:
+            fixed[cone] = True
+        else:
+            curved += range(cone.start, cone.stop)
+    alone = np.setdiff1d(np.flatnonzero(kept & ~constant), curved)
+    first, size = len(alone) + len(z), float(np.abs(z).max())
+    lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
+    upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
+    sizes = [cone.stop - cone.start for cone in program.cones if not constant[cone.start]]
+    starts = first + np.cumsum([0, *sizes])
+    nearest = Program(
+        P=sp.csc_array(sp.eye_array(len(z))),
+        q=-z / size,
+        constant=0.0,
+        A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
+        lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
+        upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
+        rows={},
+        cones=tuple(slice(int(start), int(start) + count) for start, count in zip(starts, sizes, strict=False)),
+    )
+    solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
+    return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
+
+
 def _attempt(
     transcription: LinearTranscription,
     scaling: Scaling,
@@ -94,7 +130,7 @@ def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Pr
     if claim is Claim.UNBOUNDED:
         if z is None or program.descent_ray_residual(z) > UNBOUNDED_TOLERANCE:
             return Candidate("numerical_error", None, None, None, None, solution.words)
-        along = transcription.direction(scaling.primal(z))
+        along = transcription.direction(scaling.primal(nearest_recession(program, z)))
         return Candidate("unbounded", None, None, None, None, solution.words, descent=along)
     if z is None or y is None:
         return Candidate("numerical_error", None, None, None, None, solution.words)

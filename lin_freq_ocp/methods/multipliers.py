@@ -93,13 +93,15 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     free = (cone.lower < 0) & (cone.upper > 0)
     rng = np.random.default_rng(0)
     towards = rng.uniform(0.5, 1.0, count) * np.where(free, rng.choice([-1.0, 1.0], count), signs)
+    gradients = sp.csc_array(program.A.T @ cone.basis)
+    towards = np.where(abs(gradients).sum(0) > 0, towards, 0.0)  # the radius of a ball has no gradient
     curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity = sp.eye_array(count, format="csr")
     search = Program(
         P=sp.csc_array((count, count)),
         q=cone.prices - towards,
         constant=0.0,
-        A=sp.csc_array(sp.vstack([program.A.T @ cone.basis, identity, -identity[curved]])),
+        A=sp.csc_array(sp.vstack([gradients, identity, -identity[curved]])),
         lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
         upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
         rows={},
