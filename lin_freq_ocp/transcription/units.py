@@ -31,7 +31,7 @@ NEGLIGIBLE = 1e-6
 
 TERM_SHARE = 0.1
 """With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
-than this part of what the data state of it; a second solve corrects it."""
+than this part of what the data state of it, or larger by as much; a second solve corrects it."""
 
 REVISED = 100.0
 """Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
@@ -45,7 +45,9 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
     guess = stated_sizes(transcription.problem)
     x, u = _relaxed_magnitudes(transcription, guess)
     if any(not term.hard or term.kind != "stage rows" for term in transcription.problem.terms):
-        x, u = np.maximum(x, TERM_SHARE * guess[0]), np.maximum(u, TERM_SHARE * guess[1])
+        x, u = (
+            np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
+        )
     columns = transcription.column_units(x, u)
     return _scaling(transcription, columns, columns)
 
