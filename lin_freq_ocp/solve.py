@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -103,6 +104,8 @@ def solve(
         result = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     result = replace(result, options=options)
+    if tolerance is None or tolerance <= CONDITION_TOLERANCE:
+        result = _believed(result)
     if throw and result.status == "infeasible":
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))
@@ -166,7 +169,8 @@ def _spectral(
     certificate = result.certificate
     optimal = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
     proven = result.status == "optimal" and optimal
-    ended = proven or result.interrupted or result.status in ("infeasible", "limit")
+    excluded = result.status == "infeasible" and "numerical" not in result.message
+    ended = proven or result.interrupted or excluded or result.status == "limit"
     return result if required or ended else None
 
 
@@ -178,6 +182,15 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
     return _judged(problem, candidate, "convex", backend)
+
+
+def _believed(result: Result) -> Result:
+    """Return the result, no longer called optimal if the judge finds that the point breaks a constraint."""
+    certificate = result.certificate
+    if result.status != "optimal" or certificate is None or certificate.feasible:
+        return result
+    words = f"residuals of the program are small, but not those of: {certificate.worst.name}"
+    return replace(result, status="numerical_error", message=words)
 
 
 def _accounted(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:

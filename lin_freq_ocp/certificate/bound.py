@@ -22,6 +22,7 @@ import numpy as np
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.reach import Enclosure, Pair, implied_bounds, stated_bounds
 from lin_freq_ocp.problem.arrays import Array, extended
+from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 EIGENVALUE_ERROR = 1e-12
@@ -199,9 +200,12 @@ def _enclosure(problem: OptimalControlProblem, curvatures: Pair, cost: float | N
 
 
 def _around(lift: Lift) -> Pair:
-    """Return how far to look around the trajectory, per state and control component."""
+    """Return how far to look around the trajectory, per state and control component: never nearer than data say."""
     sizes = [np.abs(signal).max(0) for signal in (lift.trajectory.x, lift.trajectory.u)]
-    x, u = (NUMERICAL_REACH * np.maximum(size, SMALLEST_REACH * size.max()) for size in sizes)
+    x, u = (
+        np.maximum(NUMERICAL_REACH * np.maximum(size, SMALLEST_REACH * size.max()), stated)
+        for size, stated in zip(sizes, stated_sizes(lift.problem), strict=True)
+    )
     return x, u
 
 

@@ -23,9 +23,11 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 DIRECTION_TOLERANCE = 1e-6
 """How far a direction may lead out of a constraint, relative to its own size; its slope must be below minus this."""
 
-TOUCHING = 1e-9
-"""A constraint is active where its slack is at most this, relative to its size: those who look for directions take
-more constraints as active, so that no step is too short to count."""
+TOUCHING = 1e-6
+"""A constraint is active, and a value at its kink, at this distance, relative to its size: what the judge forgives."""
+
+LEAVING_MARGIN = 10.0
+"""The cost must fall this many times faster than what leaving constraints, as far as it does, could account for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,8 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
         residuals.append(leaving(term, values, change, TOUCHING * size) / max(float(np.abs(change).max()), size))
         slopes.append(slope_of_penalty(term, values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
-    return _proven(along, residuals, slopes, scales)
+    steepest = _steepest(problem.quadratic.gradient(x, u), sizes)
+    return _proven(along, residuals, slopes, scales, steepest)
 
 
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
@@ -88,17 +91,26 @@ def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Di
     for term in problem.terms:
         change = _change(term.map, along)
         left, price = recession(term, change)
-        residuals.append(left / max(float(term.map.sizes(along.x, along.u).max()), left) if left > 0 else 0.0)
+        steady = np.broadcast_to(sizes[0], along.x.shape), np.broadcast_to(sizes[1], along.u.shape)
+        residuals.append(left / float(term.map.sizes(*steady).max()) if left > 0 else 0.0)
         slopes.append(price)
         scales.append(price)
-    return _proven(along, residuals, slopes, scales)
+    return _proven(along, residuals, slopes, scales, _steepest(at_rest, sizes))
 
 
-def _proven(along: Trajectory, residuals: list[float], slopes: list[float], scales: list[float]) -> Direction | None:
+def _proven(
+    along: Trajectory, residuals: list[float], slopes: list[float], scales: list[float], steepest: float
+) -> Direction | None:
     slope, residual = sum(slopes), max(residuals)
-    if residual > DIRECTION_TOLERANCE or not slope < -DIRECTION_TOLERANCE * max(sum(scales), 0.0) or slope == 0:
+    needed = max(DIRECTION_TOLERANCE * sum(scales), LEAVING_MARGIN * residual * steepest)
+    if residual > DIRECTION_TOLERANCE or not slope < -needed or slope == 0:
         return None
     return Direction(along.x, along.u, slope, residual)
+
+
+def _steepest(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> float:
+    """Return what the cost changes by, at most, where every state and control changes by its size."""
+    return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
 
 
 def _normalised(problem: OptimalControlProblem, along: Trajectory) -> tuple[Trajectory, tuple[Array, Array]]:

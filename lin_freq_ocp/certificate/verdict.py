@@ -49,7 +49,7 @@ class Certificate:
 
     @property
     def lower_bound(self) -> float | None:
-        """Return D, a lower bound on the cost of every feasible trajectory; None if there is none."""
+        """Return D, a lower bound on the cost of every feasible trajectory (numerical: of those in its box)."""
         return None if self.bound is None or not np.isfinite(self.bound.value) else self.bound.value
 
     @property
@@ -73,8 +73,13 @@ class Certificate:
 
     @property
     def globally_optimal(self) -> bool:
-        """Whether the trajectory is feasible and its gap to the bound is within tolerance."""
-        return self.feasible and self.gap is not None and self.gap <= GAP_TOLERANCE
+        """Whether the trajectory is feasible and its gap to the bound is within tolerance.
+
+        A numerical bound says nothing of what lies outside its box: then the maximum principle must be satisfied, too.
+        """
+        if self.bound is None or self.gap is None or not self.feasible:
+            return False
+        return self.gap <= GAP_TOLERANCE and (self.bound.kind == "rigorous" or self.pmp == "satisfied")
 
     @property
     def failed(self) -> tuple[Condition, ...]:

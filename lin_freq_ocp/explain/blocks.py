@@ -86,8 +86,8 @@ def _bounded(box: Box) -> Mask:
 
 
 def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
-    """Return the problem without these blocks."""
-    for block in dropped:
+    """Return the problem without these blocks; terms first and from behind, as their places count in their field."""
+    for block in sorted(dropped, key=lambda block: (block.kind != "term", -block.index)):
         problem = widened(problem, block, np.inf)
     return problem
 

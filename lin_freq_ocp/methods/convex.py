@@ -128,9 +128,10 @@ def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Pr
         ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
         return Candidate("infeasible", None, None, ray, None, solution.words)
     if claim is Claim.UNBOUNDED:
-        if z is None or program.descent_ray_residual(z) > UNBOUNDED_TOLERANCE:
+        ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
+        if ray is None or program.descent_ray_residual(ray) > UNBOUNDED_TOLERANCE:
             return Candidate("numerical_error", None, None, None, None, solution.words)
-        along = transcription.direction(scaling.primal(nearest_recession(program, z)))
+        along = transcription.direction(scaling.primal(ray))
         return Candidate("unbounded", None, None, None, None, solution.words, descent=along)
     if z is None or y is None:
         return Candidate("numerical_error", None, None, None, None, solution.words)

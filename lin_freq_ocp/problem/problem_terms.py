@@ -214,9 +214,9 @@ def _bounded(
     window, points, weight = one.samples(length, where), one.points(length), weight_of(one.penalty)
     if isinstance(one, EnergyBound):
         energy = SpectrumMap(row[0], row[1], window, points, bins, together=True)
-        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), weight), source)
+        return Term(f"energy bound on {name}", kind, energy, Norm(2, one.root(), weight), source, one.factor)
     magnitudes = SpectrumMap(row[0], row[1], window, points, bins)
-    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), weight), source)
+    return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), weight), source, one.factor)
 
 
 def _require_inside(where: str, parts: Sequence[Part], t: int, value: Array) -> None:

@@ -90,7 +90,7 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         control_lower=-np.minimum(nu, 0.0),
         stage_rows={rows.name: -multipliers.stage[rows.name] for rows in problem.stage_rows},
         limits={
-            term.name: -_sizes(term, multipliers.stage[term.name])
+            term.name: -term.per_limit * _sizes(term, multipliers.stage[term.name])
             for term in problem.terms
             if term.kind != "stage rows" and not term.kind.endswith("cost") and not isinstance(term.penalty, Cone)
         },
@@ -111,7 +111,8 @@ def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tupl
         weights = multipliers.stage.get(term.name)
         if weights is None or not isinstance(term.map, SpectrumMap) or term.kind == "output spectrum":
             continue
-        size, component = np.linalg.norm(term.map.pairs(weights), axis=1), term.map.component
+        component = term.map.component
+        size = term.per_limit * np.linalg.norm(term.map.pairs(weights), axis=1)
         of_component = prices[term.kind == "state spectrum"][:, component]
         np.add.at(of_component, term.map.nearest_bins, size)
     return prices

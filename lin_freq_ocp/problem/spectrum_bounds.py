@@ -97,8 +97,8 @@ class _SpectrumBound:
             return found
         listed = np.flatnonzero(self.band.at(length, sampling_time, field))
         grid, q = np.zeros(self.points(length) // 2 + 1, dtype=bool), self.oversampling
-        for k in listed:  # between neighbours, too
-            last = q * k + (q if k + 1 in listed else 0)
+        for k in listed:  # between neighbours, too; for odd N, the last bin's is its own conjugate
+            last = q * k + (q if k + 1 in listed or 2 * k + 1 == length else 0)
             grid[q * k : last + 1] = True
         return np.flatnonzero(grid)
 
@@ -126,8 +126,9 @@ class MagnitudeBound(_SpectrumBound):
     between : bool
         Hold the limit between the points of the finer grid, too: on them it is made smaller by
         cos(pi/(2 oversampling)), as no spectrum of N samples exceeds its largest value on the whole grid by more
-        (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). At the ends of a band, where the grid ends and the
-        spectrum is larger beyond, this is a rule and no theorem: four points for each bin suffice where two may not.
+        (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
+        circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
+        can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
 
     Raises
     ------
@@ -177,8 +178,12 @@ class MagnitudeBound(_SpectrumBound):
         """Return one limit for each of ``count`` bins."""
         if self.limit.shape not in ((), (count,)):
             raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
-        factor = np.cos(np.pi / (2 * self.oversampling)) if self.between else 1.0
-        return np.broadcast_to(factor * self.limit, (count,))
+        return np.broadcast_to(self.factor * self.limit, (count,))
+
+    @property
+    def factor(self) -> float:
+        """Return what the limit is multiplied by on the grid."""
+        return float(np.cos(np.pi / (2 * self.oversampling))) if self.between else 1.0
 
 
 class EnergyBound(_SpectrumBound):
@@ -215,7 +220,12 @@ class EnergyBound(_SpectrumBound):
 
     def root(self) -> Array:
         """Return the limit of the Euclidean norm of all bounded points of the grid."""
-        return np.sqrt(np.asarray(self.limit * self.oversampling))
+        return np.asarray(self.factor * np.sqrt(self.limit))
+
+    @property
+    def factor(self) -> float:
+        """Return what the root of the limit is multiplied by on the grid."""
+        return float(np.sqrt(self.oversampling))
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -31,6 +31,8 @@ class Term:
         h.
     source : (field, index) or None
         The field of the problem that it was given in, and its place there.
+    per_limit : float
+        Change of the penalty's limit for each unit of the limit (of an energy, of its root) that was given.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Term:
     map: TrajectoryMap
     penalty: Penalty
     source: tuple[str, int] | None = None
+    per_limit: float = 1.0
 
     @property
     def hard(self) -> bool:

@@ -88,6 +88,8 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
 def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the largest deviations from the references of the optimum without inequalities and bands."""
     program, problem = transcription.program, transcription.problem
+    if not program.P.nnz and program.q.any():  # without curvature, what the cost asks for is endless
+        return guess
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
     signals = transcription.signals
