@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
+from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -155,7 +156,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         raise UnsupportedError(f"uniqueness: got {what}.")
     gradients = (program.A.T @ cone.basis[:, active]).toarray()
     norms = np.linalg.norm(gradients, axis=0)
-    values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
+    with one_blas_thread():  # several hinder each other where other processes are at work
+        values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
     return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
 
