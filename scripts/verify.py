@@ -1,4 +1,4 @@
-"""Long checks: known optima by three solvers, and random problems solved twice and judged. About 5 minutes.
+"""Long checks: known optima by three solvers, and random problems solved twice and judged. About 12 minutes.
 
     python scripts/verify.py [--part known|convex|spectral|explain|mixed]... [--problems N] [--seed 0] [--processes 2]
 
