@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
 
@@ -111,3 +112,50 @@ def test_derivatives_are_by_the_limits_that_were_given(bound):
 def test_the_grid_of_bins_reaches_the_nyquist_frequency_of_an_odd_horizon():
     mask = lfo.MagnitudeBound(0.1, bins=range(8, 16), oversampling=4)
     assert mask.bins(31, None, "mask")[-1] == 4 * 31 // 2
+
+
+def with_stage(multipliers: lfo.Multipliers, stage) -> lfo.Multipliers:
+    names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x")
+    return lfo.Multipliers(**{name: getattr(multipliers, name) for name in names}, stage=stage)
+
+
+def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never_a_higher():
+    rng = np.random.default_rng(3)
+    lower = 0
+    for seed in range(25):
+        problem = problem_of(random_model(seed))
+        result = lfo.solve(problem)
+        for scale in (0.3, 1.0):
+            stage = {
+                name: part * (1 + scale * rng.standard_normal(part.shape))
+                for name, part in result.multipliers.stage.items()
+            }
+            found = lfo.certify(problem, result.trajectory, with_stage(result.multipliers, stage)).lower_bound
+            if found is not None:
+                assert found <= result.cost + 1e-7 * max(1.0, abs(result.cost)), seed
+                lower += found < result.cost - 1e-6
+    assert lower >= 20
+
+
+def test_a_multiplier_of_a_ball_that_points_elsewhere_is_seen_to_first_order():
+    dynamics = lfo.LinearDynamics(np.eye(2), np.eye(2))
+    problem = lfo.OptimalControlProblem(
+        dynamics, 4, lfo.QuadraticCost(Q=1.0, R=0.1), initial_state=[3.0, 1.0], control_set=lfo.Ball(0.5)
+    )
+    result = lfo.solve(problem)
+    turn = 5e-4
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    turned = {"control set": result.multipliers.stage["control set"] @ rotation.T}
+    failed = lfo.certify(problem, result.trajectory, with_stage(result.multipliers, turned)).failed
+    assert "multipliers are subgradients: control set" in [one.name for one in failed]
+
+
+def test_the_bound_of_a_point_far_from_the_optimum_is_what_the_multipliers_say():
+    """D = min u^2/2 + l (u - 1) = -l^2/2 - l, from wherever it is evaluated."""
+    rows = lfo.StageRows(None, [[1.0]], [1.0])
+    problem = lfo.OptimalControlProblem(SUM, 1, lfo.QuadraticCost(R=1.0), initial_state=[0.0], stage_rows=rows)
+    zero = lfo.solve(problem).multipliers
+    given = lfo.Multipliers(1.0, [[0.0]], np.zeros((2, 1)), [[0.0]], zero.rho_u, zero.rho_x, {"stage rows": [[0.5]]})
+    for u in (-2.0, 0.0, 0.9):
+        found = lfo.certify(problem, lfo.Trajectory([[0.0], [u]], [[u]]), given)
+        assert found.lower_bound == pytest.approx(-0.625)
