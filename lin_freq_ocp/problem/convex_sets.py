@@ -6,6 +6,7 @@ function) is a small conic program, solved by Clarabel.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -40,22 +41,22 @@ class Part:
     penalty: Penalty
 
 
-class ConvexSet:
+class ConvexSet(ABC):
     """What all sets of this page share; ``box`` and ``parts`` say what they are."""
 
     @property
+    @abstractmethod
     def dimension(self) -> int | None:
         """Return n, or None if the set fits every dimension."""
-        raise NotImplementedError
 
     @property
     def box(self) -> Box:
         """Return the bounds among its constraints."""
         return Everything()
 
+    @abstractmethod
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return what remains."""
-        raise NotImplementedError
 
     def violation(self, v: Array) -> Array:
         """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""

@@ -51,7 +51,10 @@ class _SpectrumBound:
             raise ProblemError(f"{kind}", f"{got} of bins and band", "exactly one of them")
         if band is not None and not isinstance(band, Band):
             raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
-        where = stop_band(bins=bins) if band is None else band  # type: ignore[arg-type]  # one of them is there
+        where = band
+        if bins is not None:
+            where = stop_band(bins=bins)
+        assert where is not None  # one of them is there
         if component is not None and where.component is not None:
             got = f"{component!r}, and {where.component!r} from the band"
             raise ProblemError(f"{kind}.component", got, "one component")
