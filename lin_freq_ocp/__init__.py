@@ -36,6 +36,7 @@ from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
@@ -50,6 +51,7 @@ from lin_freq_ocp.solve import certify, solve
 __version__ = "0.1.0"
 
 __all__ = [
+    "AffineMode",
     "Ball",
     "BandWarning",
     "Box",
@@ -75,6 +77,7 @@ __all__ = [
     "NumericalError",
     "OptimalControlProblem",
     "OutputSpectrum",
+    "PiecewiseAffineDynamics",
     "Point",
     "Polyhedron",
     "ProblemError",

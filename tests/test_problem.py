@@ -773,7 +773,7 @@ def test_amplification_is_the_norm_of_the_product(seed, size, times, varying):
     product = np.eye(size)
     for matrix in A:
         product = matrix @ product
-    assert measures.amplification(made) == pytest.approx(np.linalg.norm(product, 2), rel=1e-9)
+    assert measures.amplification(made.linear, times) == pytest.approx(np.linalg.norm(product, 2), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -790,9 +790,7 @@ def test_amplification_is_the_norm_of_the_product(seed, size, times, varying):
 )
 def test_amplification_at_the_ends_of_the_number_range(A, times, expected):
     dynamics = LinearDynamics(A, np.ones((np.shape(A)[-1], 1)))
-    assert measures.amplification(OptimalControlProblem(dynamics, times, QuadraticCost())) == pytest.approx(
-        expected, rel=1e-9
-    )
+    assert measures.amplification(dynamics, times) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_replay_means_something_up_to_a_growth():

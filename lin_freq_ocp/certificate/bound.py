@@ -149,7 +149,7 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
         stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
         pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
         certain -= float(np.minimum(*pessimistic).sum()) - ARITHMETIC * float((np.abs(slope) * np.abs(signal)).sum())
-    residual = extended(x)[1:] - lift.problem.dynamics.successors(extended(x), extended(u))
+    residual = extended(x)[1:] - lift.problem.linear.successors(extended(x), extended(u))
     dynamics_term = float((lift.multipliers.eta * residual).sum())
     frequency_term = float((lift.control_signal * u).sum() + (lift.state_signal * x).sum())
     stage_term = float(sum(lifted.gap.sum() for lifted in lift.terms))
@@ -167,7 +167,7 @@ def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
     """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
     cost, eta = lift.problem.quadratic, np.abs(lift.multipliers.eta)
     x, u = np.abs(lift.trajectory.x) + np.abs(cost.x_ref), np.abs(lift.trajectory.u) + np.abs(cost.u_ref)
-    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(lift.problem.dynamics.offset)).sum())
+    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(lift.problem.linear.offset)).sum())
 
 
 def _unit_rounding(lift: Lift) -> float:

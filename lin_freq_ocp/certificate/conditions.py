@@ -169,7 +169,7 @@ def non_triviality(lift: Lift) -> Condition:
 def state_equation(lift: Lift, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t)."""
     x, u = np.abs(lift.trajectory.x), np.abs(lift.trajectory.u)
-    terms = x[1:] + lift.problem.dynamics.magnitudes().successors(x, u)
+    terms = x[1:] + lift.problem.linear.magnitudes().successors(x, u)
     residual = np.abs(one_step_residual(lift.problem, lift.trajectory))
     return _worst("C-iii", "state equation", residual, _scales(terms, least.x))
 

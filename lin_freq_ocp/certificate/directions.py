@@ -123,7 +123,7 @@ def _normalised(problem: OptimalControlProblem, along: Trajectory) -> tuple[Traj
 
 def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> list[float]:
     """Return how far it leaves the dynamics and the stop bands; what should be zero holds rounding only."""
-    dynamics = problem.dynamics
+    dynamics = problem.linear
     moved = dynamics.successors(along.x, along.u) - dynamics.offset
     terms = np.abs(along.x[1:]) + dynamics.magnitudes().successors(np.abs(along.x), np.abs(along.u))
     terms = np.maximum((terms - np.abs(dynamics.offset)).max(0), SCALE_FLOOR * sizes[0])

@@ -115,8 +115,8 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
     cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
-    through_x, through_u = problem.dynamics.pull_back(eta)
-    terms_x, terms_u = problem.dynamics.magnitudes().pull_back(np.abs(eta))
+    through_x, through_u = problem.linear.pull_back(eta)
+    terms_x, terms_u = problem.linear.magnitudes().pull_back(np.abs(eta))
     in_x[:-1] += through_x
     in_u += through_u
     in_x_terms[:-1] += terms_x

@@ -94,7 +94,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
 
 def _spread(problem: OptimalControlProblem, radius_0: Array, radius_u: Array) -> Array:
     """Return how far x_t can be from the trajectory of the centres, (T+1, n)."""
-    dynamics, T = problem.dynamics, problem.horizon
+    dynamics, T = problem.linear, problem.horizon
     spread = np.empty((T + 1, problem.state_dim))
     spread[0] = radius_0
     transition, sum_of_responses = np.eye(problem.state_dim), np.zeros(problem.state_dim)

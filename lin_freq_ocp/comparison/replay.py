@@ -38,7 +38,7 @@ def replay(problem: OptimalControlProblem, u: Array, planned: Trajectory) -> Rep
     """Replay u, shape (T, m), from the first state of the planned trajectory."""
     with_plan = Trajectory(planned.x, u)
     residual = np.abs(one_step_residual(problem, with_plan)).max(0)
-    if replay_is_meaningful(amplification(problem)):
+    if replay_is_meaningful(amplification(problem.dynamics_along(planned), problem.horizon)):
         trajectory = simulate(problem, u, planned.x[0])
         return Replay(trajectory, True, measure(problem, trajectory), residual)
     unknown = {"cost": None, "state_violation": None, "stage_violation": None, "terminal_error": None}

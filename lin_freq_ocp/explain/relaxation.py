@@ -155,7 +155,7 @@ def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:
     """Return the block's rows, each less delta times its size; those on x_T as rows on A x + B u of the step before."""
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     x, u = np.eye(n), np.eye(m)
-    A, B, d = problem.dynamics.at(T - 1)
+    A, B, d = problem.linear.at(T - 1)
     none = np.full((T, 1), np.inf)
     parts: list[tuple[Array, Array, Array, float]] = []  # C, D, limits (T, 1), how much of delta
 

@@ -106,7 +106,7 @@ def _half_square(hessian: Any, v: Any) -> Any:
 
 def _dynamics(problem: OptimalControlProblem, x: Any, u: Any) -> Any:
     """Return x_{t+1} - A_t x_t - B_t u_t = d_t: in this form its dual is eta, without a change of sign."""
-    dynamics = problem.dynamics
+    dynamics = problem.linear
     offset = np.broadcast_to(dynamics.offset, (problem.horizon, problem.state_dim))
     return (x[1:] - stage_products(dynamics.A, x[:-1]) - stage_products(dynamics.B, u) == offset).set_label("dynamics")
 

@@ -90,7 +90,7 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "horizon": problem.horizon,
         "initial_state": _table_of_end("initial_state", problem.initial_state),
         "terminal_state": _table_of_end("terminal_state", problem.terminal_state),
-        "dynamics": _table_of_dynamics(problem.dynamics),
+        "dynamics": _table_of_dynamics(problem.linear),
         "cost": _table_of_cost(problem.cost),
         "control_set": tables_from_sets("control_set", problem.control_set, problem.control_dim, problem.horizon),
         "state_set": tables_from_sets("state_set", problem.state_set, problem.state_dim, problem.horizon + 1),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -241,6 +241,21 @@ class LinearDynamics:
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
         return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
+
+    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,)."""
+
+        def step(t: int, x: Array, u: Array) -> Array:
+            A, B, d = self.at(t)
+            return A @ x + B @ u + d
+
+        return step
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
+        n, m = self.state_dim, self.control_dim
+        A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
+        return A, B, np.abs(self.offset).reshape(-1, n).max(0)
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""

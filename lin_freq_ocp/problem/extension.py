@@ -44,7 +44,7 @@ class FurtherStates:
 
 def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    n, k, plant = problem.state_dim, len(further.A), problem.dynamics
+    n, k, plant = problem.state_dim, len(further.A), problem.linear
     A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
     free = np.full(k, np.inf)
     return replace(

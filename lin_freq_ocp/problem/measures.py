@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
@@ -46,7 +47,7 @@ class Measures:
     stopband_peak, state_stopband_peak : float or None
         Largest magnitude of the zero-padded spectrum between the first and last bin of each stopped run.
     amplification : float
-        Spectral norm of A_{T-1} ... A_0.
+        Spectral norm of A_{T-1} ... A_0; with modes, of those that the trajectory is in.
     """
 
     cost: float | None
@@ -83,7 +84,7 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
         stopband_peak=stopband_peak(u, problem.control_band),
         state_stopband_energy=stopband_energy(x, problem.state_band),
         state_stopband_peak=stopband_peak(x, problem.state_band),
-        amplification=amplification(problem),
+        amplification=amplification(problem.dynamics_along(trajectory), problem.horizon),
     )
 
 
@@ -121,14 +122,14 @@ def stopband_peak(signal: Array, stopped: Mask) -> float | None:
 
 def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t), shape (T, n): meaningful however unstable the dynamics are."""
-    return trajectory.x[1:] - problem.dynamics.successors(trajectory.x, trajectory.u)
+    return trajectory.x[1:] - problem.dynamics_along(trajectory).successors(trajectory.x, trajectory.u)
 
 
-def amplification(problem: OptimalControlProblem) -> float:
+def amplification(dynamics: LinearDynamics, horizon: int) -> float:
     """Return the spectral norm of A_{T-1} ... A_0, at most the largest float."""
-    logarithm, product = 0.0, np.eye(problem.state_dim)
-    for t in range(problem.horizon):
-        product = problem.dynamics.at(t)[0] @ product
+    logarithm, product = 0.0, np.eye(dynamics.state_dim)
+    for t in range(horizon):
+        product = dynamics.at(t)[0] @ product
         size = float(np.abs(product).max())
         if size == 0:
             return 0.0
@@ -193,10 +194,10 @@ def _completed(problem: OptimalControlProblem, sizes: Array) -> Array:
 
 def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
     """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
-    dynamics, n, m = problem.dynamics, problem.state_dim, problem.control_dim
-    A, B = np.abs(dynamics.A).reshape(-1, n, n).max(0), np.abs(dynamics.B).reshape(-1, n, m).max(0)
+    n, m = problem.state_dim, problem.control_dim
+    A, B, d = problem.dynamics.gains()
     gain = problem.horizon * np.hstack([A, B])
-    caused = gain @ known + problem.horizon * np.abs(dynamics.offset).reshape(-1, n).max(0)
+    caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)
     needed = np.divide(known[:n, None], gain, out=np.full(gain.shape, np.inf), where=useful).min(0)
     forwards = np.append(caused, np.zeros(m))

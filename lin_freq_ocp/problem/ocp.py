@@ -1,20 +1,21 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)) with linear dynamics and convex costs and constraints."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)): linear or piecewise-affine dynamics, convex costs and sets."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.problem_terms import (
     BEYOND_BANDS,
     OutputSpectrum,
@@ -25,6 +26,7 @@ from lin_freq_ocp.problem.problem_terms import (
     spectrum_terms,
     uniquely_named,
 )
+from lin_freq_ocp.problem.regions import Border, borders, require_partition
 from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
 from lin_freq_ocp.problem.spectrum import stopped_bins
 from lin_freq_ocp.problem.stage_rows import row_families
@@ -38,8 +40,8 @@ class OptimalControlProblem:
 
     Parameters
     ----------
-    dynamics : LinearDynamics
-        The map f_t, with names, units and sampling time.
+    dynamics : LinearDynamics or PiecewiseAffineDynamics
+        The map f_t, with names, units and sampling time. The regions of modes must cover the state and control sets.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
     cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
@@ -63,7 +65,7 @@ class OptimalControlProblem:
         Saying which field, what was got and what was expected.
     """
 
-    dynamics: LinearDynamics
+    dynamics: LinearDynamics | PiecewiseAffineDynamics
     horizon: int
     cost: Any
     control_set: Any = None
@@ -78,11 +80,11 @@ class OptimalControlProblem:
 
     def __post_init__(self):
         set_field = object.__setattr__
-        if not isinstance(self.dynamics, LinearDynamics):
+        if not isinstance(self.dynamics, (LinearDynamics, PiecewiseAffineDynamics)):
             raise ProblemError(
                 "dynamics",
                 brief(self.dynamics),
-                "LinearDynamics",
+                "LinearDynamics or PiecewiseAffineDynamics",
                 "From python-control: LinearDynamics.from_statespace.",
             )
         cost = as_cost(self.cost)
@@ -96,6 +98,8 @@ class OptimalControlProblem:
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
         _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # validated, kept for later
+        if isinstance(self.dynamics, PiecewiseAffineDynamics):
+            require_partition(self.dynamics, self.horizon, self.state_boxes, self.control_tube)
 
     def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
         """Return the same problem with other ends; nothing else is looked at again.
@@ -126,6 +130,67 @@ class OptimalControlProblem:
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem
+
+    @property
+    def linear(self) -> LinearDynamics:
+        """Return the dynamics, which must be linear.
+
+        Raises
+        ------
+        UnsupportedError
+            If they are piecewise affine.
+        """
+        if isinstance(self.dynamics, LinearDynamics):
+            return self.dynamics
+        raise UnsupportedError(
+            "dynamics: got PiecewiseAffineDynamics; expected LinearDynamics. solve(), compare() and certify() take "
+            "both; problem.with_modes(sequence) is the linear problem of one mode sequence."
+        )
+
+    @property
+    def piecewise(self) -> PiecewiseAffineDynamics:
+        """Return the dynamics, which must be piecewise affine.
+
+        Raises
+        ------
+        UnsupportedError
+            If they are linear.
+        """
+        if isinstance(self.dynamics, PiecewiseAffineDynamics):
+            return self.dynamics
+        raise UnsupportedError("dynamics: got LinearDynamics; expected PiecewiseAffineDynamics, which has modes.")
+
+    def with_modes(self, sequence: Any) -> OptimalControlProblem:
+        """Return the linear problem of one mode sequence: its maps, and the rows of its regions as stage rows.
+
+        Parameters
+        ----------
+        sequence : (T,) integers
+            The mode at every time, counted from 0.
+
+        Raises
+        ------
+        ProblemError
+            If it is no sequence of modes.
+        UnsupportedError
+            If the dynamics have no modes.
+        """
+        modes = as_sequence("sequence", sequence, self.horizon, len(self.piecewise.modes))
+        rows = (*self.stage_rows, self.piecewise.region_rows(modes))
+        return replace(self, dynamics=self.piecewise.along(modes), stage_rows=rows)
+
+    def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
+        """Return the linear dynamics, those of the modes that a trajectory is in if there are modes."""
+        if isinstance(self.dynamics, LinearDynamics):
+            return self.dynamics
+        return self.dynamics.along(self.dynamics.sequence_of(trajectory.x, trajectory.u))
+
+    @cached_property
+    def borders(self) -> tuple[Border, ...]:
+        """Where regions of modes meet within the sets, and whether the map jumps there; empty for linear dynamics."""
+        if isinstance(self.dynamics, LinearDynamics):
+            return ()
+        return borders(self.dynamics, self.horizon, self.state_boxes, self.control_tube)
 
     @property
     def state_dim(self) -> int:
@@ -311,7 +376,7 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
     ProblemError
         If a shape is wrong or there is no single initial state.
     NumericalError
-        If the state overflows.
+        If the state overflows, or no mode holds where it leads.
     """
     u = real_array("u", u)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
@@ -326,12 +391,11 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
     start = real_array("initial_state", initial_state)
     if start.shape != (n,):
         raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")
-    x = np.empty((T + 1, n))
+    x, step = np.empty((T + 1, n)), problem.dynamics.stepper(T)
     x[0] = start
     with np.errstate(over="ignore", invalid="ignore"):
         for t in range(T):
-            A, B, d = problem.dynamics.at(t)
-            x[t + 1] = A @ x[t] + B @ u[t] + d
+            x[t + 1] = step(t, x[t], u[t])
     if not np.isfinite(x).all():
         t = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise NumericalError(

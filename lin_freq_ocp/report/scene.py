@@ -110,12 +110,12 @@ class Scene:
 
     def notes(self, components: Sequence[Component]) -> list[Note]:
         """Say which trajectories are missing from a panel of these states, and which leave it."""
-        growth = amplification(self.problem) if any(not trace.states_shown for trace in self.traces) else 0.0
         outside = any(self.view(component).outside for component in components)
         notes = list[Note]()
         for trace in self.traces:
             words = ""
             if not trace.states_shown:
+                growth = amplification(self.problem.dynamics_along(trace.trajectory), self.problem.horizon)
                 words = f"not replayed; rounding errors would grow {rough(growth)}-fold"
             elif trace.guest and outside:
                 words = f"leaves the picture; {_end_of(trace, components)}"

@@ -129,7 +129,7 @@ class LinearTranscription:
         return self.problem.horizon * self.problem.control_dim
 
     def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
-        dynamics, T, n = self.problem.dynamics, self.problem.horizon, self.problem.state_dim
+        dynamics, T, n = self.problem.linear, self.problem.horizon, self.problem.state_dim
         successor = sp.eye_array(T * n, (T + 1) * n, k=n)
         stay = sp.hstack([_block_diagonal(dynamics.A, T), sp.csc_array((T * n, n))])
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()

@@ -122,7 +122,7 @@ class Units:
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, dynamics = problem.quadratic, problem.dynamics
+    cost, dynamics = problem.quadratic, problem.linear
     beyond = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
     if beyond:
         return f"{beyond[0].name}: only boxes, joint rows, stop bands and quadratic costs"
@@ -167,7 +167,7 @@ def revised_units(units: Units, y: Array) -> Units | None:
 
 def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
-    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.dynamics
+    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.linear
     x, u = units.x, units.u
     y = np.concatenate([x, u])
     rows = [_joined(one.C * x, one.D * u) for one in problem.stage_rows]

@@ -60,7 +60,7 @@ class RowForm:
 def row_form(problem: OptimalControlProblem) -> RowForm:
     """Return the problem with its hard polyhedral sets as joint rows; as it is if it has none, or other sets, too."""
     others = [term for term in problem.terms if term.kind != "stage rows"]
-    if not others or problem.dynamics.time_varying or not all(map(_is_polyhedron, others)):
+    if not others or problem.linear.time_varying or not all(map(_is_polyhedron, others)):
         return RowForm(problem, problem, ())
     try:
         rows = [one for term in others for one in _rows(problem, term)]
@@ -86,7 +86,7 @@ def _is_polyhedron(term: Term) -> bool:
 
 
 def _rows(problem: OptimalControlProblem, term: Term) -> list[StageRows]:
-    one, T, dynamics = term.map, problem.horizon, problem.dynamics
+    one, T, dynamics = term.map, problem.horizon, problem.linear
     assert isinstance(one, StageMap)
     assert isinstance(term.penalty, Below)
     limits = np.broadcast_to(term.penalty.limit, term.shape) - one.constant
