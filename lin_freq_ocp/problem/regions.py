@@ -74,8 +74,11 @@ class _Pieces:
 
 def require_partition(dynamics: PiecewiseAffineDynamics, horizon: int, states: Box, controls: Box) -> None:
     """Raise ProblemError unless the regions cover the boxes and overlap on borders only."""
-    names = dynamics.mode_names
+    names, checked = dynamics.mode_names, None
     for t, pieces, units in _times(dynamics, horizon, states, controls):
+        if checked is not None and _same_regions(checked, pieces):
+            continue
+        checked = pieces
         when = "" if t is None else f" at t = {t}"
         for i, j in _pairs(len(names)):
             rows, limits = np.vstack([pieces.rows[i], pieces.rows[j]]), np.append(pieces.limits[i], pieces.limits[j])
@@ -141,6 +144,11 @@ def _pieces(arrays: ModeArrays, t: int, units: Array, box_rows: Array, box_limit
         box_rows=box_rows,
         box_limits=box_limits,
     )
+
+
+def _same_regions(one: _Pieces, other: _Pieces) -> bool:
+    """Whether the regions of two times are the same; their maps may differ."""
+    return all(map(np.array_equal, [*one.rows, *one.limits], [*other.rows, *other.limits]))
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
