@@ -237,3 +237,16 @@ def test_the_ball_stays_over_the_paddle_unless_it_has_no_end():
     (term,) = kept.terms
     assert term.violation(beside, np.zeros((20, 2))).max() == pytest.approx(0.05)
     assert not free.terms
+
+
+def test_the_ball_can_be_turned():
+    problem = library.ball_and_paddle()
+    sequence = np.array([1, 0, 3, 3, 6, 4, 0, 2, 1, 2, 0, 2, 1, 5, 5, 0, 2, 0, 0, 1])
+    result = lfo.solve(problem.with_modes(sequence))
+    assert result.cost == pytest.approx(80.086072, rel=1e-6)
+    assert result.certificate.globally_optimal
+    state = np.array(problem.initial_state.lower)
+    for control, reached in zip(result.control, result.trajectory.x[1:], strict=True):
+        state = STEPS["ball_and_paddle"](state, control)
+        np.testing.assert_allclose(state, reached, atol=1e-6)
+    np.testing.assert_allclose(state, 0, atol=1e-6)
