@@ -7,11 +7,11 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 from queue import SimpleQueue
 
 from lin_freq_ocp.comparison.sweep_grid import Parameters
-from lin_freq_ocp.comparison.sweep_point import INTERRUPTED, Row, failed_point
+from lin_freq_ocp.comparison.sweep_point import INTERRUPTED, Row, failed_point, solve_point
 
 RESUBMISSIONS = 2
 """How often a lost point is given out again: a worker may die by chance, thrice the point itself is the reason."""
@@ -43,8 +43,16 @@ def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | 
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
-    """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it."""
-    return ProcessPoolExecutor(workers, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it.
+
+    Where the system can fork, they are copies of one process that has imported the package once for all of them.
+    """
+    if "forkserver" in get_all_start_methods():
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["__main__", solve_point.__module__])
+    else:
+        context = get_context("spawn")
+    return ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
 
 
 def _here(task: Task, points: Mapping[str, Parameters]) -> Finished:
@@ -128,4 +136,4 @@ def _outcome(future: Future[Row], wait: bool = False) -> Row | str:
 
 
 def _lost(parameters: Parameters, words: str) -> Row:
-    return failed_point(parameters, f"its worker was lost {1 + RESUBMISSIONS} times, at last with {words}")
+    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {words}")

@@ -71,8 +71,8 @@ class Line:
 def sweep_figure(sweep: Sweep) -> Figure:
     """Return the cost against the first parameter whose values are numbers, one line for each choice of the others.
 
-    Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what the
-    constraint costs. Hollow points are not proven. Points without cost are marks at the foot.
+    Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what
+    the constraint costs. Hollow points are not proven. Points without cost are marks at the foot.
 
     Raises
     ------
@@ -99,13 +99,9 @@ def sweep_figure(sweep: Sweep) -> Figure:
     unit = UNITS.get(name)
     words = "cost, relative to that without the constraint" if relative else "cost"
     x_label = f"{name.replace('_', ' ')}" + (f" [{unit}]" if unit else "")
-    notes = (
-        [Note("Hollow: not proven.")]
-        if any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
-        else []
-    )
+    doubtful = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
-    dress(ax, f"{sweep.problem}: {title}", x_label, words, notes)
+    dress(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
     if ax.get_legend_handles_labels()[1]:
         figure.legend(fontsize=LABEL_SIZE, labelcolor=INK, frameon=False, loc="outside right upper")
     return figure
