@@ -1,7 +1,8 @@
 """The command line: lin-freq-ocp list | solve | compare | sweep | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
-unbounded, and why); 2 bad input; 3 a point without such a proof; 130 interrupted.
+unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input; 3 a point without such a proof; 130
+interrupted.
 """
 
 from __future__ import annotations
