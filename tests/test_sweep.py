@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 import threading
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -35,17 +36,21 @@ FORTY = {"cutoff_hz": np.linspace(0.3, 4.0, 20), "speed_bound": [0.25, 0.4]}
 
 
 @pytest.fixture(scope="module")
-def serial():
-    return lfo.sweep(SHORT, GRID)
+def file(tmp_path_factory):
+    return tmp_path_factory.mktemp("sweep") / "sweep.jsonl"
 
 
 @pytest.fixture(scope="module")
-def client():
+def serial(file):
+    return lfo.sweep(SHORT, GRID, path=file)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
     """Two worker processes, as a cluster has them."""
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-        Client(cluster) as client,
-    ):
+    folder = str(tmp_path_factory.mktemp("cluster"))
+    options = {"processes": True, "dashboard_address": None, "local_directory": folder}
+    with LocalCluster(n_workers=2, threads_per_worker=1, **options) as cluster, Client(cluster) as client:
         yield client
 
 
@@ -281,10 +286,8 @@ def counted(monkeypatch):
 
 
 @pytest.fixture
-def written(serial, tmp_path):
-    path = tmp_path / "sweep.jsonl"
-    lfo.sweep(SHORT, GRID, path=path)
-    return path
+def written(serial, file, tmp_path):
+    return Path(shutil.copy(file, tmp_path))
 
 
 @pytest.mark.parametrize("cut", [-1, -30, -600])
