@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
@@ -90,12 +91,7 @@ def solve(
         If the method or backend does not exist or cannot take this problem.
     """
     require_problem(problem)
-    if method not in METHODS:
-        raise UnsupportedError(f"method: got {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or 'spectral'.")
-    if method == "spectral" and backend != "auto":
-        raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
-    _require_positive("time_limit", time_limit)
-    _require_positive("tolerance", tolerance)
+    require_options(method, backend, time_limit, tolerance)
     started, result = time.perf_counter(), None
     if method == "spectral" or (method == "auto" and backend == "auto"):
         result = _spectral(problem, method == "spectral", tolerance, time_limit)
@@ -288,6 +284,18 @@ def _complaint(result: Result) -> str:
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
     )
+
+
+def require_options(method: str, backend: str, time_limit: float | None, tolerance: float | None) -> None:
+    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
+    if method not in METHODS:
+        raise UnsupportedError(f"method: got {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or 'spectral'.")
+    if method == "spectral" and backend != "auto":
+        raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
+    if backend != "auto":
+        solver_named(backend)
+    _require_positive("time_limit", time_limit)
+    _require_positive("tolerance", tolerance)
 
 
 def _require_positive(name: str, value: float | None) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.library.crane import crane
 from lin_freq_ocp.library.double_integrator import double_integrator
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
@@ -61,7 +60,4 @@ def by_name(name: str) -> Callable[..., OptimalControlProblem]:
     """
     if name in PROBLEMS:
         return PROBLEMS[name]
-    nearest = get_close_matches(name, PROBLEMS, n=1)
-    raise ProblemError(
-        "name", repr(name), f"one of {', '.join(PROBLEMS)}", f"Did you mean {nearest[0]!r}?" if nearest else ""
-    )
+    raise ProblemError("name", repr(name), f"one of {', '.join(PROBLEMS)}", suggestion(name, PROBLEMS))
