@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certify_modes import certify_modes
 from lin_freq_ocp.errors import (
     InfeasibleError,
     LimitError,
@@ -28,6 +29,7 @@ from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multiplie
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem, simulate
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
@@ -120,7 +122,9 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
         A trajectory, or controls alone, which are then replayed from the initial state.
     multipliers : Multipliers, optional
         Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
-        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for.
+        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
+        piecewise-affine dynamics, also those of other mode sequences that the trajectory lies in, and
+        ``certificate.borders`` tells what holds where modes meet, and which change of a mode improves.
 
     Raises
     ------
@@ -133,6 +137,8 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     problem.require(trajectory)
     if multipliers is not None:
         return judge(problem, trajectory, multipliers)
+    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+        return certify_modes(problem, trajectory)
     fit = fit_multipliers(problem, trajectory)
     normal = judge(problem, trajectory, fit.multipliers)
     if normal.pmp == "satisfied":

@@ -1,1 +1,1 @@
-"""Search over mode sequences of piecewise-affine problems: enumeration, branch and bound, mixed-integer solvers."""
+"""Mode sequences of piecewise-affine problems: enumeration, branch and bound, and multipliers where modes meet."""
