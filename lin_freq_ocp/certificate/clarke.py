@@ -226,11 +226,7 @@ def nearest_weights(stage: BorderStage) -> Array:
 
 
 def border_facts(
-    problem: OptimalControlProblem,
-    stages: Sequence[BorderStage],
-    weights: Array,
-    joint: bool,
-    elsewhere: bool,
+    problem: OptimalControlProblem, stages: Sequence[BorderStage], weights: Array, joint: bool, elsewhere: bool
 ) -> BorderFacts:
     """Return the facts; ``joint`` is whether all conditions hold, ``elsewhere`` whether those not of borders do."""
     sizes = np.concatenate(stated_sizes(problem))

@@ -190,7 +190,9 @@ def stationarity_in_u(lift: Lift, least: Floors) -> Condition:
     """C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u)."""
     nu = lift.multipliers.nu
     residual = np.abs(lift.in_u - nu)
-    return worst_condition("C-v", "Hamiltonian stationary in u", residual, _scales(lift.in_u_terms + np.abs(nu), least.in_u))
+    return worst_condition(
+        "C-v", "Hamiltonian stationary in u", residual, _scales(lift.in_u_terms + np.abs(nu), least.in_u)
+    )
 
 
 def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
@@ -231,7 +233,9 @@ def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array)
 def membership(label: str, name: str, signal: Array, tube: Box, least: Array) -> Condition:
     """S-x, S-u: distance outside the set; compared with the largest bound and value of the component."""
     bounds = [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (tube.lower, tube.upper)]
-    return worst_condition(label, name, tube.violation(signal), _scales(np.maximum(np.abs(signal), np.maximum(*bounds)), least))
+    return worst_condition(
+        label, name, tube.violation(signal), _scales(np.maximum(np.abs(signal), np.maximum(*bounds)), least)
+    )
 
 
 def normal_cone(

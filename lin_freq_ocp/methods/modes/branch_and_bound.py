@@ -40,6 +40,7 @@ class BranchAndBound:
     progress: Callable[[SearchProgress], None] | None = None
 
     def __post_init__(self):
+        self._started = time.perf_counter()
         self._relaxation = ModeRelaxation(self.problem, self.relaxation)
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
@@ -49,7 +50,7 @@ class BranchAndBound:
         self._cost = np.inf
         self._tried: set[bytes] = set()
         self._solved = 0
-        self._started = time.perf_counter()
+        self._setup = time.perf_counter() - self._started
 
     def run(self, start: Indices | None = None) -> SearchOutcome:
         """Search; ``start`` is a sequence to begin with."""
@@ -62,7 +63,7 @@ class BranchAndBound:
         except KeyboardInterrupt:
             words, interrupted = "interrupted", True
         tree = proven_tree(self._relaxation, self._nodes, self._duals)
-        return SearchOutcome(self._best, self._cost, tree, words, interrupted, self._solved)
+        return SearchOutcome(self._best, self._cost, tree, words, interrupted, self._solved, self._setup)
 
     def _loop(self) -> str:
         """Split nodes until none is open; return why it stopped before, or nothing."""

@@ -32,6 +32,7 @@ def enumerate_sequences(
     """
     started, relaxation = time.perf_counter(), ModeRelaxation(problem)
     nodes, duals, ends = _all_sequences(relaxation)
+    setup = time.perf_counter() - started
     best, cost, words, interrupted, solved = None, np.inf, "", False, 0
     try:
         for index, reach in ends:
@@ -48,7 +49,7 @@ def enumerate_sequences(
                 best, cost = answer.sequence, answer.bound
     except KeyboardInterrupt:
         words, interrupted = "interrupted", True
-    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), words, interrupted, solved)
+    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), words, interrupted, solved, setup)
 
 
 def _all_sequences(relaxation: ModeRelaxation) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.methods.modes.node import Duals
+from lin_freq_ocp.methods.modes.node import FINE, Duals, relaxed
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 
 GAP = 1e-6
@@ -81,6 +82,8 @@ class SearchOutcome:
     interrupted : bool
     nodes : int
         Relaxations solved.
+    setup : float
+        Seconds before the first one.
     """
 
     sequence: Indices | None
@@ -89,6 +92,7 @@ class SearchOutcome:
     words: str
     interrupted: bool
     nodes: int
+    setup: float = 0.0
 
 
 def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
@@ -98,3 +102,16 @@ def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Se
         return node if own is None else replace(node, proof=relaxation.multipliers(own.rows, own.y, own.eta_C))
 
     return ModeTree(tuple(proven(*pair) for pair in zip(nodes, duals, strict=True)))
+
+
+def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices) -> ModeTree:
+    """Return the tree with new proofs of some leaves, from relaxations solved as finely as can be."""
+    relaxation, nodes = ModeRelaxation(problem), list(tree.nodes)
+    for index in leaves:
+        reach = relaxation.reach.from_start(nodes[index].allowed)
+        answer = None if reach is None else relaxed(relaxation, reach, FINE)
+        if answer is not None and answer.duals is not None:
+            own = answer.duals
+            proof = relaxation.multipliers(own.rows, own.y, own.eta_C)
+            nodes[index] = replace(nodes[index], bound=answer.bound, proof=proof)
+    return ModeTree(tuple(nodes))

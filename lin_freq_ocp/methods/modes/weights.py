@@ -80,9 +80,7 @@ def weighted(
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
 
 
-def _nearest(
-    differences: Array, normals: Sequence[Normal], held: Array, scale: Array
-) -> tuple[Array, Array | None]:
+def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: Array) -> tuple[Array, Array | None]:
     """Return alpha, and what of each normal there is to be; None: what is held. ``differences`` is (modes, n + m)."""
     columns = np.array([one.column / scale for one in normals]).reshape(-1, len(scale))
     alpha, _, left = _polytope(differences, columns[:0])
