@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -67,6 +68,7 @@ def solve(
     throw: bool = True,
     node_limit: int | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
+    executor: Executor | None = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
 
@@ -92,6 +94,8 @@ def solve(
         Over modes: relaxations to solve at most.
     progress : callable, optional
         Over modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
+    executor : concurrent.futures.Executor, optional
+        Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
 
     Returns
     -------
@@ -109,7 +113,7 @@ def solve(
     started = time.perf_counter()
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
-        result = solve_modes(problem, method, backend, limits, progress)
+        result = solve_modes(problem, method, backend, limits, progress, executor)
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}

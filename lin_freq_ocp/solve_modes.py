@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
+from lin_freq_ocp.methods.modes.parts import search_in_parts
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.arrays import Indices
@@ -32,7 +34,12 @@ Report = Callable[[SearchProgress], None]
 
 
 def solve_modes(
-    problem: OptimalControlProblem, method: str, backend: str, limits: SearchLimits, progress: Report | None
+    problem: OptimalControlProblem,
+    method: str,
+    backend: str,
+    limits: SearchLimits,
+    progress: Report | None,
+    executor: Executor | None,
 ) -> Result:
     """Return what a search over modes ends with, judged.
 
@@ -48,9 +55,15 @@ def solve_modes(
         raise UnsupportedError(f"method: got {method!r}, which takes linear dynamics; expected one of {known}.")
     if backend != "auto" and method != "miqp":
         raise UnsupportedError(f"backend: got {backend!r}; the method {method!r} needs none: leave it 'auto'.")
+    if executor is not None and method != "branch_and_bound":
+        raise UnsupportedError(
+            f"executor: got one for the method {method!r}; only 'branch_and_bound' has parts for it."
+        )
     started = time.perf_counter()
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)
+    elif executor is not None:
+        outcome = search_in_parts(problem, limits, executor, progress)
     else:
         outcome = BranchAndBound(problem, limits, progress=progress).run()
     seconds = {"setup": outcome.setup, "solve": time.perf_counter() - started - outcome.setup}

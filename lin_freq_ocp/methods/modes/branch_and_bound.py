@@ -52,13 +52,26 @@ class BranchAndBound:
         self._solved = 0
         self._setup = time.perf_counter() - self._started
 
-    def run(self, start: Indices | None = None) -> SearchOutcome:
-        """Search; ``start`` is a sequence to begin with."""
+    def run(
+        self, start: Indices | None = None, within: Reach | None = None, until_open: float = np.inf
+    ) -> SearchOutcome:
+        """Search.
+
+        Parameters
+        ----------
+        start : (T,), optional
+            A sequence to begin with.
+        within : Reach, optional
+            Of the sequences to search; default: all of them.
+        until_open : int, optional
+            Stop when so many nodes are open: they are other searches' roots then, see ``open_nodes``.
+        """
         words, interrupted = "", False
+        self._until_open = until_open
         try:
             if start is not None:
                 self._try(start)
-            self._open(self._root(), -1, -1, -np.inf)
+            self._open(self._root(within), -1, -1, -np.inf)
             words = self._loop()
         except KeyboardInterrupt:
             words, interrupted = "interrupted", True
@@ -67,7 +80,7 @@ class BranchAndBound:
 
     def _loop(self) -> str:
         """Split nodes until none is open; return why it stopped before, or nothing."""
-        while self._heap and self._heap[0][0] < self._cutoff:
+        while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
             words = self.limits.reached(time.perf_counter() - self._started, self._solved)
             if words:
                 return words
@@ -84,9 +97,14 @@ class BranchAndBound:
         heapq.heapify(self._heap)
         return taken
 
-    def _root(self) -> list[tuple[Mask, Relaxed | None]]:
+    @property
+    def open_nodes(self) -> list[tuple[int, Reach]]:
+        """Return the nodes that are still to be split, the least bound first."""
+        return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
+
+    def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
         everything = np.ones((self.problem.horizon, len(self.problem.piecewise.modes)), dtype=bool)
-        reach = self._relaxation.reach.from_start(everything)
+        reach = self._relaxation.reach.from_start(everything) if within is None else within
         return [(everything, None if reach is None else self._relaxed(reach))]
 
     def _split(self, bound: float, index: int, answer: Relaxed) -> None:
