@@ -110,6 +110,7 @@ def solve(
     """
     require_problem(problem)
     require_options(method, backend, time_limit, tolerance)
+    _require_positive("node_limit", node_limit)
     started = time.perf_counter()
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
