@@ -40,6 +40,7 @@ from lin_freq_ocp.cli_common import (
     progress,
     require_folder,
     require_writable,
+    search_progress,
     settings_option,
     time_limit_option,
     tolerance_option,
@@ -92,6 +93,7 @@ def list_command() -> int:
 @backend_option
 @time_limit_option
 @tolerance_option
+@click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write trajectory and multipliers to this .npz file.")
 @click.option("--dump", type=click.Path(path_type=Path), help="Write the whole run to this .zip file; see rerun.")
 @json_option
@@ -102,6 +104,7 @@ def solve_command(
     backend: str,
     time_limit: float | None,
     tolerance: float | None,
+    node_limit: int | None,
     save: Path | None,
     dump: Path | None,
     as_json: bool,
@@ -113,10 +116,11 @@ def solve_command(
             require_writable(option, file, problem)
     if save is not None and dump is not None and save.absolute() == dump.absolute():
         raise ProblemError(f"--dump {dump}", "the file of --save", "another file")
-    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options |= {"node_limit": node_limit}
     with dumping_errors(dump, description, options):
-        with progress(f"solving {description.name or problem}"):
-            result = solve(description, method, backend, time_limit, tolerance, throw=False)
+        with search_progress(f"solving {description.name or problem}") as report:
+            result = solve(description, **options, throw=False, progress=report)
         if result.status == "infeasible":
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
@@ -226,6 +230,8 @@ def exit_status(result: Result) -> int:
         return INTERRUPTED
     if result.status in ("infeasible", "unbounded"):
         return NO_SOLUTION
+    if result.tree is not None:  # extremal is not optimal where there are modes: what counts is the gap
+        return PROVEN if result.status == "optimal" else NOT_PROVEN
     return NOT_PROVEN if result.certificate is None else certificate_status(result.certificate)
 
 

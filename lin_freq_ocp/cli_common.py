@@ -6,8 +6,8 @@ import inspect
 import os
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.summary import to_json
+from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
@@ -44,8 +45,15 @@ settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
 )
 backend_option = click.option("--backend", default="auto", show_default=True, help="clarabel, osqp, or qpsolvers:NAME.")
-method_option = click.option("--method", default="auto", show_default=True, help="auto, spectral or convex.")
-tolerance_option = click.option("--tolerance", type=float, help="Relative residuals asked of the solver.")
+method_option = click.option(
+    "--method",
+    default="auto",
+    show_default=True,
+    help="auto; spectral, convex; branch_and_bound, enumerate, miqp for modes.",
+)
+tolerance_option = click.option(
+    "--tolerance", type=float, help="Residuals asked of the solver; over modes, the gap to prove."
+)
 time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
@@ -150,6 +158,16 @@ def complain(error: Exception | str) -> None:
 def progress(what: str) -> AbstractContextManager[Any]:
     """Show what is being done, on a terminal."""
     return err.status(escape(what)) if err.is_terminal else nullcontext()
+
+
+@contextmanager
+def search_progress(what: str) -> Generator[Callable[[SearchProgress], None] | None]:
+    """Show what is being done, on a terminal, and yield what shows how far a search is."""
+    if not err.is_terminal:
+        yield None
+        return
+    with err.status(escape(what)) as status:
+        yield lambda reached: status.update(escape(f"{what}: {reached}"))
 
 
 def print_json(summary: Mapping[str, Any]) -> None:

@@ -13,7 +13,11 @@ def kinked(rng, n=2, m=1, kinks=1):
     """Return modes of x+ = F y + c + sum_j g_j max(0, h_j'y - d_j), y = (x, u), with kinks near the origin."""
     F = np.hstack([np.linalg.qr(rng.normal(size=(n, n)))[0] * rng.uniform(0.6, 1.0), rng.normal(size=(n, m))])
     c = 0.1 * rng.normal(size=n)
-    rows, limits, gains = rng.normal(size=(kinks, n + m)), 0.2 * rng.normal(size=kinks), 0.7 * rng.normal(size=(kinks, n))
+    rows, limits, gains = (
+        rng.normal(size=(kinks, n + m)),
+        0.2 * rng.normal(size=kinks),
+        0.7 * rng.normal(size=(kinks, n)),
+    )
     modes = []
     for signs in product((0, 1), repeat=kinks):
         s = np.array(signs)

@@ -65,7 +65,9 @@ def test_enumeration_finds_and_proves_the_reference_values(name, given, cost):
 def test_search_agrees_with_brute_force(seed):
     rng = np.random.default_rng(seed)
     band = lfo.stop_band(bins=[2]) if seed % 2 else None
-    problem = random_problem(seed, n=int(rng.integers(1, 4)), kinks=1 + seed % 2, horizon=3 + seed % 2, control_spectrum=band)
+    problem = random_problem(
+        seed, n=int(rng.integers(1, 4)), kinks=1 + seed % 2, horizon=3 + seed % 2, control_spectrum=band
+    )
     expected, _ = brute_force(problem)
     for method in ("branch_and_bound", "enumerate"):
         result = lfo.solve(problem, method=method)
@@ -92,7 +94,7 @@ def test_search_agrees_with_brute_force(seed):
 def test_everything_that_linear_problems_have(fields):
     bounds = {"state_set": lfo.Box([-4, -4], [4, 4])} if "state_set" not in fields else {}
     if not bounds:
-        fields = {"state_set": lfo.Intersection(lfo.Box([-4, -4], [4, 4]), fields["state_set"])}
+        fields = {"state_set": lfo.Intersection([lfo.Box([-4, -4], [4, 4]), fields["state_set"]])}
     problem = random_problem(3, horizon=3, **fields)
     expected, _ = brute_force(problem)
     result = lfo.solve(problem)
@@ -198,7 +200,10 @@ def replace_eta(multipliers, eta):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_any_multipliers_bound_every_sequence_from_below(seed):
-    problem, rng = random_problem(seed, horizon=3, control_spectrum=lfo.stop_band(bins=[1])), np.random.default_rng(seed)
+    problem, rng = (
+        random_problem(seed, horizon=3, control_spectrum=lfo.stop_band(bins=[1])),
+        np.random.default_rng(seed),
+    )
     result = lfo.solve(problem, method="enumerate")
     nodes = []
     for node in result.tree.nodes:

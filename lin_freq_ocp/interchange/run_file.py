@@ -33,7 +33,12 @@ SCHEMA = 1
 PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "solution.npz", "run.json"
 """What the file, a zip archive, holds: the second if some arrays are large, the third if there is a trajectory."""
 
-OPTIONS = {"method": str, "backend": str, "time_limit": (int, float, type(None)), "tolerance": (int, float, type(None))}
+OPTIONS = {
+    "method": str,
+    "backend": str,
+    "time_limit": (int, float, type(None)),
+    "tolerance": (int, float, type(None)),
+} | {"node_limit": (int, type(None))}
 
 
 @dataclass(frozen=True, eq=False)

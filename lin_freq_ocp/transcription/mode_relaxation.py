@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.mode_reach import UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.mode_reach import ENDLESS, UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.problem.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -189,15 +189,16 @@ class ModeRelaxation:
 
     def _take_boxes(self, rows: Mask, right: Array, reach: Reach, several: Mask) -> None:
         """Take the bounds of x_t and u_t where shares do not have them."""
-        stages, n, controls = self._stages, self._n, self.problem.control_tube
+        stages, n, tube = self._stages, self._n, self.problem.control_tube
+        u_lower, u_upper = np.maximum(tube.lower, -ENDLESS), np.minimum(tube.upper, ENDLESS)
         references = np.vstack([stages.references[:, :n], stages.last_reference])
         wanted = np.append(~several | (self.kind == "big_m"), True)
         for groups, lower, upper, units, taken in (
             (self._x_boxes, reach.lower - references, reach.upper - references, stages.units[:n], wanted),
             (
                 self._u_boxes,
-                controls.lower - stages.references[:, n:],
-                controls.upper - stages.references[:, n:],
+                u_lower - stages.references[:, n:],
+                u_upper - stages.references[:, n:],
                 stages.units[n:],
                 wanted[:-1],
             ),
