@@ -45,15 +45,9 @@ settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
 )
 backend_option = click.option("--backend", default="auto", show_default=True, help="clarabel, osqp, or qpsolvers:NAME.")
-method_option = click.option(
-    "--method",
-    default="auto",
-    show_default=True,
-    help="auto; spectral, convex; branch_and_bound, enumerate, miqp for modes.",
-)
-tolerance_option = click.option(
-    "--tolerance", type=float, help="Residuals asked of the solver; over modes, the gap to prove."
-)
+METHOD_HELP = "auto; spectral or convex; for modes branch_and_bound, enumerate or miqp."
+method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
 time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
