@@ -133,6 +133,7 @@ class Result:
                 f"theorem   {certificate.pmp}, {normal}",
                 f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
             ]
+            lines += [] if certificate.borders is None else [f"borders   {certificate.borders}"]
         lines.append(f"method    {self.solver}")
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

@@ -1,7 +1,7 @@
 """The conditions of a problem with piecewise-affine dynamics: those of the averaged linear one, and those of its modes.
 
 With weights alpha, the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and
-stationarity in u of the linear problem with these dynamics, if the weights are those of a convex sum of modes that meet.
+stationarity in u of the linear problem with these dynamics, if the sum is a convex one of modes that meet.
 """
 
 from __future__ import annotations
@@ -17,14 +17,7 @@ from lin_freq_ocp.certificate.clarke import (
     nearest_weights,
     stationarity_scale,
 )
-from lin_freq_ocp.certificate.conditions import (
-    CONDITION_TOLERANCE,
-    Condition,
-    Floors,
-    all_conditions,
-    floors,
-    worst_condition,
-)
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, Floors, all_conditions, floors, worst
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
@@ -43,7 +36,7 @@ def judge_modes(
     """Return all conditions of a trajectory of piecewise-affine dynamics, and the facts about its borders."""
     problem.require(trajectory)
     arrays = problem.piecewise.arrays(problem.horizon)
-    sequence, meeting = (find(trajectory.x, trajectory.u) for find in (arrays.sequence, arrays.meeting))
+    sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)
     least = floors(lifted)
@@ -92,7 +85,7 @@ def _state_equation(
     x, u = np.abs(trajectory.x), np.abs(trajectory.u)
     terms = x[1:] + problem.piecewise.along(sequence).magnitudes().successors(x, u)
     residual = np.abs(one_step_residual(problem, trajectory))
-    return worst_condition("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
+    return worst("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
 
 
 def _mode_holds(arrays: ModeArrays, trajectory: Trajectory, sequence: Indices) -> Condition:
@@ -117,5 +110,4 @@ def _stationary(lifted: Lift, least: Floors, times: Mask) -> bool:
     n, scale = lifted.problem.state_dim, stationarity_scale(lifted, least)
     in_x = np.abs(lifted.eta_before - lifted.in_x + lifted.multipliers.mu)[:-1] / scale[:n]
     in_u = np.abs(lifted.in_u - lifted.multipliers.nu) / scale[n:]
-    worst = max(float(part[times].max(initial=0.0)) for part in (in_x, in_u))
-    return worst <= CONDITION_TOLERANCE
+    return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

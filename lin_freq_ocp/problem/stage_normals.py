@@ -72,9 +72,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
     return found
 
 
-def _of_box(
-    family: str, signal: Array, tube: Box, size: Array, first: int, total: int
-) -> Iterator[tuple[int, Normal]]:
+def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
     near = TOUCHING * (size + np.abs(signal))
     lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
     for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):

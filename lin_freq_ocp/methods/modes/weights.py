@@ -80,9 +80,7 @@ def weighted(
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
 
 
-def _nearest(
-    differences: Array, normals: Sequence[Normal], held: Array, scale: Array
-) -> tuple[Array, Array | None]:
+def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: Array) -> tuple[Array, Array | None]:
     """Return alpha, and what of each normal there is to be; None: what is held. ``differences`` is (modes, n + m)."""
     columns = np.array([one.column / scale for one in normals]).reshape(-1, len(scale))
     alpha, _, left = _polytope(differences, columns[:0])
@@ -93,7 +91,7 @@ def _nearest(
 
 
 def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
-    """Return alpha and nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
     norms = np.linalg.norm(rays, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
