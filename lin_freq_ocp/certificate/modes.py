@@ -17,7 +17,14 @@ from lin_freq_ocp.certificate.clarke import (
     nearest_weights,
     stationarity_scale,
 )
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, Floors, all_conditions, floors, worst
+from lin_freq_ocp.certificate.conditions import (
+    CONDITION_TOLERANCE,
+    Condition,
+    Floors,
+    all_conditions,
+    floors,
+    worst_condition,
+)
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
@@ -85,7 +92,7 @@ def _state_equation(
     x, u = np.abs(trajectory.x), np.abs(trajectory.u)
     terms = x[1:] + problem.piecewise.along(sequence).magnitudes().successors(x, u)
     residual = np.abs(one_step_residual(problem, trajectory))
-    return worst("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
+    return worst_condition("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
 
 
 def _mode_holds(arrays: ModeArrays, trajectory: Trajectory, sequence: Indices) -> Condition:

@@ -1,1 +1,1 @@
-"""SOLVE, problems with modes: multipliers of their mode sequences, and what they say of the map as a whole."""
+"""Mode sequences of piecewise-affine problems: enumeration, branch and bound, and multipliers where modes meet."""
