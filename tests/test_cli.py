@@ -66,6 +66,7 @@ HEAD = {
 DIRECTION = {"slope": float, "residual": float, "time": int}
 CERTIFICATE = {
     "descent": (DIRECTION, None),
+    "borders": (dict, None),
     "pmp": str,
     "normal": (bool, None),
     "global": bool,
