@@ -258,6 +258,11 @@ class PiecewiseAffineDynamics:
         """Whether any region depends on time."""
         return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
 
+    @cached_property
+    def found_whole(self) -> set[bytes]:
+        """Sets, in bytes, that the regions were found to cover without overlap: the check is not made again."""
+        return set()
+
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
         for i, mode in enumerate(self.modes):

@@ -24,6 +24,10 @@ THICKNESS = 1e-7
 """A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers meet rows to 1e-8
 or so, and within that a point is on both sides."""
 
+SAME_FACET = 4 * THICKNESS
+"""Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
+counts as no gap, so that regions without a gap between them have a border."""
+
 NEARNESS = 1e-10
 """Price of |y|^2 against the radius of a ball, so that of many largest balls one near the origin is found: it costs
 less than 1e-8 of radius within |y| <= 10, and without it nothing keeps y from infinity where the rows do not."""
@@ -74,6 +78,22 @@ class Cell:
         """Whether two opposite rows alone leave no ball of radius ``thickness`` in both cells."""
         opposite = np.abs(self.normals[:, None] + other.normals).max(axis=-1, initial=0.0) <= FLAT
         return bool((opposite & (self.limits[:, None] + other.limits <= 2 * thickness)).any())
+
+    def same_as(self, normal: Array, limit: float) -> Mask:
+        """Whether each row is the same half space as normal'y <= limit."""
+        distance = np.abs(self.normals - normal).max(axis=-1, initial=0.0)
+        return (distance <= SAME_FACET) & (np.abs(self.limits - limit) <= SAME_FACET * max(1.0, abs(limit)))
+
+    def restricted(self, foot: Array, along: Array) -> Cell | None:
+        """Return the cell in z of y = foot + along z, orthonormal columns; None if a row without direction forbids it.
+
+        A row that is as good as parallel to the columns is kept or broken by the foot alone, within ``SAME_FACET``.
+        """
+        matrix, limits = self.normals @ along, self.limits - self.normals @ foot
+        decided = np.linalg.norm(matrix, axis=1) <= SAME_FACET
+        if (limits[decided] < -SAME_FACET * np.maximum(1.0, np.abs(self.limits[decided]))).any():
+            return None
+        return cell_of(matrix[~decided], limits[~decided])
 
     def implies(self, other: Cell, row: int) -> bool:
         """Whether one row of this cell alone makes a row of another hold."""
@@ -137,28 +157,81 @@ def ball_centre(
     return y if (slack[grows] / radii[grows]).min(initial=LARGEST_BALL) > thickness else None
 
 
-def uncovered(piece: Cell, cells: Sequence[Cell], thickness: float) -> Array | None:
-    """Return a point of the piece, with a ball around it, that none of the cells covers; None if there is none."""
-    point = piece.inner_point(thickness)
+def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
+    """Return a point of the domain, away from its border, next to which none of the cells is; None if they cover it.
+
+    What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
+    those that hold on it and have not the same facet. They are looked for in the plane of the facet, by cutting it.
+    """
+    fat = [(domain & cell).inner_point(THICKNESS) is not None for cell in cells]
+    if not any(fat):
+        return domain.inner_point(THICKNESS)
+    for i, cell in enumerate(cells):
+        for row in range(len(cell.limits) if fat[i] else 0):
+            normal, limit = cell.normals[row], float(cell.limits[row])
+            if domain.same_as(normal, limit).any():
+                continue
+            foot, along = limit * normal, _basis_across(normal)
+            facet = (domain & cell.take(~cell.same_as(normal, limit))).restricted(foot, along)
+            point = None
+            if facet is not None:
+                point = _left_over(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
+            if point is not None:
+                return foot + along @ point
+    return None
+
+
+class _FarSide:
+    """What may be on the far side of a facet: all cells but its own and those that have the same one."""
+
+    def __init__(self, cells: Sequence[Cell], own: int, normal: Array, limit: float, foot: Array, along: Array):
+        self.cells, self.foot, self.along = cells, foot, along
+        d = len(normal)
+        lengths = [len(cell.limits) + 1 for cell in cells]  # and a row that says nothing, for cells without any
+        self.starts = np.append(0, np.cumsum(lengths)[:-1])
+        self.normals = np.vstack([part for cell in cells for part in (cell.normals, np.zeros((1, d)))])
+        self.limits = np.concatenate([part for cell in cells for part in (cell.limits, [np.inf])])
+        rows = Cell(self.normals, np.where(np.isfinite(self.limits), self.limits, 0.0))
+        self.facing = rows.same_as(-normal, -limit)
+        self.excluded = np.logical_or.reduceat(rows.same_as(normal, limit), self.starts)
+        self.excluded[own] = True
+
+    def around(self, point: Array, used: frozenset[int]) -> int | None:
+        """Return the cell that a point of the plane is deepest in, if it is in any."""
+        slack = self.limits - self.normals @ (self.foot + self.along @ point)
+        margins = np.minimum.reduceat(np.where(self.facing, np.inf, slack), self.starts)
+        margins[self.excluded | np.isin(np.arange(len(self.cells)), list(used))] = -np.inf
+        k = int(np.argmax(margins))
+        return k if margins[k] >= -THICKNESS else None
+
+
+def _left_over(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
+    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
+
+    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
+    """
+    point = piece.inner_point(THICKNESS)
     if point is None:
         return None
-    met = (
-        k
-        for k, cell in enumerate(cells)
-        if not piece.apart_from(cell, thickness) and (piece & cell).inner_point(thickness) is not None
-    )
-    k = next(met, None)
+    k = far.around(point, used)
+    cell = None if k is None else far.cells[k].restricted(far.foot, far.along)
     if k is None:
         return point
-    cell = cells[k]
+    if cell is None:
+        return _left_over(piece, far, used | {k})
     for row in range(len(cell.limits)):
         if piece.implies(cell, row):
             continue
-        outside = uncovered(piece & cell.beyond(row), cells[k + 1 :], thickness)
+        outside = _left_over(piece & cell.beyond(row), far, used | {k})
         if outside is not None:
             return outside
         piece = piece & cell.take(slice(row, row + 1))
     return None
+
+
+def _basis_across(normal: Array) -> Array:
+    """Return orthonormal columns that span what is orthogonal to a vector of length 1, (d, d - 1)."""
+    return np.linalg.qr(np.column_stack([normal, np.eye(len(normal))]))[0][:, 1:]
 
 
 def irredundant(cell: Cell, thickness: float) -> Indices:

@@ -6,7 +6,6 @@ regions reach along it, if that is less or if it has none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,12 +14,17 @@ import numpy as np
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask, brief
 from lin_freq_ocp.problem.piecewise_affine import ModeArrays, PiecewiseAffineDynamics
-from lin_freq_ocp.problem.polyhedra import FLAT, THICKNESS, Cell, ball_centre, cell_of, natural_sizes, uncovered
+from lin_freq_ocp.problem.polyhedra import (
+    FLAT,
+    SAME_FACET,
+    THICKNESS,
+    Cell,
+    ball_centre,
+    cell_of,
+    natural_sizes,
+    uncovered,
+)
 from lin_freq_ocp.problem.stage_sets import StageSet, StageSets
-
-SAME_FACET = 4 * THICKNESS
-"""Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
-counts as no gap, so that regions without a gap between them have a border."""
 
 CONTINUITY_TOLERANCE = 1e-9
 """Jump of the map across a border, relative to the terms it is made of, up to which it is continuous."""
@@ -115,13 +119,10 @@ def require_partition(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> Non
             return
         if sets.constant:
             raise fault
-    known: set[bytes] = set()
     for t in range(sets.horizon):
-        pieces = _pieces(arrays, t, sets.at(t))
-        fault = None if pieces.key in known else _fault(dynamics, pieces, f" at t = {t}")
+        fault = _fault(dynamics, _pieces(arrays, t, sets.at(t)), f" at t = {t}")
         if fault is not None:
             raise fault
-        known.add(pieces.key)
 
 
 def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border, ...]:
@@ -133,7 +134,8 @@ def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border,
         pieces = _pieces(arrays, t, around)
         if pieces.key not in known:
             pairs = combinations(range(len(pieces.cells)), 2)
-            known[pieces.key] = [(i, j, *facet) for i, j in pairs for facet in _shared_facets(pieces, i, j)]
+            facets = [(i, j, _shared_facet(pieces, i, j)) for i, j in pairs]
+            known[pieces.key] = [(i, j, *facet) for i, j, facet in facets if facet is not None]
         for i, j, row, limit in known[pieces.key]:
             g, jump = _jump(arrays, t, (i, j), pieces, row, limit)
             normal = row / pieces.units
@@ -169,6 +171,9 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
 
 def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> ProblemError | None:
     """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
+    key = pieces.key
+    if key in dynamics.found_whole:
+        return None
     names = dynamics.mode_names
     for i, j in combinations(range(len(names)), 2):
         point = _overlap(pieces, i, j)
@@ -178,9 +183,11 @@ def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> Pro
                 f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
                 "regions that meet on borders only",
             )
-    regions = [_within_domain(cell, pieces.free) for cell in pieces.cells]
-    point = uncovered(pieces.domain, [region for region in regions if region is not None], THICKNESS)
+    columns = np.eye(len(pieces.free))[:, pieces.free]
+    regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
+    point = uncovered(pieces.domain, [region for region in regions if region is not None])
     if point is None:
+        dynamics.found_whole.add(key)
         return None
     return ProblemError(
         "dynamics.modes",
@@ -200,32 +207,24 @@ def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
     return ball_centre(normals, limits, np.ones(len(limits)), THICKNESS)
 
 
-def _within_domain(cell: Cell, free: Mask) -> Cell | None:
-    """Return a region in the free components; None if the fixed ones are, by more than THICKNESS, outside."""
-    decided = np.linalg.norm(cell.normals[:, free], axis=1) <= FLAT
-    if (cell.limits[decided] < -THICKNESS).any():
+def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None:
+    """Return (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge.
+
+    Regions on different sides of two hyperplanes meet in their intersection at most, which is an edge.
+    """
+    first, second = pieces.cells[i], pieces.cells[j]
+    opposite = np.abs(first.normals[:, None] + second.normals).max(axis=-1, initial=0.0) <= SAME_FACET
+    size = np.maximum(1.0, np.abs(first.limits))[:, None]
+    opposite &= np.abs(first.limits[:, None] + second.limits) <= SAME_FACET * size
+    facing = np.flatnonzero(opposite.any(axis=1))
+    if not len(facing):
         return None
-    return cell_of(cell.normals[~decided][:, free], cell.limits[~decided])
-
-
-def _shared_facets(pieces: _Pieces, i: int, j: int) -> Iterator[tuple[Array, float]]:
-    """Yield (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge."""
-    both = pieces.cells[i] & pieces.cells[j]
-    known: list[tuple[Array, float]] = []
-    for row, limit in zip(pieces.cells[i].normals, pieces.cells[i].limits, strict=True):
-        if any(_same(one, row, edge, limit) for one, edge in known):
-            continue
-        known.append((row, limit))
-        if _same(-pieces.cells[j].normals, row, -pieces.cells[j].limits, limit).any():
-            on_it = _same(both.normals, row, both.limits, limit) | _same(-both.normals, row, -both.limits, limit)
-            if _touch(pieces, both.take(~on_it), row, float(limit)):
-                yield row, float(limit)
-
-
-def _same(normals: Array, row: Array, limits: Array | float, limit: float) -> Mask:
-    """Whether rows are the hyperplane of another."""
-    distance = np.abs(normals - row).max(axis=-1, initial=0.0)
-    return np.asarray((distance <= SAME_FACET) & (np.abs(limits - limit) <= SAME_FACET * max(1.0, abs(limit))))
+    row, limit = first.normals[facing[0]], float(first.limits[facing[0]])
+    if not first.take(facing).same_as(row, limit).all():
+        return None
+    both = first & second
+    others = both.take(~both.same_as(row, limit) & ~both.same_as(-row, -limit))
+    return (row, limit) if _touch(pieces, others, row, limit) else None
 
 
 def _touch(pieces: _Pieces, others: Cell, row: Array, limit: float) -> bool:
