@@ -341,9 +341,10 @@ class OptimalControlProblem:
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
         joint = sum(family.rows for family in self.stage_rows)
+        modes = f"{len(self.dynamics.modes)} modes, " if isinstance(self.dynamics, PiecewiseAffineDynamics) else ""
         return (
             f"{self.name or 'optimal control problem'}: horizon {self.horizon}, "
-            f"{self.state_dim} states, {self.control_dim} controls, "
+            f"{self.state_dim} states, {self.control_dim} controls, {modes}"
             f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
             + (f", {joint} joint rows per step" if joint else "")
             + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")

@@ -158,7 +158,7 @@ def ball_centre(
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
-    """Return a point of the domain, away from its border, next to which none of the cells is; None if they cover it.
+    """Return a point of the domain that none of the cells holds; None if they cover it.
 
     What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
     those that hold on it and have not the same facet. They are looked for in the plane of the facet, by cutting it.
@@ -177,8 +177,26 @@ def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
             if facet is not None:
                 point = _left_over(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
             if point is not None:
-                return foot + along @ point
+                return _into_the_gap(foot + along @ point, normal, domain, cells)
     return None
+
+
+def _into_the_gap(start: Array, direction: Array, domain: Cell, cells: Sequence[Cell]) -> Array:
+    """Return a point halfway from a facet to where, straight on, the next cell begins or the domain ends."""
+    ends = [_interval(domain, start, direction)[1], 2 * LARGEST_BALL]
+    begins = [interval[0] for cell in cells if (interval := _interval(cell, start, direction))[1] > THICKNESS]
+    return start + min(*ends, *(begin for begin in begins if begin > THICKNESS)) / 2 * direction
+
+
+def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]:
+    """Return from where to where a straight line is in a cell, as multiples of the direction; (inf, -inf): nowhere."""
+    slack, rate = cell.limits - cell.normals @ start, cell.normals @ direction
+    falling, rising = rate < -FLAT, rate > FLAT
+    if (slack[~falling & ~rising] < -THICKNESS).any():
+        return np.inf, -np.inf
+    first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
+    last = float((slack[rising] / rate[rising]).min(initial=np.inf))
+    return (first, last) if first <= last else (np.inf, -np.inf)
 
 
 class _FarSide:
