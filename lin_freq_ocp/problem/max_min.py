@@ -97,7 +97,12 @@ class Expression:
     def __abs__(self) -> Expression:
         return maximum(self, -self)
 
+    def _compare(self, other: Any) -> bool:
+        advice = "Python's max and min, and comparisons, decide here and now."
+        raise ProblemError("expression", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
+
     __radd__, __rmul__ = __add__, __mul__
+    __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def __repr__(self) -> str:
         n, m = self.dimensions

@@ -51,8 +51,8 @@ class ModeArrays:
 
     def image_sizes(self, x: Array, u: Array) -> Array:
         """Return what images are compared by, (n,): the largest sum of absolute terms over t and modes."""
-        sizes = np.einsum("tkij,tj->tki", np.abs(self.A), np.abs(x[: len(u)]))
-        sizes += np.einsum("tkij,tj->tki", np.abs(self.B), np.abs(u)) + np.abs(self.offset)
+        sizes = np.einsum("tkij,tj->tki", _absolute(self.A), np.abs(x[: len(u)]))
+        sizes += np.einsum("tkij,tj->tki", _absolute(self.B), np.abs(u)) + _absolute(self.offset)
         largest = sizes.max(axis=(0, 1))
         return np.where(largest > 0, largest, 1.0)
 
@@ -63,8 +63,8 @@ class ModeArrays:
     def row_sizes(self, x: Array, u: Array) -> Array:
         """Return what an excess is measured by, (modes, rows): the largest sum of absolute terms of its row over t."""
         limits = np.where(np.isfinite(self.h), np.abs(self.h), 0.0)
-        terms = np.einsum("tkrj,tj->tkr", np.abs(self.G), np.abs(x[: len(u)]))
-        terms += np.einsum("tkrj,tj->tkr", np.abs(self.H), np.abs(u)) + limits
+        terms = np.einsum("tkrj,tj->tkr", _absolute(self.G), np.abs(x[: len(u)]))
+        terms += np.einsum("tkrj,tj->tkr", _absolute(self.H), np.abs(u)) + limits
         largest = terms.max(axis=0)
         return np.where(largest > 0, largest, 1.0)
 
@@ -363,6 +363,11 @@ class PiecewiseAffineDynamics:
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]
 
         return step
+
+
+def _absolute(part: Array) -> Array:
+    """Return the absolute values; what stands in memory once for all times does so again."""
+    return np.abs(part) if part.strides[0] else np.broadcast_to(np.abs(part[:1]), part.shape)
 
 
 def as_sequence(field: str, sequence: Any, horizon: int, modes: int) -> Indices:
