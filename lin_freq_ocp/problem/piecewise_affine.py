@@ -12,73 +12,13 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import REGION, AffineMode
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, positive_number
+from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, positive_number
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.guards import guarded_modes
 from lin_freq_ocp.problem.max_min import Expression, modes_of
+from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.stage_rows import StageRows
-
-BORDER_TOLERANCE = 1e-6
-"""A point this far beyond a facet of a region, relative to the largest terms of its row, is still on it: solvers meet
-rows to 1e-8 or so, and the judge forgives 1e-6."""
-
-REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows."""
-
-
-@dataclass(frozen=True, eq=False)
-class ModeArrays:
-    """All modes at all times, with rows of regions filled up by 0 <= inf.
-
-    Attributes
-    ----------
-    A : (T, modes, n, n), B : (T, modes, n, m), offset : (T, modes, n)
-    G : (T, modes, rows, n), H : (T, modes, rows, m), h : (T, modes, rows)
-    """
-
-    A: Array
-    B: Array
-    offset: Array
-    G: Array
-    H: Array
-    h: Array
-
-    def images(self, x: Array, u: Array) -> Array:
-        """Return what each mode makes of (x_t, u_t), shape (T, modes, n); x is (T+1, n) or (T, n)."""
-        through_x = np.einsum("tkij,tj->tki", self.A, x[: len(u)])
-        return through_x + np.einsum("tkij,tj->tki", self.B, u) + self.offset
-
-    def image_sizes(self, x: Array, u: Array) -> Array:
-        """Return what images are compared by, (n,): the largest sum of absolute terms over t and modes."""
-        sizes = np.einsum("tkij,tj->tki", _absolute(self.A), np.abs(x[: len(u)]))
-        sizes += np.einsum("tkij,tj->tki", _absolute(self.B), np.abs(u)) + _absolute(self.offset)
-        largest = sizes.max(axis=(0, 1))
-        return np.where(largest > 0, largest, 1.0)
-
-    def excess(self, x: Array, u: Array) -> Array:
-        """Return G x_t + H u_t - h per row of each region, (T, modes, rows); -inf where there is no row."""
-        return np.einsum("tkrj,tj->tkr", self.G, x[: len(u)]) + np.einsum("tkrj,tj->tkr", self.H, u) - self.h
-
-    def row_sizes(self, x: Array, u: Array) -> Array:
-        """Return what an excess is measured by, (modes, rows): the largest sum of absolute terms of its row over t."""
-        limits = np.where(np.isfinite(self.h), np.abs(self.h), 0.0)
-        terms = np.einsum("tkrj,tj->tkr", _absolute(self.G), np.abs(x[: len(u)]))
-        terms += np.einsum("tkrj,tj->tkr", _absolute(self.H), np.abs(u)) + limits
-        largest = terms.max(axis=0)
-        return np.where(largest > 0, largest, 1.0)
-
-    def distance(self, x: Array, u: Array) -> Array:
-        """Return by how much (x_t, u_t) lies outside each region, relative to the sizes of its rows; (T, modes)."""
-        return np.maximum((self.excess(x, u) / self.row_sizes(x, u)).max(axis=2), 0.0)
-
-    def touching(self, x: Array, u: Array) -> Mask:
-        """Which rows of each region (x_t, u_t) lies on, or beyond, within BORDER_TOLERANCE; (T, modes, rows)."""
-        return self.excess(x, u) >= -BORDER_TOLERANCE * self.row_sizes(x, u)
-
-    def active(self, x: Array, u: Array) -> Mask:
-        """Which modes hold at (x_t, u_t), within BORDER_TOLERANCE; (T, modes)."""
-        return self.distance(x, u) <= BORDER_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -328,16 +268,9 @@ class PiecewiseAffineDynamics:
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
 
-        Differences are added up relative to the sizes of the components; of modes that lead there equally, up to
-        rounding, it is the first. Where none holds, those whose regions are nearest; x is (T+1, n), u is (T, m).
+        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m). See ``ModeArrays.sequence``.
         """
-        arrays = self.arrays(len(u))
-        miss = (np.abs(x[1:, None] - arrays.images(x, u)) / arrays.image_sizes(x, u)).sum(axis=2)
-        distance = arrays.distance(x, u)
-        outside = np.where(distance <= BORDER_TOLERANCE, 0.0, distance)
-        nearest = outside <= outside.min(axis=1, keepdims=True)
-        candidates = np.where(nearest, miss, np.inf)
-        return np.argmax(candidates <= candidates.min(axis=1, keepdims=True) + REPLAY_ROUNDING, axis=1)
+        return self.arrays(len(u)).sequence(x, u)
 
     def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
@@ -363,11 +296,6 @@ class PiecewiseAffineDynamics:
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]
 
         return step
-
-
-def _absolute(part: Array) -> Array:
-    """Return the absolute values; what stands in memory once for all times does so again."""
-    return np.abs(part) if part.strides[0] else np.broadcast_to(np.abs(part[:1]), part.shape)
 
 
 def as_sequence(field: str, sequence: Any, horizon: int, modes: int) -> Indices:

@@ -13,7 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask, brief
-from lin_freq_ocp.problem.piecewise_affine import ModeArrays, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.polyhedra import (
     FLAT,
     SAME_FACET,

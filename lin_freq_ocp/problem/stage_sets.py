@@ -41,7 +41,7 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class StageSets:
-    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows, where they must hold; no balls, no cones.
+    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows that must hold; no balls, no cones.
 
     Attributes
     ----------
