@@ -26,8 +26,8 @@ from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, 
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.regions import Border
 from lin_freq_ocp.problem.stage_normals import Normal, stage_normals
 

@@ -29,8 +29,8 @@ from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")

@@ -29,9 +29,10 @@ from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import fit_multipliers, fitted_duals, uniqueness
+from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import REGION, ModeArrays
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription

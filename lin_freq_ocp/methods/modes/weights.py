@@ -18,9 +18,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
+from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import REGION
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
