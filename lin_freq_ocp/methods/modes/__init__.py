@@ -1,0 +1,1 @@
+"""Search over the mode sequences of piecewise-affine problems."""
