@@ -9,6 +9,7 @@ Read in the order of the data: ``problem`` describes, ``transcription`` turns a 
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare
+from lin_freq_ocp.comparison.sweep import Sweep, sweep
 from lin_freq_ocp.errors import (
     BandWarning,
     InfeasibleError,
@@ -29,6 +30,7 @@ from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
 from lin_freq_ocp.interchange.run_file import SavedRun, load_run
+from lin_freq_ocp.interchange.sweep_file import load_sweep
 from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
@@ -92,6 +94,7 @@ __all__ = [
     "SpectralSolution",
     "SpectralSolver",
     "StageRows",
+    "Sweep",
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",
@@ -104,6 +107,7 @@ __all__ = [
     "library",
     "load",
     "load_run",
+    "load_sweep",
     "low_pass",
     "notch",
     "rate_limited",
@@ -113,6 +117,7 @@ __all__ = [
     "simulate",
     "solve",
     "stop_band",
+    "sweep",
     "to_cvxpy",
     "to_time_response",
     "write_problem",

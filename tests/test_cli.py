@@ -103,6 +103,8 @@ SOLVE = {
         None,
     ),
     "direction": (DIRECTION, None),
+    "modes": ([int], None),
+    "tree": ({"nodes": int, "leaves": int, "covers": bool}, None),
     "message": (str, None),
 }
 MEASURES = {

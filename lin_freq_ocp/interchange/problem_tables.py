@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.keys import require_keys, suggestion
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.interchange.set_tables import sets_from_tables, table_from_set, tables_from_sets
 from lin_freq_ocp.interchange.spectrum_tables import (

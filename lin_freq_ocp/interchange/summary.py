@@ -39,6 +39,8 @@ def result_summary(result: Result) -> dict[str, Any]:
             "conflict": conflict,
             "explanation": None if result.explanation is None else asdict(result.explanation),
             "direction": _direction(result.direction),
+            "modes": None if result.sequence is None else [int(mode) for mode in result.sequence],
+            "tree": _tree(result),
             "message": result.message or None,
         }
     )
@@ -128,6 +130,13 @@ def _direction(direction: Direction | None) -> dict[str, Any] | None:
     if direction is None:
         return None
     return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
+
+
+def _tree(result: Result) -> dict[str, Any] | None:
+    if result.tree is None or result.tree_bound is None:
+        return None
+    proof = result.tree_bound
+    return {"nodes": len(result.tree.nodes), "leaves": proof.leaves, "covers": proof.covers}
 
 
 def _measures(measures: Measures | None) -> dict[str, Any] | None:

@@ -3,39 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.library.absolute_value import absolute_value
+from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
+from lin_freq_ocp.library.buck_affine import buck_affine
+from lin_freq_ocp.library.cart_between_walls import cart_between_walls
+from lin_freq_ocp.library.cart_pole_with_walls import cart_pole_with_walls
 from lin_freq_ocp.library.crane import crane
 from lin_freq_ocp.library.double_integrator import double_integrator
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
 from lin_freq_ocp.library.flexible_joint_arm import flexible_joint_arm
 from lin_freq_ocp.library.flexible_satellite import flexible_satellite
 from lin_freq_ocp.library.mass_chain import mass_chain
+from lin_freq_ocp.library.max_min_network import max_min_network
 from lin_freq_ocp.library.pendulum import pendulum
+from lin_freq_ocp.library.pendulum_with_wall import pendulum_with_wall
 from lin_freq_ocp.library.quadcopter import quadcopter
 from lin_freq_ocp.library.quarter_car import quarter_car
 from lin_freq_ocp.library.scanner import scanner
+from lin_freq_ocp.library.switched_rotation import switched_rotation
 from lin_freq_ocp.library.two_mass_spring import two_mass_spring
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 __all__ = [
+    "LINEAR",
+    "PIECEWISE_AFFINE",
     "PROBLEMS",
+    "absolute_value",
+    "ball_and_paddle",
+    "buck_affine",
     "by_name",
+    "cart_between_walls",
+    "cart_pole_with_walls",
     "crane",
     "double_integrator",
     "elliptic_rendezvous",
     "flexible_joint_arm",
     "flexible_satellite",
     "mass_chain",
+    "max_min_network",
     "pendulum",
+    "pendulum_with_wall",
     "quadcopter",
     "quarter_car",
     "scanner",
+    "switched_rotation",
     "two_mass_spring",
 ]
 
-PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
+LINEAR: dict[str, Callable[..., OptimalControlProblem]] = {
     "pendulum": pendulum,
     "double_integrator": double_integrator,
     "two_mass_spring": two_mass_spring,
@@ -48,7 +65,22 @@ PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = {
     "quarter_car": quarter_car,
     "scanner": scanner,
 }
-"""Every problem by its name, simple ones first; the first line of each docstring says what it shows."""
+"""Problems with linear dynamics by their names, simple ones first."""
+
+PIECEWISE_AFFINE: dict[str, Callable[..., OptimalControlProblem]] = {
+    "absolute_value": absolute_value,
+    "max_min_network": max_min_network,
+    "switched_rotation": switched_rotation,
+    "pendulum_with_wall": pendulum_with_wall,
+    "buck_affine": buck_affine,
+    "cart_between_walls": cart_between_walls,
+    "cart_pole_with_walls": cart_pole_with_walls,
+    "ball_and_paddle": ball_and_paddle,
+}
+"""Problems with piecewise-affine dynamics, simple ones first; see docs/hybrid_systems.md."""
+
+PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = LINEAR | PIECEWISE_AFFINE
+"""Every problem by its name; the first line of each docstring says what it shows."""
 
 
 def by_name(name: str) -> Callable[..., OptimalControlProblem]:
@@ -61,7 +93,4 @@ def by_name(name: str) -> Callable[..., OptimalControlProblem]:
     """
     if name in PROBLEMS:
         return PROBLEMS[name]
-    nearest = get_close_matches(name, PROBLEMS, n=1)
-    raise ProblemError(
-        "name", repr(name), f"one of {', '.join(PROBLEMS)}", f"Did you mean {nearest[0]!r}?" if nearest else ""
-    )
+    raise ProblemError("name", repr(name), f"one of {', '.join(PROBLEMS)}", suggestion(name, PROBLEMS))

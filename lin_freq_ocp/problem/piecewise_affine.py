@@ -19,6 +19,11 @@ BORDER_TOLERANCE = 1e-6
 """A point this far beyond a facet of a region, relative to the largest terms of its row, is still on it: solvers meet
 rows to 1e-8 or so, and the judge forgives 1e-6."""
 
+SAME_IMAGE = 4 * BORDER_TOLERANCE
+"""Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms: those
+of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g h'| times
+the terms for each of the two, and |g h'| <= |F_1| + |F_2|."""
+
 REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
 """A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows."""
 
@@ -129,6 +134,31 @@ class ModeArrays:
     def active(self, x: Array, u: Array) -> Mask:
         """Which modes hold at (x_t, u_t), within BORDER_TOLERANCE; (T, modes)."""
         return self.distance(x, u) <= BORDER_TOLERANCE
+
+    def sequence(self, x: Array, u: Array) -> Indices:
+        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
+
+        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m).
+        """
+        miss = np.abs(x[1:, None] - self.images(x, u)).max(axis=2)
+        distance = self.distance(x, u)
+        outside = np.where(distance <= BORDER_TOLERANCE, 0.0, distance)
+        nearest = outside <= outside.min(axis=1, keepdims=True)
+        return np.argmin(np.where(nearest, miss, np.inf), axis=1)
+
+    def meeting(self, x: Array, u: Array) -> Mask:
+        """Which modes hold at (x_t, u_t) and lead to the same state as that of ``sequence``, itself one; (T, modes).
+
+        Of a continuous map, all that hold; of one that jumps, those on the trajectory's side.
+        """
+        times, sequence = np.arange(len(u)), self.sequence(x, u)
+        images, active = self.images(x, u), self.active(x, u)
+        terms = np.einsum("tkij,tj->tki", np.abs(self.A), np.abs(x[: len(u)]))
+        terms += np.einsum("tkij,tj->tki", np.abs(self.B), np.abs(u)) + np.abs(self.offset)
+        active[times, sequence] = True
+        sizes = np.where(active[..., None], terms, 0.0).max(axis=(0, 1))
+        here = images[times, sequence][:, None]
+        return active & (np.abs(images - here) <= SAME_IMAGE * sizes).all(axis=2)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -274,12 +304,7 @@ class PiecewiseAffineDynamics:
 
         Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m).
         """
-        arrays = self.arrays(len(u))
-        miss = np.abs(x[1:, None] - arrays.images(x, u)).max(axis=2)
-        distance = arrays.distance(x, u)
-        outside = np.where(distance <= BORDER_TOLERANCE, 0.0, distance)
-        nearest = outside <= outside.min(axis=1, keepdims=True)
-        return np.argmin(np.where(nearest, miss, np.inf), axis=1)
+        return self.arrays(len(u)).sequence(x, u)
 
     def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.

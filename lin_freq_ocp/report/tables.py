@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -12,10 +13,11 @@ from rich.text import Text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, entries
-from lin_freq_ocp.report.numbers import NOTHING, aligned, number, split_unit
+from lin_freq_ocp.report.numbers import NOTHING, aligned, number, plural, split_unit
 
 NOT_MEANINGFUL = "not meaningful"
 """Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
@@ -32,6 +34,9 @@ IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
 
 COST_DIGITS = 5
 """Costs differ less than the other figures do."""
+
+SWEEP_DIGITS = 6
+"""Neighbours in a grid differ less than a filter and a solution do."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,32 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
         cells = (row.label, row.name, row.residual, row.scale, row.relative, row.tolerance)
         table.add_row(*(Text(cell) for cell in cells), Text(row.verdict, style=style), Text(row.place))
     return table
+
+
+def sweep_table(sweep: Sweep) -> Table:
+    """Return the points of a sweep as a table for a terminal."""
+    table = Table(title=Text(f"{sweep.problem}: {len(sweep.rows)} of {plural(sweep.size, 'point')}"))
+    for name in sweep.names:
+        table.add_column(Text(name), justify="right")
+    for heading in ("status", "cost", "gap", "method", "seconds", "message"):
+        table.add_column(heading, justify="right" if heading in ("cost", "gap", "seconds") else "left")
+    for row in sweep.rows:
+        style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
+        status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
+        numbers = (aligned(row["cost"], SWEEP_DIGITS), number(row["gap"], 2))
+        table.add_row(
+            *(Text(_shown(value)) for value in row["parameters"].values()),
+            Text(status, style=style),
+            *map(Text, numbers),
+            Text(row["method"] or NOTHING),
+            Text(number(row["seconds"], 3)),
+            Text(row["message"] or ""),
+        )
+    return table
+
+
+def _shown(value: Any) -> str:
+    return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
 
 
 KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"

@@ -114,7 +114,7 @@ def verdict(certificate: Certificate) -> list[str]:
 def parts_of_the_gap(certificate: Certificate) -> str:
     """Return what the difference of cost and global bound consists of."""
     bound = certificate.bound
-    if bound is None:
+    if bound is None or bound.stage_gaps is None:
         return ""
     residuals = -bound.dynamics_term - bound.frequency_term + bound.stage_term
     return (

@@ -1,1 +1,1 @@
-"""Search over the mode sequences of piecewise-affine problems."""
+"""Mode sequences of piecewise-affine problems: enumeration, branch and bound, and multipliers where modes meet."""
