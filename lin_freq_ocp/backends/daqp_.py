@@ -3,8 +3,8 @@
 What it needs and a program has not:
 
 - curvature in the binaries: delta^2 - delta is 0 at both of their values, and is added;
-- curvature elsewhere: where P is singular, a small multiple of |z|^2 is added, and what it can have changed is taken off
-  the bound;
+- curvature elsewhere: where P is singular, a small multiple of |z|^2 is added, and what it can have changed is taken
+  off the bound;
 - no fixed variables: they are taken out.
 
 It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the time limit.
@@ -141,12 +141,13 @@ def _dense(program: Program, rows: Bounded, binaries: Indices) -> _Dense | None:
 def _regularisation(program: Program, binaries: Indices) -> Array:
     """Return what is added to the diagonal of P, (variables,): nothing to blocks that have curvature of their own."""
     added = np.zeros(len(program.q))
-    _, block = connected_components(program.P, directed=False)
+    _, labels = connected_components(program.P, directed=False)
+    block = np.asarray(labels, dtype=np.intp)
     block[binaries] = -1
     largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
     for b in np.unique(block[block >= 0]):
         places = np.flatnonzero(block == b)
-        if np.linalg.eigvalsh(program.P[np.ix_(places, places)].toarray())[0] < SINGULAR * largest:
+        if np.linalg.eigvalsh(program.P[places][:, places].toarray())[0] < SINGULAR * largest:
             added[places] = REGULARISATION * largest
     return added
 

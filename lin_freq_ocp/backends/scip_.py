@@ -8,13 +8,14 @@ quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the o
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from pyscipopt import SCIP_EVENTTYPE, Eventhdlr, Model, quicksum
+from pyscipopt import Eventhdlr, Model, quicksum
+from pyscipopt.scip import PY_SCIP_EVENTTYPE
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.backends.base import Claim
@@ -53,7 +54,7 @@ CLAIMS = {
     "userinterrupt": Claim.INTERRUPTED,
 }
 
-WATCHED = (SCIP_EVENTTYPE.PRESOLVEROUND, SCIP_EVENTTYPE.LPSOLVED, SCIP_EVENTTYPE.NODEFOCUSED)
+WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_EVENTTYPE.NODEFOCUSED)
 """Between these, Python does not run."""
 
 
@@ -134,7 +135,7 @@ def _model(program: Program, integer: Mask) -> tuple[Any, list[Any]]:
     return model, z
 
 
-def _linear(values: Array, places: Indices, z: list[Any]) -> Any:
+def _linear(values: Array, places: Iterable[int], z: list[Any]) -> Any:
     return quicksum(float(value) * z[j] for value, j in zip(values, places, strict=True))
 
 
@@ -174,16 +175,14 @@ def _set_objective(model: Any, program: Program, z: list[Any]) -> None:
 
 def _factor(program: Program) -> Iterator[tuple[Indices, Array]]:
     """Yield places and values of the columns of L, P = L L', block by block."""
-    count, block = connected_components(program.P, directed=False)
-    curved = np.flatnonzero(abs(program.P).sum(axis=0))
-    members: list[list[int]] = [[] for _ in range(count)]
-    for j in curved:
-        members[block[j]].append(int(j))
-    for places in filter(None, members):
-        eigenvalues, vectors = np.linalg.eigh(program.P[np.ix_(places, places)].toarray())
+    _, labels = connected_components(program.P, directed=False)
+    block = np.where(abs(program.P).sum(axis=0) > 0, labels, -1)
+    for b in np.unique(block[block >= 0]):
+        places = np.flatnonzero(block == b)
+        eigenvalues, vectors = np.linalg.eigh(program.P[places][:, places].toarray())
         for value, vector in zip(eigenvalues, vectors.T, strict=True):
             if value > NEGLIGIBLE * eigenvalues[-1]:
-                yield np.array(places), np.sqrt(value) * vector
+                yield places, np.sqrt(value) * vector
 
 
 def _finite(bound: float) -> float | None:
