@@ -123,11 +123,10 @@ class ModeRelaxation:
         return Member(form, reach, assembled.rows, kept)
 
     @property
-    def state_prices(self) -> Array:
-        """Return what a change of each state is worth, (n,), by the cost's curvature."""
-        diagonal = np.abs(self.problem.quadratic.stage_hessians()).max(axis=0).diagonal()[: self._n]
-        last = np.abs(np.diagonal(self.problem.quadratic.P))
-        return np.sqrt(np.maximum(diagonal, last)) + FIXED / self._stages.units[: self._n]
+    def state_curvature(self) -> Array:
+        """Return the largest diagonal of the cost's Hessian for each state, (n,)."""
+        stage = np.abs(self.problem.quadratic.stage_hessians()).max(axis=0).diagonal()[: self._n]
+        return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
 
     def cost(self, objective: float) -> float:
         """Return the cost that the objective of a member stands for."""
@@ -157,9 +156,28 @@ class ModeRelaxation:
         program = self._program
         host = self._sides.dual(len(program.lower), *(full[part.rows].ravel() for part in self._host_rows[:2]))
         host[program.in_cones] = -full[self._host_rows[2].rows].ravel()
-        host[program.rows[Block.DYNAMICS]] = eta.ravel()
+        host[program.rows[Block.DYNAMICS]] = self._scaled_adjoint(full).ravel()
         own = self._host.multipliers(self._scaling.dual(host), eta_C)
         return ModeMultipliers(own, region / self._stages.norms / self._scaling.cost)
+
+    def adjoint(self, kept: Indices, y: Array) -> Array:
+        """Return eta alone, (T, n)."""
+        of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
+        eta = self._scaled_adjoint(self._filled(kept, y))
+        return eta * of_dynamics.reshape(eta.shape) / self._scaling.cost
+
+    def _filled(self, kept: Indices, y: Array) -> Array:
+        full = np.zeros(len(self._template.right))
+        full[kept] = y
+        return full
+
+    def _scaled_adjoint(self, full: Array) -> Array:
+        rows, shape = self._rows, self._stages.offsets.shape
+        eta = full[rows.one_map.rows].reshape(shape).sum(axis=1) + full[rows.share_map.rows]
+        if self.kind == "big_m":
+            above, below = (full[part.rows].reshape(shape) for part in (rows.far_above, rows.far_below))
+            eta = eta + (above - below).sum(axis=1)
+        return eta
 
     def _add_host_rows(self, template: RowTemplate) -> None:
         """Add what the host program has beyond dynamics and boxes: spectra and terms."""

@@ -1,7 +1,7 @@
 """Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
 
 A node is a mask of modes. Its relaxation bounds the cost of all sequences within; where several modes are left, the
-node is split at the time whose relaxed step misses the true dynamics most. A leaf is a node whose bound comes within
+node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a node whose bound comes within
 the gap of the best sequence found; its multipliers prove that, and the judge checks them all.
 """
 
@@ -183,16 +183,21 @@ class BranchAndBound:
                     yield flipped
 
     def _stage_to_split(self, answer: Relaxed) -> int:
-        """Return the time, with several modes left, whose relaxed step misses the true dynamics most."""
-        several = answer.reach.allowed.sum(axis=1) > 1
-        if answer.trajectory is None or answer.weights is None:
+        """Return the time, of those with several modes left, at which missing the true dynamics is worth most.
+
+        A relaxed step that ends d away from the true one is worth <|eta_t|, |d|> + d'H d: to first order by the
+        adjoint, to second by the curvature of the cost.
+        """
+        several, duals = answer.reach.allowed.sum(axis=1) > 1, answer.duals
+        if answer.trajectory is None or answer.weights is None or duals is None:
             return int(np.argmax(several))
         x, u = answer.trajectory.x, answer.trajectory.u
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
-        miss = np.abs(x[1:] - images) @ self._relaxation.state_prices
+        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals.rows, duals.y)
+        worth = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
-        return int(np.lexsort((undecided, np.where(several, miss, -1.0)))[-1])
+        return int(np.lexsort((undecided, np.where(several, worth, -1.0)))[-1])
 
     @property
     def _cutoff(self) -> float:
