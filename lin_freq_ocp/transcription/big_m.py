@@ -121,7 +121,7 @@ def excesses(problem: OptimalControlProblem) -> Excesses:
         regions=np.zeros((T, modes, modes, rows)),
     )
     known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
-    for t in np.flatnonzero(found.possible.sum(axis=1) > 1):
+    for t in map(int, np.flatnonzero(found.possible.sum(axis=1) > 1)):
         assert reach is not None  # a mode is possible
         here = np.flatnonzero(reach.allowed[t])
         _require_bounds(problem, reach, t, here)
@@ -238,7 +238,7 @@ def _with_implied_bounds(
     endless = ~np.isfinite(lower) | ~np.isfinite(upper)
     if not any(endless[t].any() and len(further[t][1]) for t in range(problem.horizon)):
         return problem
-    for t in np.flatnonzero(endless.any(axis=1)):
+    for t in map(int, np.flatnonzero(endless.any(axis=1))):
         lower[t], upper[t] = _implied(lower[t], upper[t], *further[t], units)
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))

@@ -1,8 +1,8 @@
 """Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
 
 A node is a mask of modes. Its relaxation bounds the cost of all sequences within; where several modes are left, the
-node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a node whose bound comes within
-the gap of the best sequence found; its multipliers prove that, and the judge checks them all.
+node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a
+node whose bound comes within the gap of the best sequence found; its multipliers prove that, and the judge checks all.
 """
 
 from __future__ import annotations
