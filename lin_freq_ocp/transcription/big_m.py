@@ -121,17 +121,16 @@ def excesses(problem: OptimalControlProblem) -> Excesses:
         regions=np.zeros((T, modes, modes, rows)),
     )
     known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
-    for t in np.flatnonzero(found.possible.sum(axis=1) > 1):
+    for t in map(int, np.flatnonzero(found.possible.sum(axis=1) > 1)):
         assert reach is not None  # a mode is possible
         here = np.flatnonzero(reach.allowed[t])
         _require_bounds(problem, reach, t, here)
         stage = _stage(arrays, reach, t, here, further[t], LEAST_HALF_WIDTH * units)
         if stage.key not in known:
             known[stage.key] = _figures(stage)
-        pairs = np.ix_(here, here)
-        found.possible[t, here], found.below[t][pairs], found.above[t][pairs], found.regions[t][pairs] = known[
-            stage.key
-        ]
+        found.possible[t, here] = known[stage.key][0]
+        for part, figures in zip((found.below, found.above, found.regions), known[stage.key][1:], strict=True):
+            part[t][np.ix_(here, here)] = figures
     return found
 
 
@@ -238,7 +237,7 @@ def _with_implied_bounds(
     endless = ~np.isfinite(lower) | ~np.isfinite(upper)
     if not any(endless[t].any() and len(further[t][1]) for t in range(problem.horizon)):
         return problem
-    for t in np.flatnonzero(endless.any(axis=1)):
+    for t in map(int, np.flatnonzero(endless.any(axis=1))):
         lower[t], upper[t] = _implied(lower[t], upper[t], *further[t], units)
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
