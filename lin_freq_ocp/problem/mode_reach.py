@@ -121,7 +121,7 @@ class ModeReach:
         np.minimum(high[:, :n], reach.upper[t], out=high[:, :n])
         nearest = np.where(signs[t], low[:, None], high[:, None])
         terms = rows[t] * nearest
-        limits = self.arrays.h[t]
+        limits = np.minimum(self.arrays.h[t], ENDLESS)
         slack = limits - terms.sum(axis=-1)
         slack = slack + OUTWARD * (np.abs(terms).sum(axis=-1) + self._limit_sizes[t])
         room = nearest + slack[..., None] * self._inverses[t]

@@ -128,10 +128,9 @@ def excesses(problem: OptimalControlProblem) -> Excesses:
         stage = _stage(arrays, reach, t, here, further[t], LEAST_HALF_WIDTH * units)
         if stage.key not in known:
             known[stage.key] = _figures(stage)
-        pairs = np.ix_(here, here)
-        found.possible[t, here], found.below[t][pairs], found.above[t][pairs], found.regions[t][pairs] = known[
-            stage.key
-        ]
+        found.possible[t, here] = known[stage.key][0]
+        for part, figures in zip((found.below, found.above, found.regions), known[stage.key][1:], strict=True):
+            part[t][np.ix_(here, here)] = figures
     return found
 
 
