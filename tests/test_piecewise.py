@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinks import problem_of, random_kinks
+from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.regions import CONTINUITY_TOLERANCE

@@ -91,7 +91,7 @@ def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: 
 
 
 def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
-    """Return alpha and nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
     norms = np.linalg.norm(rays, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
