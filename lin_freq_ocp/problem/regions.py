@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Mask, brief
 from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
@@ -113,6 +114,8 @@ class _Pieces:
 
 def require_partition(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> None:
     """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
+    if REGION in sets.names:
+        raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
     arrays = dynamics.arrays(sets.horizon)
     if not dynamics.regions_vary:
         fault = _fault(dynamics, _pieces(arrays, 0, sets.around()), "")

@@ -50,12 +50,15 @@ class StageSets:
     tube : Box
         The bounds of the states, with those of the ends.
     rows : sequence of rows beyond the bounds
+    names : tuple of str
+        Of everything that the problem constrains or costs beyond bounds.
     """
 
     states: Box
     controls: Box
     tube: Box
     rows: Sequence[_Rows]
+    names: tuple[str, ...]
 
     @property
     def horizon(self) -> int:
@@ -109,7 +112,7 @@ def stage_sets(states: Box, controls: Box, tube: Box, terms: Sequence[Term]) -> 
         matrix = _matrix(term.map, states.lower.shape[1], controls.lower.shape[1])
         if np.any(inside):
             rows.append(_Rows(matrix if len(matrix) == 1 else matrix[inside], limits[inside], term.map.times[inside]))
-    return StageSets(states, controls, tube, rows)
+    return StageSets(states, controls, tube, rows, tuple(term.name for term in terms))
 
 
 def _matrix(of_stage: StageMap, n: int, m: int) -> Array:
