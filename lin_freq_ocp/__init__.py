@@ -9,6 +9,7 @@ Read in the order of the data: ``problem`` describes, ``transcription`` turns a 
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare
+from lin_freq_ocp.comparison.sweep import Sweep, sweep
 from lin_freq_ocp.errors import (
     BandWarning,
     InfeasibleError,
@@ -29,18 +30,22 @@ from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results import SavedSolution
 from lin_freq_ocp.interchange.results import load_solution as load
 from lin_freq_ocp.interchange.run_file import SavedRun, load_run
+from lin_freq_ocp.interchange.sweep_file import load_sweep
 from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
+from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
-from lin_freq_ocp.problem.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.smooth_pieces import SmoothPiece
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -63,6 +68,7 @@ __all__ = [
     "EnergyBound",
     "Everything",
     "Explanation",
+    "Expression",
     "InfeasibleError",
     "Intersection",
     "L1Cost",
@@ -87,14 +93,17 @@ __all__ = [
     "SavedSolution",
     "SecondOrderCone",
     "Sensitivities",
+    "SmoothPiece",
     "Soft",
     "SolveError",
     "SpectralSolution",
     "SpectralSolver",
     "StageRows",
+    "Sweep",
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",
+    "affine_signals",
     "band_pass",
     "certify",
     "compare",
@@ -104,7 +113,10 @@ __all__ = [
     "library",
     "load",
     "load_run",
+    "load_sweep",
     "low_pass",
+    "maximum",
+    "minimum",
     "notch",
     "rate_limited",
     "read_csv",
@@ -113,6 +125,7 @@ __all__ = [
     "simulate",
     "solve",
     "stop_band",
+    "sweep",
     "to_cvxpy",
     "to_time_response",
     "write_problem",

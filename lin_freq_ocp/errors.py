@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -61,3 +63,9 @@ class LimitError(SolveError):
 
 class BandWarning(UserWarning):
     """A frequency band that, on this horizon, removes nothing or everything."""
+
+
+def suggestion(given: Any, known: Iterable[str]) -> str:
+    """Return the question whether the nearest known word was meant, or nothing if none is near."""
+    nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
+    return f"Did you mean {nearest[0]!r}?" if nearest else ""

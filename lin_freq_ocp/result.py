@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.certificate.directions import Direction
+from lin_freq_ocp.certificate.mode_bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -53,7 +57,13 @@ class Result:
     explanation : Explanation or None
         If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
     options : dict
-        What solve was given: "method", "backend", "time_limit" and "tolerance".
+        What solve was given: "method", "backend", "time_limit", "tolerance" and "node_limit".
+    sequence : (T,) integers or None
+        With modes: the mode at every time.
+    tree : ModeTree or None
+        With modes: what the search split and left out, with the multipliers that prove it.
+    tree_bound : TreeBound or None
+        What the judge finds proven by the tree.
     """
 
     problem: OptimalControlProblem
@@ -71,6 +81,9 @@ class Result:
     explanation: Explanation | None = None
     direction: Direction | None = None
     options: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
+    sequence: Indices | None = None
+    tree: ModeTree | None = field(default=None, repr=False)
+    tree_bound: TreeBound | None = field(default=None, repr=False)
 
     @property
     def primal(self) -> bool:
@@ -80,7 +93,8 @@ class Result:
     @property
     def dual(self) -> bool:
         """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
-        return self.ray is not None or self.direction is not None or self.lower_bound is not None
+        without = self.status == "infeasible" and self.tree_bound is not None
+        return without or self.ray is not None or self.direction is not None or self.lower_bound is not None
 
     @property
     def cost(self) -> float | None:
@@ -90,6 +104,8 @@ class Result:
     @property
     def lower_bound(self) -> float | None:
         """Return the judge's bound on the optimal cost."""
+        if self.certificate is None and self.tree_bound is not None and np.isfinite(self.tree_bound.value):
+            return self.tree_bound.value
         return None if self.certificate is None else self.certificate.lower_bound
 
     @property
@@ -133,6 +149,9 @@ class Result:
                 f"theorem   {certificate.pmp}, {normal}",
                 f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
             ]
+            lines += [] if certificate.borders is None else [f"borders   {certificate.borders}"]
+        if self.tree is not None and self.tree_bound is not None:
+            lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
         lines.append(f"method    {self.solver}")
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

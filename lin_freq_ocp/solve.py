@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certify_modes import certify_modes
 from lin_freq_ocp.errors import (
     InfeasibleError,
     LimitError,
@@ -23,12 +27,15 @@ from lin_freq_ocp.errors import (
 )
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem, simulate
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve_modes import MODE_METHODS, solve_modes
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
@@ -42,7 +49,7 @@ DIVERGED = 1e6
 EXPLAIN_SECONDS = 5.0
 """Time for saying why a problem has no solution, unless a time limit leaves less."""
 
-METHODS = ("auto", "convex", "spectral")
+METHODS = ("auto", "convex", "spectral", *MODE_METHODS)
 
 ERRORS: dict[str, type[SolveError]] = {
     "infeasible": InfeasibleError,
@@ -59,24 +66,36 @@ def solve(
     time_limit: float | None = None,
     tolerance: float | None = None,
     throw: bool = True,
+    node_limit: int | None = None,
+    progress: Callable[[SearchProgress], None] | None = None,
+    executor: Executor | None = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
 
     Parameters
     ----------
     problem : OptimalControlProblem
-    method : {"auto", "convex", "spectral"}
-        "spectral": our Fourier-domain method, for time-invariant dynamics. "convex": one sparse quadratic program.
-        "auto": spectral where it applies and its answer is proven, else convex; convex if a backend is named.
+    method : {"auto", "convex", "spectral", "branch_and_bound", "enumerate", "miqp"}
+        Linear dynamics: "spectral", our Fourier-domain method, for time-invariant ones; "convex", one sparse quadratic
+        program; "auto", spectral where it applies and its answer is proven, else convex, or convex if a backend is
+        named. Piecewise-affine dynamics: "branch_and_bound" over mode sequences, also "auto"; "enumerate", all of them;
+        "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves.
     backend : str
-        Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME".
+        Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
+        "daqp".
     time_limit : float, optional
         Seconds for the solver.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
-        bounds to stop at.
+        bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default.
     throw : bool
         Whether to raise if the status is not "optimal"; the error holds the result.
+    node_limit : int, optional
+        Over modes: relaxations to solve at most.
+    progress : callable, optional
+        Over modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
+    executor : concurrent.futures.Executor, optional
+        Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
 
     Returns
     -------
@@ -90,20 +109,16 @@ def solve(
         If the method or backend does not exist or cannot take this problem.
     """
     require_problem(problem)
-    if method not in METHODS:
-        raise UnsupportedError(f"method: got {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or 'spectral'.")
-    if method == "spectral" and backend != "auto":
-        raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
-    _require_positive("time_limit", time_limit)
-    _require_positive("tolerance", tolerance)
-    started, result = time.perf_counter(), None
-    if method == "spectral" or (method == "auto" and backend == "auto"):
-        result = _spectral(problem, method == "spectral", tolerance, time_limit)
-    if result is None:
-        left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
-        result = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    require_options(method, backend, time_limit, tolerance)
+    _require_positive("node_limit", node_limit)
+    started = time.perf_counter()
+    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+        limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
+        result = solve_modes(problem, method, backend, limits, progress, executor)
+    else:
+        result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    result = replace(result, options=options)
+    result = replace(result, options={**options, "node_limit": node_limit})
     if tolerance is None or tolerance <= CONDITION_TOLERANCE:
         result = _believed(result)
     if throw and result.status == "infeasible":
@@ -124,7 +139,9 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
         A trajectory, or controls alone, which are then replayed from the initial state.
     multipliers : Multipliers, optional
         Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
-        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for.
+        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
+        piecewise-affine dynamics, also those of other mode sequences that the trajectory lies in, and
+        ``certificate.borders`` tells what holds where modes meet, and which change of a mode improves.
 
     Raises
     ------
@@ -137,6 +154,8 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     problem.require(trajectory)
     if multipliers is not None:
         return judge(problem, trajectory, multipliers)
+    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+        return certify_modes(problem, trajectory)
     fit = fit_multipliers(problem, trajectory)
     normal = judge(problem, trajectory, fit.multipliers)
     if normal.pmp == "satisfied":
@@ -146,6 +165,20 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     if certificate.pmp != "satisfied":
         certificate = normal
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
+
+
+def _linear(
+    problem: OptimalControlProblem, method: str, backend: str, tolerance: float | None, time_limit: float | None
+) -> Result:
+    if method in MODE_METHODS:
+        raise UnsupportedError(f"method: got {method!r}, which searches over modes; these dynamics have none.")
+    started, result = time.perf_counter(), None
+    if method == "spectral" or (method == "auto" and backend == "auto"):
+        result = _spectral(problem, method == "spectral", tolerance, time_limit)
+    if result is not None:
+        return result
+    left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
+    return _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
 
 
 def _spectral(
@@ -275,7 +308,9 @@ def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
 def _complaint(result: Result) -> str:
     name = result.problem.name or "the problem"
     if result.status == "infeasible":
-        blocks = "; ".join(str(one) for one in result.conflict or ())
+        if result.conflict is None:
+            return f"No trajectory of {name} satisfies all constraints ({result.message})."
+        blocks = "; ".join(str(one) for one in result.conflict)
         cures = "; or ".join(str(one) for one in result.explanation.cures) if result.explanation else ""
         return f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. " + (
             f"Least change that helps: {cures}." if cures else "Relax one of these."
@@ -288,6 +323,19 @@ def _complaint(result: Result) -> str:
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
     )
+
+
+def require_options(method: str, backend: str, time_limit: float | None, tolerance: float | None) -> None:
+    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
+    if method not in METHODS:
+        known = ", ".join(map(repr, METHODS[:-1]))
+        raise UnsupportedError(f"method: got {method!r}; expected {known} or {METHODS[-1]!r}.")
+    if method == "spectral" and backend != "auto":
+        raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
+    if backend != "auto" and method != "miqp":
+        solver_named(backend)
+    _require_positive("time_limit", time_limit)
+    _require_positive("tolerance", tolerance)
 
 
 def _require_positive(name: str, value: float | None) -> None:

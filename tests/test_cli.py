@@ -66,6 +66,7 @@ HEAD = {
 DIRECTION = {"slope": float, "residual": float, "time": int}
 CERTIFICATE = {
     "descent": (DIRECTION, None),
+    "borders": (dict, None),
     "pmp": str,
     "normal": (bool, None),
     "global": bool,
@@ -103,6 +104,8 @@ SOLVE = {
         None,
     ),
     "direction": (DIRECTION, None),
+    "modes": ([int], None),
+    "tree": ({"nodes": int, "leaves": int, "covers": bool}, None),
     "message": (str, None),
 }
 MEASURES = {

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.transcription.standard_form import StandardForm
 
 CLAIMS = {
     "Solved": Claim.SOLVED,
@@ -47,6 +48,20 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     of_rows, of_cones = np.split(dual / COST_FACTOR, [len(sides.b) + len(sides.h)])
     y = sides.dual(len(program.lower), *np.split(of_rows, [len(sides.b)]))
     y[curved] = -of_cones
+    return Solution(claim, z, y, str(answer.status))
+
+
+def solve_standard(form: StandardForm, tolerance: float, time_limit: float | None = None) -> Solution:
+    """Solve a standard form; the duals are those of its rows, >= 0 at inequalities and in the cones."""
+    cones = [clarabel.ZeroConeT(form.equations), clarabel.NonnegativeConeT(form.inequalities)]
+    cones += [clarabel.SecondOrderConeT(count) for count in form.cones]
+    settings = _settings(tolerance, time_limit)
+    settings.presolve_enable = False
+    answer = clarabel.DefaultSolver(form.P, form.q, form.A, form.b, cones, settings).solve()
+    claim = CLAIMS.get(str(answer.status), Claim.FAILED)
+    z, y = np.array(answer.x), np.array(answer.z)
+    if not (np.isfinite(z).all() and np.isfinite(y).all()):
+        return Solution(Claim.FAILED, None, None, str(answer.status))
     return Solution(claim, z, y, str(answer.status))
 
 

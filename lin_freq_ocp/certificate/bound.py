@@ -51,8 +51,8 @@ class Bound:
         D, with all rounding errors of its evaluation subtracted.
     kind : str
         "rigorous" (over sets that the optimum lies in) or "numerical" (over a box around the trajectory).
-    stage_gaps : (T+1,)
-        l_t(x_t, u_t) - min l_t.
+    stage_gaps : (T+1,) or None
+        l_t(x_t, u_t) - min l_t; None for a bound that is no sum over stages.
     dynamics_term, frequency_term : float
         <eta, dynamics residual> and <rho, frequency residual>: how much of J - D is infeasibility.
     stage_term : float
@@ -65,12 +65,12 @@ class Bound:
 
     value: float
     kind: str
-    stage_gaps: Array
-    dynamics_term: float
-    frequency_term: float
-    stage_term: float
-    rounding: float
-    sets: str
+    stage_gaps: Array | None = None
+    dynamics_term: float = 0.0
+    frequency_term: float = 0.0
+    stage_term: float = 0.0
+    rounding: float = 0.0
+    sets: str = ""
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:

@@ -171,7 +171,7 @@ def state_equation(lift: Lift, least: Floors) -> Condition:
     x, u = np.abs(lift.trajectory.x), np.abs(lift.trajectory.u)
     terms = x[1:] + lift.problem.linear.magnitudes().successors(x, u)
     residual = np.abs(one_step_residual(lift.problem, lift.trajectory))
-    return _worst("C-iii", "state equation", residual, _scales(terms, least.x))
+    return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
 
 
 def adjoint_and_transversality(lift: Lift, least: Floors) -> list[Condition]:
@@ -180,9 +180,9 @@ def adjoint_and_transversality(lift: Lift, least: Floors) -> list[Condition]:
     residual = np.abs(before - lift.in_x + mu)
     scales = _scales(np.abs(before) + lift.in_x_terms + np.abs(mu), least.in_x)
     last = len(residual) - 1
-    conditions = [_worst("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
-    conditions.append(_worst("C-iv", "transversality at 0", residual[:1], scales))
-    conditions.append(_worst("C-iv", "transversality at T", residual[-1:], scales, first=last))
+    conditions = [worst_condition("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
+    conditions.append(worst_condition("C-iv", "transversality at 0", residual[:1], scales))
+    conditions.append(worst_condition("C-iv", "transversality at T", residual[-1:], scales, first=last))
     return conditions
 
 
@@ -190,7 +190,9 @@ def stationarity_in_u(lift: Lift, least: Floors) -> Condition:
     """C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u)."""
     nu = lift.multipliers.nu
     residual = np.abs(lift.in_u - nu)
-    return _worst("C-v", "Hamiltonian stationary in u", residual, _scales(lift.in_u_terms + np.abs(nu), least.in_u))
+    return worst_condition(
+        "C-v", "Hamiltonian stationary in u", residual, _scales(lift.in_u_terms + np.abs(nu), least.in_u)
+    )
 
 
 def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
@@ -225,13 +227,15 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
 def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
     magnitude = np.where(stopped, np.abs(np.fft.rfft(signal, axis=0)), 0.0)
-    return _worst(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
+    return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
 
 
 def membership(label: str, name: str, signal: Array, tube: Box, least: Array) -> Condition:
     """S-x, S-u: distance outside the set; compared with the largest bound and value of the component."""
     bounds = [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (tube.lower, tube.upper)]
-    return _worst(label, name, tube.violation(signal), _scales(np.maximum(np.abs(signal), np.maximum(*bounds)), least))
+    return worst_condition(
+        label, name, tube.violation(signal), _scales(np.maximum(np.abs(signal), np.maximum(*bounds)), least)
+    )
 
 
 def normal_cone(
@@ -264,7 +268,7 @@ def term_holds(label: str, lifted: TermLift, least: Array) -> Condition:
     scales = _scales(lifted.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if lifted.term.kind == "stage rows" else "holds"
-    return _at_place(lifted.term, _worst(label, f"{what}: {lifted.term.name}", violation, scales))
+    return _at_place(lifted.term, worst_condition(label, f"{what}: {lifted.term.name}", violation, scales))
 
 
 def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -> Condition:
@@ -299,7 +303,7 @@ def _scales(terms: Array, least: Array) -> Array:
     return np.maximum(terms.max(0), least)
 
 
-def _worst(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
+def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
     """Return the condition at its worst entry relative to its component's scale; residual (times, components)."""
     relative = np.divide(residual, scales, out=np.zeros_like(residual), where=scales > 0)
     t, component = _argmax(relative)

@@ -7,17 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
+from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.certificate.modes import judge_modes
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GAP_TOLERANCE = 1e-6
 """Relative gap (J - D)/max(1, |J|) up to which a feasible point is called globally optimal."""
 
-FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat")
+FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +31,7 @@ class Certificate:
     Attributes
     ----------
     pmp : str
-        "satisfied", "violated" or "not_applicable" (no multipliers to judge).
+        "satisfied", "violated" or "not_applicable" (the map jumps across a border of modes: see ``borders``).
     normal : bool or None
         Whether eta_C = 1.
     conditions : tuple of Condition
@@ -35,9 +39,13 @@ class Certificate:
     cost : float
         J of the trajectory.
     bound : Bound or None
-        The global lower bound; None if the cost is not convex or eta_C is not 1.
+        The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
+        search over modes may add one, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
     descent : Direction or None
-        A verified direction of descent: no normal multipliers exist.
+        A verified direction of descent. Of a linear problem, it shows that no normal multipliers exist; where modes
+        meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
+    borders : BorderFacts or None
+        What holds where modes meet; None for linear dynamics.
     """
 
     pmp: str
@@ -46,6 +54,7 @@ class Certificate:
     cost: float
     bound: Bound | None
     descent: Direction | None = None
+    borders: BorderFacts | None = None
 
     @property
     def lower_bound(self) -> float | None:
@@ -95,18 +104,33 @@ class Certificate:
 def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Certificate:
     """Judge a trajectory and multipliers from any source against the maximum principle.
 
+    With piecewise-affine dynamics, the state equation is that of a mode that holds, and all else is said of the linear
+    dynamics averaged by ``multipliers.weights``, or, where they are None, by those that fit best (docs/borders.md).
+
     Raises
     ------
     ProblemError
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
-        lifted = lift(problem, trajectory, multipliers)
-        conditions = all_conditions(lifted)
+        if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+            bound, (conditions, borders) = None, judge_modes(problem, trajectory, multipliers)
+        else:
+            _require_no_weights(multipliers)
+            lifted, borders = lift(problem, trajectory, multipliers), None
+            conditions = all_conditions(lifted)
+            bound = lower_bound(lifted) if multipliers.eta_C == 1 else None
+        pmp = "satisfied" if all(condition.passed for condition in conditions) else "violated"
         return Certificate(
-            pmp="satisfied" if all(condition.passed for condition in conditions) else "violated",
+            pmp=pmp if borders is None or borders.jumping is None else "not_applicable",
             normal=multipliers.eta_C == 1,
             conditions=conditions,
             cost=problem.value(trajectory.x, trajectory.u),
-            bound=lower_bound(lifted) if multipliers.eta_C == 1 else None,
+            bound=bound,
+            borders=borders,
         )
+
+
+def _require_no_weights(multipliers: Multipliers) -> None:
+    if multipliers.weights is not None:
+        raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")

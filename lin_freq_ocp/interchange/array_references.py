@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import opened_npz
-from lin_freq_ocp.interchange.keys import require_keys, suggestion
+from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.problem.arrays import brief
 
 INLINE_LIMIT = 400

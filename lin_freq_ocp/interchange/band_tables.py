@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.keys import require_keys, suggestion
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.spectrum import Band, band_pass, high_pass, low_pass, notch, stop_band

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import read_text
-from lin_freq_ocp.interchange.keys import suggestion
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.arrays import brief

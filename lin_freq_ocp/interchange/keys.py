@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from typing import Any
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.arrays import brief
 
 
@@ -24,12 +23,6 @@ def require_keys(place: str, table: Any, required: Iterable[str] = (), optional:
     for key in required:
         if key not in table:
             raise ProblemError(_joined(place, key), "nothing", "this key")
-
-
-def suggestion(given: Any, known: Iterable[str]) -> str:
-    """Return the question whether the nearest known word was meant, or nothing if none is near."""
-    nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
-    return f"Did you mean {nearest[0]!r}?" if nearest else ""
 
 
 def _joined(place: str, key: str) -> str:

@@ -26,6 +26,9 @@ SCHEMA = 1
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
 """The fields of Multipliers that are one array, with the dimensions of each."""
 
+WEIGHTS = "weights"
+"""The field of Multipliers that only piecewise-affine dynamics have; its array has two dimensions."""
+
 STAGE = "stage/"
 """What stands before the name of a family of joint rows: its multipliers are a field of their own."""
 
@@ -76,6 +79,7 @@ def save_solution(
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
         fields |= {STAGE + name: weights for name, weights in multipliers.stage.items()}
+        fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
     fields |= {"schema": SCHEMA, "summary": json.dumps(dict(summary))}
     write_npz(Path(path), {name: np.asarray(value) for name, value in fields.items()})
 
@@ -140,7 +144,8 @@ def _multipliers(arrays: Mapping[str, NDArray[Any]]) -> Multipliers | None:
         return None
     fields = {name: _numbers(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
     stage = {name.removeprefix(STAGE): _numbers(arrays, name, 2) for name in arrays if name.startswith(STAGE)}
-    return Multipliers(float(fields.pop("eta_C")), **fields, stage=stage)
+    weights = _numbers(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
+    return Multipliers(float(fields.pop("eta_C")), **fields, stage=stage, weights=weights)
 
 
 def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None:

@@ -33,7 +33,9 @@ SCHEMA = 1
 PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "solution.npz", "run.json"
 """What the file, a zip archive, holds: the second if some arrays are large, the third if there is a trajectory."""
 
-OPTIONS = {"method": str, "backend": str, "time_limit": (int, float, type(None)), "tolerance": (int, float, type(None))}
+NUMBER, WHOLE = (int, float, type(None)), (int, type(None))
+
+OPTIONS = {"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": WHOLE}
 
 
 @dataclass(frozen=True, eq=False)

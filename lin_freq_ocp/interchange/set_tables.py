@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.keys import require_keys, suggestion
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft

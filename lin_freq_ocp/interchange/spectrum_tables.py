@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.band_tables import MAKERS, band_from_table, table_from_band
-from lin_freq_ocp.interchange.keys import require_keys, suggestion
+from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum

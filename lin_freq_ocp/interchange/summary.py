@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
@@ -39,6 +40,8 @@ def result_summary(result: Result) -> dict[str, Any]:
             "conflict": conflict,
             "explanation": None if result.explanation is None else asdict(result.explanation),
             "direction": _direction(result.direction),
+            "modes": None if result.sequence is None else [int(mode) for mode in result.sequence],
+            "tree": _tree(result),
             "message": result.message or None,
         }
     )
@@ -121,6 +124,26 @@ def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
         "global": certificate.globally_optimal,
         "conditions": [{**asdict(one), "passed": one.passed} for one in certificate.conditions],
         "descent": _direction(certificate.descent),
+        "borders": _borders(certificate.borders),
+    }
+
+
+def _borders(facts: BorderFacts | None) -> dict[str, Any] | None:
+    if facts is None:
+        return None
+    jumping = facts.jumping
+    return {
+        "joint": facts.joint,
+        "flip_stationary": facts.flip_stationary,
+        "printed": facts.printed,
+        "regular": facts.regular,
+        "elsewhere": facts.elsewhere,
+        "modes": list(facts.mode_names),
+        "times": list(facts.times),
+        "weights": facts.weights.tolist(),
+        "flips": [flip._asdict() for flip in facts.flips],
+        "jumping": jumping and {"modes": [jumping.first, jumping.second], "jump": jumping.jump, "time": jumping.time},
+        "conditions": [{**asdict(one), "passed": one.passed} for one in facts.conditions],
     }
 
 
@@ -128,6 +151,13 @@ def _direction(direction: Direction | None) -> dict[str, Any] | None:
     if direction is None:
         return None
     return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
+
+
+def _tree(result: Result) -> dict[str, Any] | None:
+    if result.tree is None or result.tree_bound is None:
+        return None
+    proof = result.tree_bound
+    return {"nodes": len(result.tree.nodes), "leaves": proof.leaves, "covers": proof.covers}
 
 
 def _measures(measures: Measures | None) -> dict[str, Any] | None:

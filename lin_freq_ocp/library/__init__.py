@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.library.absolute_value import absolute_value
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.buck_affine import buck_affine
@@ -94,7 +93,4 @@ def by_name(name: str) -> Callable[..., OptimalControlProblem]:
     """
     if name in PROBLEMS:
         return PROBLEMS[name]
-    nearest = get_close_matches(name, PROBLEMS, n=1)
-    raise ProblemError(
-        "name", repr(name), f"one of {', '.join(PROBLEMS)}", f"Did you mean {nearest[0]!r}?" if nearest else ""
-    )
+    raise ProblemError("name", repr(name), f"one of {', '.join(PROBLEMS)}", suggestion(name, PROBLEMS))

@@ -24,6 +24,7 @@ from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
@@ -71,14 +72,24 @@ def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> F
         If the fitting problem could not be solved.
     """
     transcription, scaling, program = scaled_program(problem)
-    z = transcription.point(trajectory) / scaling.columns
+    y, s = fitted_duals(program, transcription.point(trajectory) / scaling.columns)
+    return Fit(transcription.multipliers(scaling.dual(y), 1.0), transcription.direction(scaling.primal(-s)))
+
+
+def fitted_duals(program: Program, z: Array) -> tuple[Array, Array]:
+    """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s.
+
+    Raises
+    ------
+    NumericalError
+        If the fitting problem could not be solved.
+    """
     cone = _normal_cone(program, z)
     solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
     if solution.z is None:
         raise NumericalError(f"No multipliers could be fitted to the trajectory ({solution.words}); pass multipliers=.")
     w, s = np.split(solution.z, [len(cone.lower)])
-    multipliers = transcription.multipliers(scaling.dual(cone.basis @ w), 1.0)
-    return Fit(multipliers, transcription.direction(scaling.primal(-s)))
+    return cone.basis @ w, s
 
 
 def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers | None:
@@ -141,13 +152,15 @@ class Uniqueness:
 
 
 def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Uniqueness:
-    """Return the number and rank of the active gradients at a trajectory.
+    """Return the number and rank of the active gradients at a trajectory; with modes, those of its mode sequence.
 
     Raises
     ------
     UnsupportedError
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
+    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+        problem = problem.with_modes(problem.dynamics.sequence_of(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

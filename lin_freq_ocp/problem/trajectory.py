@@ -57,6 +57,9 @@ class Multipliers:
         Multipliers of everything else under its name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or above,
         zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask, the
         (Re, Im) of each bin's multiplier in the units of rho. What is not there has zeros.
+    weights : (T, modes), optional
+        Of piecewise-affine dynamics: how much of each mode's derivatives stands in those of f_t, the same for states
+        and controls. None for linear dynamics, or where the judge is to find them.
     """
 
     eta_C: float
@@ -66,6 +69,7 @@ class Multipliers:
     rho_u: ComplexArray
     rho_x: ComplexArray
     stage: Mapping[str, Array]
+    weights: Array | None
 
     def __init__(
         self,
@@ -76,6 +80,7 @@ class Multipliers:
         rho_u: ArrayLike,
         rho_x: ArrayLike,
         stage: Mapping[str, ArrayLike] | None = None,
+        weights: ArrayLike | None = None,
     ):
         assign(self, eta_C=_number(eta_C))
         for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
@@ -102,6 +107,7 @@ class Multipliers:
             if getattr(self, field).shape != shape:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
         assign(self, stage=_families({} if stage is None else stage))
+        assign(self, weights=None if weights is None else _weights(weights, T))
 
 
 def _number(eta_C: float) -> float:
@@ -109,6 +115,13 @@ def _number(eta_C: float) -> float:
     if value.ndim:
         raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
     return float(value)
+
+
+def _weights(given: ArrayLike, T: int) -> Array:
+    weights = real_array("multipliers.weights", given)
+    if weights.ndim != 2 or len(weights) != T or not weights.shape[1]:
+        raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"({T}, modes): one per time and mode")
+    return weights
 
 
 def _families(stage: Mapping[str, ArrayLike]) -> dict[str, Array]:

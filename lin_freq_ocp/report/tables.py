@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -12,10 +13,11 @@ from rich.text import Text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, entries
-from lin_freq_ocp.report.numbers import NOTHING, aligned, number, split_unit
+from lin_freq_ocp.report.numbers import NOTHING, aligned, number, plural, split_unit
 
 NOT_MEANINGFUL = "not meaningful"
 """Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
@@ -26,12 +28,18 @@ OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
 OF_ROWS = ("S-z", "N-z")
 """Conditions whose component is a joint row."""
 
+OF_MODES = ("S-f", "N-f")
+"""Conditions whose component is a mode."""
+
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
 """Conditions whose worst place is a bin."""
 
 
 COST_DIGITS = 5
 """Costs differ less than the other figures do."""
+
+SWEEP_DIGITS = 6
+"""Neighbours in a grid differ less than a filter and a solution do."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +162,32 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     return table
 
 
+def sweep_table(sweep: Sweep) -> Table:
+    """Return the points of a sweep as a table for a terminal."""
+    table = Table(title=Text(f"{sweep.problem}: {len(sweep.rows)} of {plural(sweep.size, 'point')}"))
+    for name in sweep.names:
+        table.add_column(Text(name), justify="right")
+    for heading in ("status", "cost", "gap", "method", "seconds", "message"):
+        table.add_column(heading, justify="right" if heading in ("cost", "gap", "seconds") else "left")
+    for row in sweep.rows:
+        style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
+        status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
+        numbers = (aligned(row["cost"], SWEEP_DIGITS), number(row["gap"], 2))
+        table.add_row(
+            *(Text(_shown(value)) for value in row["parameters"].values()),
+            Text(status, style=style),
+            *map(Text, numbers),
+            Text(row["method"] or NOTHING),
+            Text(number(row["seconds"], 3)),
+            Text(row["message"] or ""),
+        )
+    return table
+
+
+def _shown(value: Any) -> str:
+    return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
+
+
 KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
 
 
@@ -259,6 +293,8 @@ def _place(problem: OptimalControlProblem, condition: Condition) -> str:
         return NOTHING
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
+    if condition.label in OF_MODES and condition.component is not None:
+        return f"t = {condition.time}, {problem.piecewise.mode_names[condition.component]}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:

@@ -22,6 +22,8 @@ class Block(Enum):
     TERMS = "terms"
     STATE_SPECTRUM = "state spectrum"
     CONTROL_SPECTRUM = "control spectrum"
+    MODES = "modes"
+    REGIONS = "mode regions"
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from the references, in which the program is written.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,19 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
         )
     columns = transcription.column_units(x, u)
     return _scaling(transcription, columns, columns)
+
+
+def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
+    """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
+
+    A component is as large as in the largest of them, but not much smaller or larger than the data state: what moves
+    in one mode may stand still in another.
+    """
+    first = transcriptions[0]
+    stated = first.column_units(*stated_sizes(first.problem))
+    largest = np.max([natural_scaling(one).columns for one in transcriptions], axis=0)
+    columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
+    return _scaling(first, columns, columns)
 
 
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:

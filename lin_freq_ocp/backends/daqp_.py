@@ -1,0 +1,182 @@
+"""DAQP: branch and bound on dense strictly convex quadratic programs, by a dual active-set method.
+
+What it needs and a program has not:
+
+- curvature in the binaries: delta^2 - delta is 0 at both of their values, and is added;
+- curvature elsewhere: where P is singular, a small multiple of |z|^2 is added, and what it can have changed is taken
+  off the bound;
+- no fixed variables: they are taken out.
+
+It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the time limit.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from lin_freq_ocp.backends.base import Claim, require_no_cones
+from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.backends.mixed import Bounded, MixedSolution, bounded
+from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.transcription.program import Program
+
+BINARY_CURVATURE = 0.1
+"""Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
+rows parallel once they are measured in the metric of the Hessian, as DAQP does."""
+
+SINGULAR = 1e-7
+"""Least eigenvalue of a block of P, relative to the largest row sum of P, with which nothing is added to it."""
+
+REGULARISATION = 1e-7
+"""What is added to the diagonal of a singular block, relative to that row sum: 1e-6 of the cost or so, where variables
+are of order 1."""
+
+FEASIBILITY = 1e-8
+"""Of rows of order 1; DAQP's own is 1e-6, and its points are accurate to rounding as a rule."""
+
+INFINITE = 1e30
+"""What DAQP calls infinite."""
+
+EQUATION, BINARY = 5, 16
+"""Kinds of rows."""
+
+CLAIMS = {
+    1: (Claim.SOLVED, "optimal"),
+    4: (Claim.SOLVED, "optimal, but inexact"),
+    5: (Claim.LIMIT, "feasible, stopped early"),
+    -1: (Claim.INFEASIBLE, "infeasible"),
+    -2: (Claim.FAILED, "cycling"),
+    -3: (Claim.UNBOUNDED, "unbounded"),
+    -4: (Claim.LIMIT, "iteration limit"),
+    -5: (Claim.FAILED, "not convex"),
+    -6: (Claim.FAILED, "equations depend on each other"),
+    -7: (Claim.LIMIT, "time limit"),
+}
+
+
+def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
+    """Solve; what it stops with early has no bound."""
+    require_no_cones(program, "daqp")
+    rows = bounded(program)
+    dense = _dense(program, rows, binaries)
+    if dense is None:
+        return MixedSolution(Claim.INFEASIBLE, None, None, "infeasible without a search")
+    with interrupts_noted() as noted:
+        started = time.perf_counter()
+        x, flag, nodes = _called(dense, time_limit, gap)
+        seconds = time.perf_counter() - started
+    claim, words = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
+    words = f"{words}, {nodes} nodes"
+    if noted.is_set():
+        claim, words = Claim.INTERRUPTED, f"interrupted after {seconds:.1f} s ({words})"
+    if flag < 0 or not np.isfinite(x).all():
+        return MixedSolution(claim, None, None, words)
+    z = dense.fixed.copy()
+    z[dense.free] = x
+    if claim is not Claim.SOLVED:
+        return MixedSolution(claim, z, None, words)
+    bound, unsure = _bound(program, rows, dense, z, gap)
+    return MixedSolution(claim, z, bound, words + (f", optimal but for {unsure:.1e} by regularisation" * (unsure > 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Dense:
+    """The program without its fixed variables, strictly convex; bounds of variables are the first rows.
+
+    Attributes
+    ----------
+    fixed : (variables,)
+        Values of fixed variables, 0 elsewhere.
+    free : indices of the others
+    added : (variables,)
+        Regularisation on the diagonal.
+    """
+
+    hessian: Array
+    gradient: Array
+    A: Array
+    lower: Array
+    upper: Array
+    kinds: NDArray[np.intc]
+    fixed: Array
+    free: Indices
+    added: Array
+
+
+def _dense(program: Program, rows: Bounded, binaries: Indices) -> _Dense | None:
+    """Return the program as DAQP takes it; None if its bounds alone have no point."""
+    free = np.flatnonzero(rows.below < rows.above)
+    fixed = np.where(rows.below < rows.above, 0.0, rows.below)
+    A, shift = rows.A.toarray()[:, free], rows.A @ fixed
+    lower, upper = rows.lower - shift, rows.upper - shift
+    empty = ~A.any(axis=1)
+    if (rows.below > rows.above).any() or (np.maximum(lower, -upper)[empty] > FEASIBILITY).any():
+        return None
+    added = _regularisation(program, binaries)
+    hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
+    hessian[binaries, binaries] += 2 * BINARY_CURVATURE
+    gradient[binaries] -= BINARY_CURVATURE
+    below, above = (np.append(*pair) for pair in ((rows.below[free], lower[~empty]), (rows.above[free], upper[~empty])))
+    kinds = np.where(below == above, EQUATION, 0)
+    kinds[: len(free)][np.isin(free, binaries)] = BINARY
+    return _Dense(
+        hessian=np.ascontiguousarray(hessian[np.ix_(free, free)]),
+        gradient=(gradient + hessian @ fixed)[free],
+        A=np.ascontiguousarray(A[~empty]),
+        lower=np.clip(below, -INFINITE, INFINITE),
+        upper=np.clip(above, -INFINITE, INFINITE),
+        kinds=kinds.astype(np.intc),
+        fixed=fixed,
+        free=free,
+        added=added,
+    )
+
+
+def _regularisation(program: Program, binaries: Indices) -> Array:
+    """Return what is added to the diagonal of P, (variables,): nothing to blocks that have curvature of their own."""
+    added = np.zeros(len(program.q))
+    _, labels = connected_components(program.P, directed=False)
+    block = np.asarray(labels, dtype=np.intp)
+    block[binaries] = -1
+    largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
+    for b in np.unique(block[block >= 0]):
+        places = np.flatnonzero(block == b)
+        if np.linalg.eigvalsh(program.P[places][:, places].toarray())[0] < SINGULAR * largest:
+            added[places] = REGULARISATION * largest
+    return added
+
+
+def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
+    """Return the point, exit flag and number of nodes."""
+    if not len(dense.free):
+        return np.zeros(0), 1, 0
+    x, _, flag, info = daqp.solve(
+        dense.hessian,
+        dense.gradient,
+        dense.A,
+        dense.upper,
+        dense.lower,
+        dense.kinds,
+        primal_tol=FEASIBILITY,
+        rel_subopt=gap,
+        eps_prox=0.0,
+        time_limit=0.0 if time_limit is None else time_limit,
+    )
+    return np.asarray(x), int(flag), int(info["nodes"])
+
+
+def _bound(program: Program, rows: Bounded, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
+    """Return the bound that follows if the claim is true, and which part of the cost regularisation leaves unknown."""
+    objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
+    searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to
+    widest = np.maximum(np.abs(rows.below), np.abs(rows.above))
+    most = 0.5 * float((dense.added * np.where(dense.added > 0, widest, 0.0) ** 2).sum()) - own
+    if not np.isfinite(most):
+        return None, own / max(1.0, abs(objective))
+    return objective - most - gap * abs(searched), most / max(1.0, abs(objective))

@@ -1,0 +1,98 @@
+"""What every mixed-integer backend returns, and the table of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.transcription.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class MixedSolution:
+    """What a solver says of a program with binaries; nothing of it is proven.
+
+    Attributes
+    ----------
+    claim : Claim
+    z : (variables,) or None
+        The best point found, also with LIMIT and INTERRUPTED.
+    bound : float or None
+        A claimed lower bound on the program's objective, constant included.
+    words : str
+        The solver's own status.
+    """
+
+    claim: Claim
+    z: Array | None
+    bound: float | None
+    words: str
+
+
+MixedSolver = Callable[[Program, Indices, float | None, float], MixedSolution]
+"""(program, indices of binaries, time limit in seconds or None, relative gap) -> MixedSolution."""
+
+_MODULES = {"scip": ("scip_", "pyscipopt"), "daqp": ("daqp_", "daqp")}
+
+
+def mixed_backend(name: str) -> MixedSolver:
+    """Return the solver of that name.
+
+    Raises
+    ------
+    UnsupportedError
+        If there is no mixed-integer backend of that name.
+    MissingExtraError
+        If its package is not installed.
+    """
+    if name not in _MODULES:
+        raise UnsupportedError(f"backend: got {name!r}; expected 'scip' or 'daqp' for a mixed-integer program.")
+    module, package = _MODULES[name]
+    try:
+        import_module(package)
+    except ImportError:
+        raise MissingExtraError(
+            f"backend {name!r}: {package} is not installed. Install it with: pip install 'lin-freq-ocp[{name}]'."
+        ) from None
+    return import_module(f"lin_freq_ocp.backends.{module}").solve
+
+
+@dataclass(frozen=True, eq=False)
+class Bounded:
+    """The rows of a program that stand alone, with those about one variable as its bounds.
+
+    Attributes
+    ----------
+    below, above : (variables,)
+        Bounds of the variables.
+    A : sparse (rows, variables); lower, upper : (rows,)
+        The other rows, outside cones.
+    """
+
+    below: Array
+    above: Array
+    A: sp.csr_array
+    lower: Array
+    upper: Array
+
+
+def bounded(program: Program) -> Bounded:
+    """Return the rows outside cones, with bounds apart."""
+    A = sp.csr_array(program.A)
+    count = np.diff(A.indptr)
+    single = program.alone & (count == 1)
+    below, above = np.full(len(program.q), -np.inf), np.full(len(program.q), np.inf)
+    first = A.indptr[:-1][single]
+    column, value = A.indices[first], A.data[first]
+    limits = np.sort([program.lower[single] / value, program.upper[single] / value], axis=0)
+    np.maximum.at(below, column, limits[0])
+    np.minimum.at(above, column, limits[1])
+    rest = program.alone & (count != 1)
+    return Bounded(below, above, sp.csr_array(A[rest]), program.lower[rest], program.upper[rest])

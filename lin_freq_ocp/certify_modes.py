@@ -1,0 +1,99 @@
+"""certify() for piecewise-affine dynamics: multipliers are looked for where modes meet, and flips that improve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from lin_freq_ocp.certificate.clarke import BorderFacts, Flip
+from lin_freq_ocp.certificate.directions import Direction, descent_direction
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.methods.modes.fitting import candidates
+from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+MOST_FLIPS = 16
+"""Flips that are verified, the steepest first: each takes one fit of multipliers."""
+
+
+def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate:
+    """Judge a trajectory of piecewise-affine dynamics with the best multipliers that are found.
+
+    The best are those with which the maximum principle is satisfied, of these those that are flip-stationary; else
+    those that fit wherever only one mode holds, with the fewest flips. A flip that they name is tried: a direction of
+    descent is looked for in the mode sequence with the flip, and the judge checks it.
+    """
+    best: Certificate | None = None
+    for multipliers in candidates(problem, trajectory):
+        certificate = judge(problem, trajectory, multipliers)
+        if best is None or _rank(certificate) > _rank(best):
+            best = certificate
+        if not best.failed and _facts(best).flip_stationary:
+            return best
+    assert best is not None  # candidates yields one, or raises
+    facts, descent = _verified(problem, trajectory, _facts(best))
+    abnormal = _abnormal(problem, trajectory) if best.failed and best.feasible else None
+    return replace(best, borders=facts, descent=descent) if abnormal is None else replace(abnormal, descent=descent)
+
+
+def _facts(certificate: Certificate) -> BorderFacts:
+    assert certificate.borders is not None  # the dynamics have modes
+    return certificate.borders
+
+
+def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
+    facts = _facts(certificate)
+    stationary = not certificate.failed, facts.flip_stationary, facts.elsewhere
+    return *stationary, -len(facts.flips), -certificate.worst.relative
+
+
+def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
+    """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
+    sequence = problem.piecewise.sequence_of(trajectory.x, trajectory.u)
+    found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
+    if found is None:
+        return None
+    certificate = judge(problem, trajectory, weighted(problem, trajectory, sequence, found))
+    return None if certificate.failed else certificate
+
+
+def _verified(
+    problem: OptimalControlProblem, trajectory: Trajectory, facts: BorderFacts
+) -> tuple[BorderFacts, Direction | None]:
+    """Return the facts with what became of the flips, and the steepest direction of descent that was verified."""
+    sequence = problem.piecewise.sequence_of(trajectory.x, trajectory.u)
+    improves, direction = _tried(problem, trajectory, sequence)
+    directions, flips = [direction], list[Flip]()
+    for flip in facts.flips[:MOST_FLIPS]:
+        if flip.mode != sequence[flip.time]:
+            flipped = sequence.copy()
+            flipped[flip.time] = flip.mode
+            answer, direction = _tried(problem, trajectory, flipped)
+            directions.append(direction)
+        else:
+            answer = improves
+        flips.append(flip._replace(improves=answer))
+    found = [direction for direction in directions if direction is not None]
+    rest = facts.flips[MOST_FLIPS:]
+    return replace(facts, flips=(*flips, *rest)), min(found, key=lambda direction: direction.slope, default=None)
+
+
+def _tried(
+    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices
+) -> tuple[bool | None, Direction | None]:
+    """Return whether a mode sequence improves on the trajectory to first order, and the direction along which it does.
+
+    None: neither a direction of descent nor multipliers of its own were found.
+    """
+    linear = problem.with_modes(sequence)
+    try:
+        fit = fit_multipliers(linear, trajectory)
+    except NumericalError:
+        return None, None
+    direction = descent_direction(linear, trajectory, fit.descent)
+    if direction is not None:
+        return True, direction
+    return (False if judge(linear, trajectory, fit.multipliers).pmp == "satisfied" else None), None

@@ -1,0 +1,169 @@
+"""What the commands share: exit statuses, consoles, options, and the problem that their arguments describe."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import tomllib
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console, ConsoleDimensions
+from rich.markup import escape
+
+from lin_freq_ocp import library
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.problem_file import read_problem
+from lin_freq_ocp.interchange.summary import to_json
+from lin_freq_ocp.methods.modes.search import SearchProgress
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
+
+PAGE = ConsoleDimensions(width=200, height=100)
+"""Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
+
+
+class PatientConsole(Console):
+    """A console whose reader may leave early, as ``head`` does: what is left goes nowhere, and the status stays."""
+
+    def on_broken_pipe(self) -> None:
+        """Send the rest to nowhere."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+out, err = PatientConsole(), Console(stderr=True)
+
+problem_argument = click.argument("problem", metavar="NAME|FILE.toml")
+settings_option = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
+)
+backend_option = click.option("--backend", default="auto", show_default=True, help="clarabel, osqp, or qpsolvers:NAME.")
+METHOD_HELP = "auto; spectral or convex; for modes branch_and_bound, enumerate or miqp."
+method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
+time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+
+
+def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
+    """Return the library problem of that name, or the problem in that file, with the settings applied.
+
+    Raises
+    ------
+    ProblemError
+        If there is no such problem, a setting is not TOML, or the problem has no such parameter.
+    """
+    given = parsed_settings(settings)
+    if is_file(problem):
+        return read_problem(problem, given)
+    try:
+        return builder(problem, given)()
+    except ProblemError:
+        raise
+    except (TypeError, ValueError) as error:  # a parameter of a wrong type, met in the midst of a formula
+        raise ProblemError("--set", f"{given}", f"parameters that {problem} can use", f"({error})") from None
+
+
+def is_file(problem: str) -> bool:
+    """Whether this argument means a file, and not a library problem."""
+    return problem not in library.PROBLEMS and (problem.endswith(".toml") or Path(problem).is_file())
+
+
+def builder(name: str, given: Mapping[str, Any]) -> partial[OptimalControlProblem]:
+    """Return the function that builds the library problem of that name, with these parameters set.
+
+    Raises
+    ------
+    ProblemError
+        If there is no such problem, or it has no such parameter.
+    """
+    function = library.by_name(name)
+    parameters = inspect.signature(function).parameters
+    for key in given:
+        if key not in parameters:
+            known = f"some of {', '.join(parameters)}"
+            raise ProblemError(f"--set {key}", "no parameter of that name", known, suggestion(key, parameters))
+    return partial(function, **given)
+
+
+def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
+    """Return KEY=VALUE settings as nested tables; dotted keys name entries of tables."""
+    result: dict[str, Any] = {}
+    for setting in settings:
+        try:
+            table = tomllib.loads(setting)
+        except tomllib.TOMLDecodeError as error:
+            advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
+            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value", advice) from None
+        if not table:
+            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value")
+        merge_tables(result, without_none(table))
+    return result
+
+
+def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with None for the text "none", which stands for no value: TOML has no word for that."""
+    return {
+        key: None if value == "none" else without_none(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+    }
+
+
+def require_writable(option: str, file: Path, problem: str) -> None:
+    """Raise ProblemError unless something can be written to the file: an answer must not be lost to a slip."""
+    if file.is_dir():
+        raise ProblemError(f"{option} {file}", "a folder", "a file to write")
+    if not file.absolute().parent.is_dir():
+        raise ProblemError(f"{option} {file}", "a file in a folder that does not exist", "a file in an existing folder")
+    if file.exists() and Path(problem).exists() and file.samefile(problem):
+        raise ProblemError(f"{option} {file}", "the problem's own file", "another file")
+
+
+def require_folder(folder: Path) -> None:
+    """Raise ProblemError unless the folder exists or can be made."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists():
+            if not path.is_dir():
+                raise ProblemError(f"--out {folder}", f"{path}, a file", "a folder")
+            return
+
+
+def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
+    """Put new entries into nested tables."""
+    for key, value in new.items():
+        if isinstance(value, dict) and isinstance(into.get(key), dict):
+            merge_tables(into[key], value)
+        else:
+            into[key] = value
+
+
+def complain(error: Exception | str) -> None:
+    """Say on stderr what is wrong."""
+    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+
+
+def progress(what: str) -> AbstractContextManager[Any]:
+    """Show what is being done, on a terminal."""
+    return err.status(escape(what)) if err.is_terminal else nullcontext()
+
+
+@contextmanager
+def search_progress(what: str) -> Generator[Callable[[SearchProgress], None] | None]:
+    """Show what is being done, on a terminal, and yield what shows how far a search is."""
+    if not err.is_terminal:
+        yield None
+        return
+    with err.status(escape(what)) as status:
+        yield lambda reached: status.update(escape(f"{what}: {reached}"))
+
+
+def print_json(summary: Mapping[str, Any]) -> None:
+    """Print one JSON object on stdout."""
+    click.echo(to_json(summary))

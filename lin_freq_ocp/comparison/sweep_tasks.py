@@ -1,0 +1,139 @@
+"""The points of a sweep on an executor, as they finish; a point that is lost with its worker is given out again."""
+
+from __future__ import annotations
+
+import signal
+import warnings
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from multiprocessing import get_all_start_methods, get_context
+from queue import SimpleQueue
+
+from lin_freq_ocp.comparison.sweep_grid import Parameters
+from lin_freq_ocp.comparison.sweep_point import INTERRUPTED, Row, failed_point, solve_point
+
+RESUBMISSIONS = 2
+"""How often a lost point is given out again: a worker may die by chance, thrice the point itself is the reason."""
+
+Task = Callable[[Parameters, int], Row]
+"""Solves one point, given how often it was lost before."""
+
+Finished = Generator[tuple[str, Row]]
+"""Keys and rows, in the order in which they finish."""
+
+
+def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | None) -> Finished:
+    """Solve points on an executor; without one, one after another in this process.
+
+    Whatever an executor raises says that a point was lost, because the task itself raises nothing. If the executor
+    takes no more work, as a process pool does not once a worker has died, a warning says so, and the points that are
+    left are solved one after another in a process of their own: should one of them kill it, that one alone is lost.
+
+    Closing the generator, or Ctrl-C, cancels what has not been started.
+    """
+    if executor is None:
+        yield from _here(task, points)
+        return
+    left = yield from _on(executor, task, points)
+    if left:
+        words = "solved one after another, in a process of their own; stopping and resuming the sweep is faster."
+        warnings.warn(f"The executor takes no more work: {len(left)} points are {words}", RuntimeWarning, stacklevel=3)
+        yield from _apart(task, left)
+
+
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it.
+
+    Where the system can fork, they are copies of one process that has imported the package once for all of them.
+    """
+    if "forkserver" in get_all_start_methods():
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["__main__", solve_point.__module__])
+    else:
+        context = get_context("spawn")
+    return ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+
+
+def _here(task: Task, points: Mapping[str, Parameters]) -> Finished:
+    for key, parameters in points.items():
+        row = task(parameters, 0)
+        if row["status"] == INTERRUPTED:
+            raise KeyboardInterrupt
+        yield key, row
+
+
+def _on(
+    executor: Executor, task: Task, points: Mapping[str, Parameters]
+) -> Generator[tuple[str, Row], None, dict[str, Parameters]]:
+    """Solve points on an executor; return those that it did not take."""
+    done, running = SimpleQueue[Future[Row]](), dict[Future[Row], str]()
+    losses, left = Counter[str](), dict[str, Parameters]()
+
+    def submit(key: str) -> None:
+        try:
+            future = executor.submit(task, points[key], losses[key])
+        except Exception:  # broken, shut down, disconnected: every executor has its own words for it
+            left[key] = points[key]
+            return
+        running[future] = key
+        future.add_done_callback(done.put)
+
+    try:
+        for key in points:
+            submit(key)
+        while running:
+            future = done.get()
+            key, outcome = running.pop(future), _outcome(future)
+            if not isinstance(outcome, str):
+                yield key, outcome
+                continue
+            losses[key] += 1
+            if losses[key] > RESUBMISSIONS:
+                yield key, _lost(points[key], outcome)
+            else:
+                submit(key)
+    except KeyboardInterrupt:
+        for future, key in running.items():
+            if future.done() and not isinstance(outcome := _outcome(future), str):
+                yield key, outcome
+        raise
+    finally:
+        for future in running:
+            future.cancel()
+    return left
+
+
+def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
+    """Solve points one after another in a process of their own, a new one whenever it dies."""
+    pool = process_pool(1)
+    try:
+        for key, parameters in points.items():
+            outcome: Row | str = ""
+            for attempt in range(1 + RESUBMISSIONS):
+                try:
+                    outcome = _outcome(pool.submit(task, parameters, attempt), wait=True)
+                except BrokenExecutor as error:
+                    outcome = type(error).__name__
+                if not isinstance(outcome, str):
+                    break
+                pool.shutdown()
+                pool = process_pool(1)
+            yield key, _lost(parameters, outcome) if isinstance(outcome, str) else outcome
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _outcome(future: Future[Row], wait: bool = False) -> Row | str:
+    """Return the row of a future, or in words why there is none."""
+    try:
+        row = future.result(None if wait else 0)
+    except CancelledError:
+        return "cancelled"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return INTERRUPTED if row["status"] == INTERRUPTED else row
+
+
+def _lost(parameters: Parameters, words: str) -> Row:
+    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {words}")

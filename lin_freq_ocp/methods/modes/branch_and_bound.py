@@ -1,0 +1,228 @@
+"""Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
+
+A node is a mask of modes. Its relaxation bounds the cost of all sequences within; where several modes are left, the
+node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a
+node whose bound comes within the gap of the best sequence found; its multipliers prove that, and the judge checks all.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.methods.modes.node import Duals, Relaxed, relaxed
+from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
+from lin_freq_ocp.problem.arrays import Indices, Mask
+from lin_freq_ocp.problem.mode_reach import Reach
+from lin_freq_ocp.problem.mode_tree import ModeNode
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+
+SHARE_OF_GAP = 0.5
+"""Leaves are closed at this part of the gap; the rest is for what a node's solver leaves open."""
+
+ROUNDING_EVERY = 5
+"""Nodes between two attempts to round a relaxed point to a sequence."""
+
+
+@dataclass
+class BranchAndBound:
+    """One search; ``run`` it once."""
+
+    problem: OptimalControlProblem
+    limits: SearchLimits = field(default_factory=SearchLimits)
+    relaxation: str = "perspective"
+    progress: Callable[[SearchProgress], None] | None = None
+
+    def __post_init__(self):
+        self._started = time.perf_counter()
+        self._relaxation = ModeRelaxation(self.problem, self.relaxation)
+        self._arrays = self._relaxation.reach.arrays
+        self._nodes: list[ModeNode] = []
+        self._duals: list[Duals | None] = []
+        self._heap: list[tuple[float, int, Relaxed]] = []
+        self._best: Indices | None = None
+        self._cost = np.inf
+        self._tried: set[bytes] = set()
+        self._solved = 0
+        self._setup = time.perf_counter() - self._started
+
+    def run(
+        self, start: Indices | None = None, within: Reach | None = None, until_open: float = np.inf
+    ) -> SearchOutcome:
+        """Search.
+
+        Parameters
+        ----------
+        start : (T,), optional
+            A sequence to begin with.
+        within : Reach, optional
+            Of the sequences to search; default: all of them.
+        until_open : int, optional
+            Stop when so many nodes are open: they are other searches' roots then, see ``open_nodes``.
+        """
+        words, interrupted = "", False
+        self._until_open = until_open
+        try:
+            if start is not None:
+                self._try(start)
+            self._open(self._root(within), -1, -1, -np.inf)
+            words = self._loop()
+        except KeyboardInterrupt:
+            words, interrupted = "interrupted", True
+        tree = proven_tree(self._relaxation, self._nodes, self._duals)
+        return SearchOutcome(self._best, self._cost, tree, words, interrupted, self._solved, self._setup)
+
+    def _loop(self) -> str:
+        """Split nodes until none is open; return why it stopped before, or nothing."""
+        while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
+            words = self.limits.reached(time.perf_counter() - self._started, self._solved)
+            if words:
+                return words
+            self._report(self._heap[0][0])
+            self._split(*self._next())
+        return ""
+
+    def _next(self) -> tuple[float, int, Relaxed]:
+        """Take the node with the least bound; as long as no sequence was found, the newest: a dive."""
+        if self._best is not None:
+            return heapq.heappop(self._heap)
+        newest = max(range(len(self._heap)), key=lambda place: self._heap[place][1])
+        taken = self._heap.pop(newest)
+        heapq.heapify(self._heap)
+        return taken
+
+    @property
+    def open_nodes(self) -> list[tuple[int, Reach]]:
+        """Return the nodes that are still to be split, the least bound first."""
+        return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
+
+    def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
+        everything = np.ones((self.problem.horizon, len(self.problem.piecewise.modes)), dtype=bool)
+        reach = self._relaxation.reach.from_start(everything) if within is None else within
+        return [(everything, None if reach is None else self._relaxed(reach))]
+
+    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
+        """Replace a node by one for each of its modes at some time."""
+        t = self._stage_to_split(answer)
+        children: list[tuple[Mask, Relaxed | None]] = []
+        for i in np.flatnonzero(answer.reach.allowed[t]):
+            allowed = answer.reach.allowed.copy()
+            allowed[t] = np.arange(allowed.shape[1]) == i
+            reach = self._relaxation.reach.after(answer.reach, t, allowed[t])
+            children.append((allowed, None if reach is None else self._relaxed(reach)))
+        self._open(children, index, t, bound)
+
+    def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
+        """Add nodes, all at once so that an interrupt leaves none out, and look at what they are good for."""
+        first, inherited = len(self._nodes), self._duals[parent] if parent >= 0 else None
+        for allowed, answer in answers:
+            if answer is None:
+                self._nodes.append(ModeNode(parent, stage, allowed, np.inf, None))
+                self._duals.append(None)
+            else:
+                self._nodes.append(ModeNode(parent, stage, answer.reach.allowed, max(bound, answer.bound), None))
+                self._duals.append(answer.duals or inherited)
+        if parent >= 0:
+            self._duals[parent] = None
+        for index, (_, answer) in enumerate(answers, start=first):
+            if answer is not None:
+                self._consider(index, answer)
+
+    def _consider(self, index: int, answer: Relaxed) -> None:
+        """Try the sequences that a node suggests, and keep it for splitting unless its bound closes it."""
+        bound = self._nodes[index].bound
+        if bound == np.inf:
+            return
+        if answer.sequence is not None:
+            self._try(answer.sequence, answer)
+            return
+        if bound < self._cutoff:
+            heapq.heappush(self._heap, (bound, index, answer))
+            if index % ROUNDING_EVERY == 0 or self._best is None:
+                for sequence in self._rounded(answer):
+                    self._try(sequence)
+
+    def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
+        """Yield the sequence of the largest weights, and that which the relaxed controls lead through."""
+        if answer.trajectory is None or answer.weights is None:
+            return
+        yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
+        try:
+            replayed = simulate(self.problem, answer.trajectory.u, answer.trajectory.x[0])
+        except NumericalError:  # the controls lead out of all regions
+            return
+        yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
+
+    def _try(self, sequence: Indices, answer: Relaxed | None = None) -> None:
+        """Solve a sequence, and improve it by flips while that is better than the best."""
+        key = sequence.tobytes()
+        if key in self._tried:
+            return
+        self._tried.add(key)
+        if answer is None:
+            allowed = np.zeros((len(sequence), len(self.problem.piecewise.modes)), dtype=bool)
+            allowed[np.arange(len(sequence)), sequence] = True
+            reach = self._relaxation.reach.from_start(allowed)
+            if reach is None:
+                return
+            answer = self._relaxed(reach)
+        if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
+            return
+        self._cost, self._best = answer.bound, sequence
+        for flipped in self._flips(sequence, answer.trajectory, answer.duals):
+            self._try(flipped)
+            if self._best is not sequence:
+                break
+
+    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
+        """Yield the sequences with one mode flipped across a facet whose multiplier holds back the cost."""
+        region = self._relaxation.multipliers(duals.rows, duals.y, duals.eta_C).region
+        pull = region[np.arange(len(sequence)), sequence].max(axis=1, initial=0.0)
+        near = self._arrays.active(trajectory.x, trajectory.u)
+        for t in np.argsort(-pull):
+            if pull[t] <= 0:
+                break
+            for i in np.flatnonzero(near[t]):
+                if i != sequence[t]:
+                    flipped = sequence.copy()
+                    flipped[t] = i
+                    yield flipped
+
+    def _stage_to_split(self, answer: Relaxed) -> int:
+        """Return the time, of those with several modes left, at which missing the true dynamics is worth most.
+
+        A relaxed step that ends d away from the true one is worth <|eta_t|, |d|> + d'H d: to first order by the
+        adjoint, to second by the curvature of the cost.
+        """
+        several, duals = answer.reach.allowed.sum(axis=1) > 1, answer.duals
+        if answer.trajectory is None or answer.weights is None or duals is None:
+            return int(np.argmax(several))
+        x, u = answer.trajectory.x, answer.trajectory.u
+        nearest = np.argmin(self._arrays.distance(x, u), axis=1)
+        images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
+        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals.rows, duals.y)
+        worth = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
+        undecided = 1 - answer.weights.max(axis=1)
+        return int(np.lexsort((undecided, np.where(several, worth, -1.0)))[-1])
+
+    @property
+    def _cutoff(self) -> float:
+        if not np.isfinite(self._cost):
+            return np.inf
+        return self._cost - SHARE_OF_GAP * self.limits.gap * max(1.0, abs(self._cost))
+
+    def _relaxed(self, reach: Reach) -> Relaxed:
+        self._solved += 1
+        return relaxed(self._relaxation, reach)
+
+    def _report(self, bound: float) -> None:
+        if self.progress is not None:
+            seconds = time.perf_counter() - self._started
+            self.progress(SearchProgress(self._cost, bound, self._solved, len(self._heap), seconds))

@@ -1,0 +1,83 @@
+"""All mode sequences that can be reached, each solved: an oracle for short horizons."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.modes.node import Duals, relaxed
+from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
+from lin_freq_ocp.problem.mode_reach import Reach
+from lin_freq_ocp.problem.mode_tree import ModeNode
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+
+MOST_SEQUENCES = 10_000
+"""More would take minutes; branch and bound needs a small part of them."""
+
+
+def enumerate_sequences(
+    problem: OptimalControlProblem, limits: SearchLimits, progress: Callable[[SearchProgress], None] | None = None
+) -> SearchOutcome:
+    """Solve every sequence that the forward reach leaves.
+
+    Raises
+    ------
+    UnsupportedError
+        If there are more than MOST_SEQUENCES.
+    """
+    started, relaxation = time.perf_counter(), ModeRelaxation(problem)
+    nodes, duals, ends = _all_sequences(relaxation)
+    setup = time.perf_counter() - started
+    best, cost, words, interrupted, solved = None, np.inf, "", False, 0
+    try:
+        for index, reach in ends:
+            seconds = time.perf_counter() - started
+            words = limits.reached(seconds, solved)
+            if words:
+                break
+            if progress is not None:
+                progress(SearchProgress(cost, -np.inf, solved, len(ends) - solved, seconds))
+            answer, solved = relaxed(relaxation, reach), solved + 1
+            nodes[index] = replace(nodes[index], bound=answer.bound)
+            duals[index] = answer.duals
+            if answer.trajectory is not None and answer.bound < cost:
+                best, cost = answer.sequence, answer.bound
+    except KeyboardInterrupt:
+        words, interrupted = "interrupted", True
+    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), words, interrupted, solved, setup)
+
+
+def _all_sequences(relaxation: ModeRelaxation) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:
+    """Return the tree that splits every time in order, without proofs, and its leaves that can be reached."""
+    T, modes = relaxation.problem.horizon, len(relaxation.problem.piecewise.modes)
+    everything = np.ones((T, modes), dtype=bool)
+    root = relaxation.reach.from_start(everything)
+    nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
+    waiting: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
+    ends: list[tuple[int, Reach]] = []
+    while waiting:
+        parent, reach = waiting.pop()
+        several = reach.allowed.sum(axis=1) > 1
+        if not several.any():
+            ends.append((parent, reach))
+            continue
+        t = int(np.argmax(several))
+        for i in np.flatnonzero(reach.allowed[t]):
+            only = np.arange(modes) == i
+            child = relaxation.reach.after(reach, t, only)
+            allowed = reach.allowed.copy()
+            allowed[t] = only
+            bound = np.inf if child is None else -np.inf
+            nodes.append(ModeNode(parent, t, allowed if child is None else child.allowed, bound, None))
+            if child is not None:
+                waiting.append((len(nodes) - 1, child))
+        if len(waiting) + len(ends) > MOST_SEQUENCES:
+            raise UnsupportedError(
+                f"method: 'enumerate' has more than {MOST_SEQUENCES} sequences to solve here; use 'branch_and_bound'."
+            )
+    return nodes, [None] * len(nodes), ends

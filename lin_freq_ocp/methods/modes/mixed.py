@@ -1,0 +1,179 @@
+"""Mode sequences from other people's mixed-integer solvers: asked, measured, compared, and never believed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.backends.mixed import MixedSolution, mixed_backend
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex import require_convex, solve_convex
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.mixed_integer import MixedInteger, big_m_program
+
+DEFAULT_GAP = 1e-6
+"""Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
+
+POINT_TOLERANCE = 1e-5
+"""Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in
+the row, and as much in each binary times a coefficient of at most 1."""
+
+AGREEMENT = 1e-6
+"""Difference of the claimed cost and that of the sequence solved again, relative to the cost, that is no mismatch."""
+
+STATUS = {
+    Claim.SOLVED: "optimal",
+    Claim.INFEASIBLE: "infeasible",
+    Claim.LIMIT: "limit",
+    Claim.INTERRUPTED: "interrupted",
+    Claim.UNBOUNDED: "failed",
+    Claim.FAILED: "failed",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class MixedOutcome:
+    """What a mixed-integer solver says; nothing of it is proven.
+
+    Attributes
+    ----------
+    status : str
+        "optimal", "infeasible", "limit", "interrupted" or "failed", by its own word; "failed" also where the claimed
+        point is none.
+    sequence : (T,) or None
+        Modes of the best point found.
+    trajectory : Trajectory or None
+        That point, as accurate as the solver's tolerances.
+    cost : float or None
+        Its cost J, in the problem's units, as far as the solver's point is a trajectory.
+    bound : float or None
+        A claimed lower bound on J.
+    unit : float
+        A cost of order 1 as the solver saw it: differences are relative to this, or to the cost where it is larger.
+    words : str
+        The solver's own status, and what is wrong with its claim.
+    seconds : dict
+        Wall time of "setup" (the figures of big-M rows included) and "solve".
+    """
+
+    status: str
+    sequence: Indices | None
+    trajectory: Trajectory | None
+    cost: float | None
+    bound: float | None
+    unit: float
+    words: str
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """A claimed sequence, solved again as a convex program.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        Of problem.with_modes(sequence): to be judged.
+    cost : float or None
+        Its cost, if it was solved.
+    words : str
+        What the claim got wrong; empty if nothing.
+    """
+
+    candidate: Candidate
+    cost: float | None
+    words: str
+
+
+def solve_miqp(
+    problem: OptimalControlProblem, backend: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
+) -> MixedOutcome:
+    """Ask a mixed-integer solver for the best mode sequence of a problem with piecewise-affine dynamics.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        With a convex cost and bounded states and controls.
+    backend : {"scip", "daqp"}
+        "daqp" takes no Euclidean norms, and cannot be interrupted.
+    time_limit : float, optional
+        Seconds for the solver.
+    gap : float
+        Relative gap between cost and bound at which it may stop.
+
+    Raises
+    ------
+    UnsupportedError
+        If the dynamics are linear, the cost is not convex, something is unbounded, or the backend does not take the
+        problem.
+    MissingExtraError
+        If the backend's package is not installed.
+    """
+    solver = mixed_backend(backend)
+    require_convex(problem)
+    started = time.perf_counter()
+    mixed = big_m_program(problem)
+    ready = time.perf_counter()
+    solution = solver(mixed.program, mixed.binaries, time_limit, gap)
+    seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
+    return _outcome(mixed, solution, seconds)
+
+
+def resolved(
+    problem: OptimalControlProblem,
+    outcome: MixedOutcome,
+    backend: str = "clarabel",
+    tolerance: float | None = None,
+    time_limit: float | None = None,
+) -> Resolved:
+    """Solve the convex program of the claimed sequence, and say in words what the claim got wrong.
+
+    Raises
+    ------
+    UnsupportedError
+        If the outcome has no sequence, or there is no such backend.
+    """
+    if outcome.sequence is None:
+        raise UnsupportedError(
+            f"outcome: got one without a sequence ({outcome.words}); there is nothing to solve again."
+        )
+    candidate = solve_convex(problem.with_modes(outcome.sequence), backend, tolerance, time_limit)
+    if candidate.status != "optimal" or candidate.trajectory is None:
+        words = f"the program of the claimed sequence ended as {candidate.status} ({candidate.words})"
+        return Resolved(candidate, None, words)
+    cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
+    return Resolved(candidate, cost, "; ".join(_mismatches(outcome, cost)))
+
+
+def _mismatches(outcome: MixedOutcome, cost: float) -> list[str]:
+    allowed = AGREEMENT * max(abs(cost), outcome.unit)
+    found: list[str] = []
+    if outcome.cost is not None and abs(outcome.cost - cost) > allowed:
+        which = "above" if outcome.cost > cost else "below"
+        found.append(f"the claimed cost {outcome.cost:.9g} is {which} that of its sequence, {cost:.9g}")
+    if outcome.bound is not None and outcome.bound > cost + allowed:
+        found.append(f"the claimed bound {outcome.bound:.9g} is above the cost {cost:.9g} of a trajectory")
+    return found
+
+
+def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, float]) -> MixedOutcome:
+    bound = None if solution.bound is None else mixed.cost(solution.bound)
+    status, words, unit = STATUS[solution.claim], solution.words, mixed.cost(1.0)
+    if solution.z is None:
+        if status == "optimal":
+            status, words = "failed", f"{words}, without a point"
+        return MixedOutcome(status, None, None, None, bound, unit, words, seconds)
+    z, sequence = solution.z.copy(), mixed.sequence(solution.z)
+    z[mixed.binaries] = mixed.deltas(sequence)
+    violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
+    if violation > POINT_TOLERANCE:
+        status = "failed"
+        words = f"{words}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
+    cost = mixed.cost(mixed.program.objective(z))
+    return MixedOutcome(status, sequence, mixed.trajectory(z), cost, bound, unit, words, seconds)

@@ -1,0 +1,80 @@
+"""One node of the search: the relaxation of a mask of modes, solved and read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.backends.clarabel_ import solve_standard
+from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.mode_reach import Reach
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+
+TOLERANCES = (1e-8, 1e-6)
+"""Residuals and gap asked of a node's relaxation: a hundredth of the gap that is to be proven; if that fails, a looser
+one, whose bound is weaker but checked all the same."""
+
+FINE = (1e-11, 1e-9)
+"""The same for leaves whose proof turned out too weak."""
+
+DECIDED = (Claim.SOLVED, Claim.INFEASIBLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Duals:
+    """The duals y of the rows of the template that a relaxation had; eta_C = 0 for a Farkas ray."""
+
+    rows: Indices
+    y: Array
+    eta_C: float
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The answer to one relaxation.
+
+    Attributes
+    ----------
+    reach : Reach
+    bound : float
+        The dual objective; inf if there is no point; -inf if the solver failed.
+    duals : Duals or None
+    trajectory : Trajectory or None
+    weights : (T, modes) or None
+        delta: how much of each mode the relaxed point has.
+    """
+
+    reach: Reach
+    bound: float
+    duals: Duals | None
+    trajectory: Trajectory | None
+    weights: Array | None
+
+    @property
+    def sequence(self) -> Indices | None:
+        """Return the only sequence left, if there is one."""
+        allowed = self.reach.allowed
+        return np.argmax(allowed, axis=1) if (allowed.sum(axis=1) == 1).all() else None
+
+
+def relaxed(relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float] = TOLERANCES) -> Relaxed:
+    """Solve the relaxation of a reach to the first tolerance that its solver reaches."""
+    member = relaxation.member(reach)
+    form = member.form
+    solution = next(
+        (one for one in (solve_standard(form, tolerance) for tolerance in tolerances) if one.claim in DECIDED),
+        Solution(Claim.FAILED, None, None, "no tolerance was reached"),
+    )
+    z, y = solution.z, solution.y
+    if solution.claim is Claim.INFEASIBLE and y is not None:
+        return Relaxed(reach, np.inf, Duals(member.rows, y, 0.0), None, None)
+    if solution.claim is not Claim.SOLVED or z is None or y is None:
+        return Relaxed(reach, -np.inf, None, None, None)
+    curved = form.P @ z + form.P.T @ z - form.P.diagonal() * z
+    dual = -0.5 * float(z @ curved) - float(form.b @ y)
+    trajectory, weights = relaxation.point(member, z)
+    return Relaxed(reach, relaxation.cost(dual), Duals(member.rows, y, 1.0), trajectory, weights)

@@ -1,0 +1,96 @@
+"""Branch and bound whose sub-trees are searched elsewhere: by the workers of any executor of ``concurrent.futures``.
+
+The first nodes are searched here, until there are enough open ones; each is then a search of its own, which begins with
+the best sequence known. What comes back is grafted where its root was. The tree does not depend on how many workers
+there are or which is first, and a part whose worker died is searched here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, as_completed
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.mode_reach import Reach
+from lin_freq_ocp.problem.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+PARTS = 32
+"""Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they
+cannot tell each other, a better sequence, costs little."""
+
+
+def search_in_parts(
+    problem: OptimalControlProblem,
+    limits: SearchLimits,
+    executor: Executor,
+    progress: Callable[[SearchProgress], None] | None = None,
+) -> SearchOutcome:
+    """Search with the workers of an executor; as ``BranchAndBound.run``."""
+    started = time.perf_counter()
+    first = BranchAndBound(problem, limits, progress=progress)
+    outcome = first.run(until_open=PARTS)
+    if outcome.words or not first.open_nodes:
+        return outcome
+    left = replace(limits, seconds=limits.seconds - (time.perf_counter() - started))
+    futures = {
+        executor.submit(search_part, problem, reach, outcome.sequence, left): (root, reach)
+        for root, reach in first.open_nodes
+    }
+    found: dict[int, SearchOutcome] = {}
+    words, interrupted = "", False
+    try:
+        for future in as_completed(futures):
+            root, reach = futures[future]
+            found[root] = _result(future) or search_part(problem, reach, outcome.sequence, left)
+            if progress is not None:
+                progress(_progress(outcome, found, len(futures), time.perf_counter() - started))
+    except KeyboardInterrupt:
+        words, interrupted = "interrupted", True
+        for future in futures:
+            future.cancel()
+    return _joined(outcome, found, words, interrupted)
+
+
+def search_part(
+    problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
+) -> SearchOutcome:
+    """Search the sequences within a reach."""
+    return BranchAndBound(problem, limits).run(start, reach)
+
+
+def _result(future: Future[SearchOutcome]) -> SearchOutcome | None:
+    """Return what a worker found; None if it was lost, whatever the executor calls that."""
+    try:
+        return future.result()
+    except Exception:
+        return None
+
+
+def _progress(outcome: SearchOutcome, found: dict[int, SearchOutcome], parts: int, seconds: float) -> SearchProgress:
+    cost = min(outcome.cost, *(one.cost for one in found.values()))
+    bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
+    nodes = outcome.nodes + sum(one.nodes for one in found.values())
+    return SearchProgress(cost, min(bound, cost), nodes, parts - len(found), seconds)
+
+
+def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], words: str, interrupted: bool) -> SearchOutcome:
+    """Return the first search with the others grafted on, in the order of their roots."""
+    nodes: list[ModeNode] = list(outcome.tree.nodes)
+    best = outcome
+    for root in sorted(found):
+        part = found[root]
+        own, shift = part.tree.nodes, len(nodes) - 1
+        nodes[root] = replace(nodes[root], proof=own[0].proof or (nodes[root].proof if len(own) == 1 else None))
+        nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in own[1:]]
+        best = part if part.cost < best.cost else best
+        words = words or part.words
+    solved = outcome.nodes + sum(part.nodes for part in found.values())
+    interrupted = interrupted or any(part.interrupted for part in found.values())
+    return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), words, interrupted, solved, outcome.setup)

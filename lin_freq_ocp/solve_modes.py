@@ -1,0 +1,162 @@
+"""solve() for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.mode_bound import TreeBound, tree_bound
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex import require_convex, solve_convex
+from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
+from lin_freq_ocp.methods.modes.mixed import AGREEMENT, solve_miqp
+from lin_freq_ocp.methods.modes.parts import search_in_parts
+from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, refined
+from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.result import Result
+
+MODE_METHODS = ("enumerate", "branch_and_bound", "miqp")
+
+SEQUENCE_BACKEND = "clarabel"
+"""Solves the best sequence, accurately, for its multipliers."""
+
+LEAST_TIME = 1e-3
+"""Seconds that are left to our search when a mixed-integer solver has used them all: its sequence is solved."""
+
+Report = Callable[[SearchProgress], None]
+
+
+def solve_modes(
+    problem: OptimalControlProblem,
+    method: str,
+    backend: str,
+    limits: SearchLimits,
+    progress: Report | None,
+    executor: Executor | None,
+) -> Result:
+    """Return what a search over modes ends with, judged.
+
+    Raises
+    ------
+    UnsupportedError
+        If the method or backend is not for piecewise-affine dynamics, the cost is not convex, or a set is unbounded.
+    """
+    require_convex(problem)
+    method = "branch_and_bound" if method == "auto" else method
+    if method not in MODE_METHODS:
+        known = ", ".join(map(repr, MODE_METHODS))
+        raise UnsupportedError(f"method: got {method!r}, which takes linear dynamics; expected one of {known}.")
+    if backend != "auto" and method != "miqp":
+        raise UnsupportedError(f"backend: got {backend!r}; the method {method!r} needs none: leave it 'auto'.")
+    if executor is not None and method != "branch_and_bound":
+        raise UnsupportedError(
+            f"executor: got one for the method {method!r}; only 'branch_and_bound' has parts for it."
+        )
+    started = time.perf_counter()
+    if method == "enumerate":
+        outcome = enumerate_sequences(problem, limits, progress)
+    elif method == "miqp":
+        return _through_solver(problem, "scip" if backend == "auto" else backend, limits, progress)
+    elif executor is not None:
+        outcome = search_in_parts(problem, limits, executor, progress)
+    else:
+        outcome = BranchAndBound(problem, limits, progress=progress).run()
+    seconds = {"setup": outcome.setup, "solve": time.perf_counter() - started - outcome.setup}
+    return _judged(problem, method, outcome, limits.gap, seconds)
+
+
+def _through_solver(
+    problem: OptimalControlProblem, backend: str, limits: SearchLimits, progress: Report | None
+) -> Result:
+    """Return what our search, begun with a mixed-integer solver's sequence, proves; and whether its claim was right."""
+    claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
+    left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
+    clock = time.perf_counter()
+    outcome = BranchAndBound(problem, replace(limits, seconds=left), progress=progress).run(claim.sequence)
+    seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
+    result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds), backend=backend)
+    found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
+    if result.status == "optimal" and not _agree(claim.cost, result.cost, max(limits.gap, AGREEMENT)):
+        return replace(result, message=f"{backend} ended with {found} ('{claim.words}'), the optimum is {proven}")
+    return result
+
+
+def _agree(claimed: float | None, cost: float | None, gap: float) -> bool:
+    return claimed is not None and cost is not None and abs(claimed - cost) <= gap * max(1.0, abs(cost))
+
+
+def _judged(
+    problem: OptimalControlProblem, method: str, outcome: SearchOutcome, gap: float, seconds: dict[str, float]
+) -> Result:
+    clock = time.perf_counter()
+    candidate = None
+    if outcome.sequence is not None:
+        candidate = solve_convex(problem.with_modes(outcome.sequence), SEQUENCE_BACKEND, None, None)
+    certificate, multipliers = _certificate(problem, outcome.sequence, candidate)
+    proof = tree_bound(problem, outcome.tree)
+    needed = np.inf if certificate is None else certificate.cost - gap * max(1.0, abs(certificate.cost))
+    if not outcome.words and not proof.value >= needed:
+        outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed)))
+        proof = tree_bound(problem, outcome.tree)
+    status, message = _status(outcome, candidate, certificate, proof, needed)
+    if certificate is not None and np.isfinite(proof.value):
+        words = f"a search tree of {proof.leaves} leaves, each checked"
+        certificate = replace(certificate, bound=Bound(proof.value, "rigorous", sets=words))
+    return Result(
+        problem=problem,
+        status=status,
+        method=method,
+        backend=None,
+        seconds={**seconds, "certify": time.perf_counter() - clock},
+        trajectory=None if candidate is None else candidate.trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=message,
+        interrupted=outcome.interrupted,
+        sequence=outcome.sequence,
+        tree=outcome.tree,
+        tree_bound=proof,
+    )
+
+
+def _certificate(
+    problem: OptimalControlProblem, sequence: Indices | None, candidate: Candidate | None
+) -> tuple[Certificate | None, Multipliers | None]:
+    """Judge the best sequence's trajectory with the multipliers that fit best where modes meet."""
+    if sequence is None or candidate is None or candidate.trajectory is None or candidate.multipliers is None:
+        return None, None
+    multipliers = weighted(problem, candidate.trajectory, sequence, candidate.multipliers)
+    certificate = judge(problem, candidate.trajectory, multipliers)
+    return certificate, multipliers
+
+
+def _status(
+    outcome: SearchOutcome,
+    candidate: Candidate | None,
+    certificate: Certificate | None,
+    proof: TreeBound,
+    needed: float,
+) -> tuple[str, str]:
+    """Return the status of the result, and in words why, where it is not optimal."""
+    if outcome.words:
+        return "limit", outcome.words
+    if certificate is None or candidate is None:
+        if candidate is None and proof.value == np.inf:
+            return "infeasible", f"proven by a search tree of {proof.leaves} leaves, none of which has a trajectory"
+        return "numerical_error", "no trajectory was found, and that there is none is not proven"
+    if candidate.status != "optimal":
+        return "numerical_error", f"the best mode sequence, solved alone, ended with '{candidate.words}'"
+    if proof.value < needed:
+        return "numerical_error", f"the search closed its tree, of which only the bound {proof.value:.12g} is proven"
+    return "optimal", ""
