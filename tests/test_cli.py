@@ -511,11 +511,23 @@ def test_list_shows_every_problem():
         assert name in out
 
 
+SLOW = ("cart_pole_with_walls", "ball_and_paddle")
+"""Problems of the library whose search takes minutes, or more than that."""
+
+
 @pytest.mark.parametrize("name", lfo.library.LINEAR)
 def test_every_linear_problem_of_the_library_is_proven(name):
     status, out, err = once("solve", name)
     assert (status, err) == (0, "")
     for words in ("status optimal", "theorem satisfied, normal", "global optimum", "maximum principle satisfied"):
+        assert words in " ".join(out.split())
+
+
+@pytest.mark.parametrize("name", [name for name in lfo.library.PIECEWISE_AFFINE if name not in SLOW])
+def test_every_small_problem_with_modes_is_proven(name):
+    status, out, err = once("solve", name)
+    assert (status, err) == (0, "")
+    for words in ("status optimal", "global optimum", "method branch_and_bound"):
         assert words in " ".join(out.split())
 
 

@@ -73,7 +73,7 @@ def test_every_part_of_a_schema_is_used():
 # --- what the package writes is valid -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", lfo.library.LINEAR)
+@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
 def test_the_problems_of_the_library_are_valid(tmp_path, name):
     lfo.write_problem(lfo.library.by_name(name)(), tmp_path / "problem.toml")
     assert_valid_file(tmp_path / "problem.toml")
