@@ -85,7 +85,8 @@ def test_a_jump_is_measured_relative_to_its_terms(seed):
     kinked = random_kinks(rng, kinks=1, sizes=sizes)
     low, high = kinked.dynamics().modes
     linear, push = high.linear, 10.0 ** -(2 + seed) * sizes[1]
-    pushed = lfo.AffineMode(linear.A, linear.B, linear.offset + [0, push], high.region.C, high.region.D, high.region.e)
+    offset, region = np.add(linear.offset, [0, push]), high.region
+    pushed = lfo.AffineMode(linear.A, linear.B, offset, region.C, region.D, region.e)
     (border,) = problem_of(lfo.PiecewiseAffineDynamics([low, pushed]), **kinked.boxes()).borders
     largest = [np.abs(np.hstack([one.linear.A, one.linear.B])) @ (3 * sizes) for one in (low, pushed)]
     terms = sum(largest) + np.abs(low.linear.offset) + np.abs(pushed.linear.offset)
@@ -169,7 +170,7 @@ def test_on_a_border_a_replay_takes_the_first_mode_and_a_given_trajectory_its_ow
     for i, mode in enumerate(listed):
         x = np.array([[0.0, 5.0], mode.linear.A @ [0.0, 5.0] + [0.0, 0.3]])
         assert dynamics.sequence_of(x, np.array([[0.3]])).tolist() == [i]
-        assert dynamics.sequence_of(x + [[1e-7, 0], [0, 0]], np.array([[0.3]])).tolist() == [i]
+        assert dynamics.sequence_of(np.add(x, [[1e-7, 0], [0, 0]]), np.array([[0.3]])).tolist() == [i]
 
 
 def test_modes_that_lead_to_the_same_state_are_told_apart_by_their_order():
