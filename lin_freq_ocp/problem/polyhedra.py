@@ -295,7 +295,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
     half_widths : (d,)
         inf without bounds, 0 where a component is fixed.
     least : float
-        No unit is smaller than this part of its half width.
+        What reaches less far than this part of the half width says no size: it may be rounding.
 
     Returns
     -------
@@ -314,7 +314,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
         sizes = grown
     sizes = np.where(sizes > 0, sizes, 1.0)
     reach = _reach(coefficients, np.abs(limits), sizes)
-    return np.where(bounded & (reach > 0), np.clip(reach, least * sizes, sizes), sizes)
+    return np.where(bounded & (reach >= least * sizes), np.minimum(reach, sizes), sizes)
 
 
 def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:
