@@ -117,7 +117,8 @@ def solve_command(
     if save is not None and dump is not None and save.absolute() == dump.absolute():
         raise ProblemError(f"--dump {dump}", "the file of --save", "another file")
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    options |= {"node_limit": node_limit}
+    if node_limit is not None:
+        options["node_limit"] = node_limit
     with dumping_errors(dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)

@@ -57,7 +57,7 @@ class Result:
     explanation : Explanation or None
         If an InfeasibleError was raised: what it says of the family in conflict and of cures. Else ``lfo.explain``.
     options : dict
-        What solve was given: "method", "backend", "time_limit", "tolerance" and "node_limit".
+        What solve was given: "method", "backend", "time_limit", "tolerance", and "node_limit" if it was.
     sequence : (T,) integers or None
         With modes: the mode at every time.
     tree : ModeTree or None

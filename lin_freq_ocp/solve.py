@@ -118,7 +118,7 @@ def solve(
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    result = replace(result, options={**options, "node_limit": node_limit})
+    result = replace(result, options=options if node_limit is None else {**options, "node_limit": node_limit})
     if tolerance is None or tolerance <= CONDITION_TOLERANCE:
         result = _believed(result)
     if throw and result.status == "infeasible":

@@ -195,7 +195,7 @@ BAD_PARAMETERS = {
 BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
-        "method: got 'magic'; expected 'auto', 'convex' or 'spectral'.",
+        "method: got 'magic'; expected 'auto', 'convex', 'spectral', 'enumerate', 'branch_and_bound' or 'miqp'.",
     ),
     "backend of a method without": (
         ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),

@@ -85,7 +85,9 @@ def test_a_jump_is_measured_relative_to_its_terms(seed):
     kinked = random_kinks(rng, kinks=1, sizes=sizes)
     low, high = kinked.dynamics().modes
     linear, push = high.linear, 10.0 ** -(2 + seed) * sizes[1]
-    pushed = lfo.AffineMode(linear.A, linear.B, linear.offset + [0, push], high.region.C, high.region.D, high.region.e)
+    pushed = lfo.AffineMode(
+        linear.A, linear.B, linear.offset + np.array([0, push]), high.region.C, high.region.D, high.region.e
+    )
     (border,) = problem_of(lfo.PiecewiseAffineDynamics([low, pushed]), **kinked.boxes()).borders
     largest = [np.abs(np.hstack([one.linear.A, one.linear.B])) @ (3 * sizes) for one in (low, pushed)]
     terms = sum(largest) + np.abs(low.linear.offset) + np.abs(pushed.linear.offset)
@@ -131,7 +133,7 @@ def test_a_border_beyond_the_sets_is_none():
 # --- replays ----------------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=25, deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), m=st.integers(1, 2), kinks=st.integers(1, 3), varying=st.booleans())
 def test_replays_are_the_map_itself(seed, n, m, kinks, varying):
     """Replay, mode sequence, and the linear problem of that sequence, against the map by maxima, in any units."""
@@ -155,7 +157,8 @@ def test_replays_are_the_map_itself(seed, n, m, kinks, varying):
     rows = next(rows for rows in fixed.stage_rows if rows.name == "mode region")
     assert (rows.slack(replay.x, u) >= 0).all()
     along = problem.dynamics_along(replay)
-    np.testing.assert_allclose(along.successors(replay.x, u), replay.x[1:], rtol=1e-12, atol=1e-12 * kinked.sizes[:n])
+    again = along.successors(replay.x, u)
+    np.testing.assert_allclose(again / kinked.sizes[:n], replay.x[1:] / kinked.sizes[:n], rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
@@ -169,7 +172,7 @@ def test_on_a_border_a_replay_takes_the_first_mode_and_a_given_trajectory_its_ow
     for i, mode in enumerate(listed):
         x = np.array([[0.0, 5.0], mode.linear.A @ [0.0, 5.0] + [0.0, 0.3]])
         assert dynamics.sequence_of(x, np.array([[0.3]])).tolist() == [i]
-        assert dynamics.sequence_of(x + [[1e-7, 0], [0, 0]], np.array([[0.3]])).tolist() == [i]
+        assert dynamics.sequence_of(x + np.array([[1e-7, 0], [0, 0]]), np.array([[0.3]])).tolist() == [i]
 
 
 def test_modes_that_lead_to_the_same_state_are_told_apart_by_their_order():
@@ -266,7 +269,7 @@ def test_signals_from_elsewhere_become_trajectories(tmp_path):
     replay = lfo.simulate(problem, [[0.1], [0.2], [-0.1]])
     again = lfo.from_time_response(lfo.to_time_response(problem, replay), problem)
     np.testing.assert_array_equal(again.x, replay.x)
-    (tmp_path / "u.csv").write_text("t,u_0\n0,0.1\n0.1,0.2\n0.2,-0.1\n")
+    (tmp_path / "u.csv").write_text("u_0\n0.1\n0.2\n-0.1\n")
     np.testing.assert_array_equal(lfo.read_csv(tmp_path / "u.csv", problem).x, replay.x)
 
 

@@ -28,7 +28,7 @@ from lin_freq_ocp.certificate.conditions import (
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.measures import measured_modes, one_step_residual
 from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -42,7 +42,7 @@ def judge_modes(
 ) -> tuple[tuple[Condition, ...], BorderFacts]:
     """Return all conditions of a trajectory of piecewise-affine dynamics, and the facts about its borders."""
     problem.require(trajectory)
-    arrays = problem.piecewise.arrays(problem.horizon)
+    arrays = measured_modes(problem)
     sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)

@@ -10,6 +10,7 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.maps import StageMap
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -165,6 +166,11 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
         sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
+
+
+def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
+    """Return the modes of a problem at all times, which measure components by what the problem says of their sizes."""
+    return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem))
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

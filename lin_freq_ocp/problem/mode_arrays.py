@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
 BORDER_TOLERANCE = 1e-6
-"""A point this far beyond a facet of a region, relative to the largest terms of its row, is still on it: solvers meet
-rows to 1e-8 or so, and the judge forgives 1e-6."""
+"""A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
+1e-8 or so, and the judge forgives 1e-6."""
 
 SAME_IMAGE = 4 * BORDER_TOLERANCE
 """Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms: those
 of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g h'| times
 the terms for each of the two, and |g h'| <= |F_1| + |F_2|."""
+
+LEAST_SIZE = 1e-4
+"""No component is measured more finely than this fraction of what the problem says of its size, as by the judge."""
 
 REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
 """A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows."""
@@ -29,6 +32,8 @@ class ModeArrays:
     ----------
     A : (T, modes, n, n), B : (T, modes, n, m), offset : (T, modes, n)
     G : (T, modes, rows, n), H : (T, modes, rows, m), h : (T, modes, rows)
+    least : ((n,), (m,))
+        The smallest sizes of states and controls; zeros if nobody has said any.
     """
 
     A: Array
@@ -37,6 +42,22 @@ class ModeArrays:
     G: Array
     H: Array
     h: Array
+    least: tuple[Array, Array]
+
+    def with_sizes(self, x: Array, u: Array) -> ModeArrays:
+        """Return the same modes; states (n,) and controls (m,) are known to be of these sizes."""
+        return replace(self, least=(LEAST_SIZE * x, LEAST_SIZE * u))
+
+    def sizes(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return how large states, (n,), and controls, (m,), are along a trajectory: rounding is relative to it.
+
+        A state that stays at a border at zero is as large as the terms that it is made of, by the mode that has the
+        smallest ones.
+        """
+        largest = np.abs(x).max(axis=0), np.maximum(np.abs(u).max(axis=0), self.least[1])
+        terms = np.einsum("tkij,tj->tki", _absolute(self.A), np.abs(x[: len(u)]))
+        terms += np.einsum("tkij,tj->tki", _absolute(self.B), np.abs(u)) + _absolute(self.offset)
+        return np.maximum.reduce([largest[0], terms.min(axis=1).max(axis=0), self.least[0]]), largest[1]
 
     def images(self, x: Array, u: Array) -> Array:
         """Return what each mode makes of (x_t, u_t), shape (T, modes, n); x is (T+1, n) or (T, n)."""
@@ -45,8 +66,8 @@ class ModeArrays:
 
     def image_sizes(self, x: Array, u: Array, modes: Mask) -> Array:
         """Return what images are compared by, (n,): the largest sum of absolute terms over those modes (T, modes)."""
-        terms = np.einsum("tkij,tj->tki", _absolute(self.A), np.abs(x[: len(u)]))
-        terms += np.einsum("tkij,tj->tki", _absolute(self.B), np.abs(u)) + _absolute(self.offset)
+        of_x, of_u = self.sizes(x, u)
+        terms = _absolute(self.A) @ of_x + _absolute(self.B) @ of_u + _absolute(self.offset)
         return np.where(modes[..., None], terms, 0.0).max(axis=(0, 1))
 
     def excess(self, x: Array, u: Array) -> Array:
@@ -54,11 +75,10 @@ class ModeArrays:
         return np.einsum("tkrj,tj->tkr", self.G, x[: len(u)]) + np.einsum("tkrj,tj->tkr", self.H, u) - self.h
 
     def row_sizes(self, x: Array, u: Array) -> Array:
-        """Return what an excess is measured by, (modes, rows): the largest sum of absolute terms of its row over t."""
-        limits = np.where(np.isfinite(self.h), _absolute(self.h), 0.0)
-        terms = np.einsum("tkrj,tj->tkr", _absolute(self.G), np.abs(x[: len(u)]))
-        terms += np.einsum("tkrj,tj->tkr", _absolute(self.H), np.abs(u)) + limits
-        largest = terms.max(axis=0)
+        """Return what an excess is measured by, (modes, rows): the terms of its row for components of their sizes."""
+        of_x, of_u = self.sizes(x, u)
+        limits = np.where(np.isfinite(self.h), np.abs(self.h), 0.0)
+        largest = (_absolute(self.G) @ of_x + _absolute(self.H) @ of_u + limits).max(axis=0)
         return np.where(largest > 0, largest, 1.0)
 
     def distance(self, x: Array, u: Array) -> Array:

@@ -238,6 +238,7 @@ class PiecewiseAffineDynamics:
             G=stacked([filled(region.C, -2, 0.0) for region in regions], 2),
             H=stacked([filled(region.D, -2, 0.0) for region in regions], 2),
             h=stacked([filled(region.e, -1, np.inf) for region in regions], 1),
+            least=(np.zeros(n), np.zeros(m)),
         )
 
     def gains(self) -> tuple[Array, Array, Array]:

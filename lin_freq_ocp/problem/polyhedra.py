@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
+from scipy.optimize import linprog
 
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
@@ -41,8 +43,8 @@ FLAT = 1e-9
 NO_COEFFICIENT = 1e-12
 """A coefficient this small beside another one of its row is a rounding error, and says no size."""
 
-STALLED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
-"""Ends of the solver that leave a point to be measured."""
+SOLVED = ("Solved", "AlmostSolved")
+"""Ends of the solver at which there is no larger ball than it found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,33 +130,54 @@ def ball_centre(
     Raises
     ------
     NumericalError
-        If the solver ends without a point.
+        If neither of two solvers can tell.
     """
-    d, grows = normals.shape[1], radii > FLAT
+    grows = radii > FLAT
+    rows = np.column_stack([normals, np.where(grows, radii, 0.0)])
     right = np.where(grows, limits, limits + thickness)
-    rows = [np.column_stack([normals, np.where(grows, radii, 0.0)]), np.eye(d + 1)[-1:]]
-    sides = [right, np.array([LARGEST_BALL])]
+
+    def holds(y: Array) -> bool:
+        slack = right - normals @ y
+        free = (slack[grows] / radii[grows]).min(initial=LARGEST_BALL) > thickness
+        there = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
+        return bool(np.isfinite(y).all() and free and there and (slack[~grows] >= 0).all())
+
+    y, status = _interior_point(rows, right, plane)
+    if holds(y):
+        return y
+    if status in SOLVED or status.endswith("PrimalInfeasible"):
+        return None
+    y = _simplex(rows, right, plane)
+    return y if y is not None and holds(y) else None
+
+
+def _interior_point(rows: Array, right: Array, plane: tuple[Array, float] | None) -> tuple[Array, str]:
+    """Return y of the largest r with rows (y, r) <= right and r <= 1, and how the solver ended."""
+    d = rows.shape[1] - 1
+    parts, sides = [rows, np.eye(d + 1)[-1:]], [right, np.array([LARGEST_BALL])]
     cones: list[object] = [clarabel.NonnegativeConeT(len(right) + 1)]
     if plane is not None:
-        rows.insert(0, np.append(plane[0], 0.0)[None])
+        parts.insert(0, np.append(plane[0], 0.0)[None])
         sides.insert(0, np.array([plane[1]]))
         cones.insert(0, clarabel.ZeroConeT(1))
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
     price = sp.diags_array(np.append(np.full(d, NEARNESS), 0.0), format="csc")
-    A, b = sp.csc_array(np.vstack(rows)), np.concatenate(sides)
+    A, b = sp.csc_array(np.vstack(parts)), np.concatenate(sides)
     answer = clarabel.DefaultSolver(price, -np.eye(d + 1)[-1], A, b, cones, settings).solve()
-    status = str(answer.status)
-    if status.endswith("PrimalInfeasible"):
-        return None
-    if status not in STALLED:
-        raise NumericalError(f"The largest ball in a polyhedron: the solver ended as {status}.")
-    y = np.array(answer.x)[:-1]
-    slack = right - normals @ y
-    if (slack[~grows] < 0).any():
-        return None
-    return y if (slack[grows] / radii[grows]).min(initial=LARGEST_BALL) > thickness else None
+    return np.array(answer.x)[:-1], str(answer.status)
+
+
+def _simplex(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+    """Return the same y by the simplex method, None if there is none: slower, and surer where the other one stalls."""
+    d = rows.shape[1] - 1
+    bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
+    equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
+    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs", **equal)
+    if answer.status not in (0, 2):
+        raise NumericalError(f"The largest ball in a polyhedron: neither solver ends ({answer.message}).")
+    return np.asarray(answer.x[:-1]) if answer.status == 0 else None
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
@@ -272,7 +295,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
     half_widths : (d,)
         inf without bounds, 0 where a component is fixed.
     least : float
-        No unit is smaller than this part of its half width.
+        What reaches less far than this part of the half width says no size: it may be rounding.
 
     Returns
     -------
@@ -291,7 +314,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
         sizes = grown
     sizes = np.where(sizes > 0, sizes, 1.0)
     reach = _reach(coefficients, np.abs(limits), sizes)
-    return np.where(bounded & (reach > 0), np.clip(reach, least * sizes, sizes), sizes)
+    return np.where(bounded & (reach >= least * sizes), np.minimum(reach, sizes), sizes)
 
 
 def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:

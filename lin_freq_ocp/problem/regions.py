@@ -35,8 +35,8 @@ NARROW = 1e-9
 """A component whose bounds are closer than this, relative to their size, is fixed between them."""
 
 LEAST_UNIT = 1e-6
-"""Rows that reach along a component by less than this part of its half width do not make its unit smaller: THICKNESS
-times both is still a hundred times above rounding."""
+"""Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
+shorter may be rounding, and THICKNESS times this is still a hundred times above it."""
 
 PLACE_LENGTH = 200
 """Characters of a point (x, u) in a message."""
