@@ -155,7 +155,7 @@ def test_names_of_components_are_used_and_long_ones_cut():
     names = {"state_names": ["position [m]", "speed [m/s]"], "control_names": ["force [N]"]}
     many = lfo.maximum(X[0] + 1.23456789 * X[1] + 2.5 * U[0] - 1.25e6, 0)
     assert from_max_min([many, X[1]], 0.1, **names).mode_names == (
-        "max is position + 1.235 speed + 2.5 force...",
+        "max is position + 1.235 speed + 2.5 force - ...",
         "max is 0",
     )
     twins = lfo.maximum(X[0] + 1e-9 * X[1], X[0] + 1.00001e-9 * X[1], 0)
