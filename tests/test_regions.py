@@ -148,9 +148,9 @@ def test_bounds_far_from_zero_lose_no_digits():
 
 
 def test_a_slanting_gap_in_components_of_unlike_size():
-    """Beside x_0 up to 1, x_1 is of the order of 1e-6 where the rows cross it, and its bounds are wide."""
-    rows = lfo.AffineMode(np.eye(2), [[1.0], [0.0]], G=[[1.0, -1e6]], h=[0.0], name="above")
-    for slope, words in ((1e6, ""), (1.1e6, "no mode|overlaps"), (0.9e6, "no mode|overlaps")):
+    """Beside x_0 up to 1, x_1 is of the order of 1e-5 where the rows cross it, and its bounds are wide."""
+    rows = lfo.AffineMode(np.eye(2), [[1.0], [0.0]], G=[[1.0, -1e5]], h=[0.0], name="above")
+    for slope, words in ((1e5, ""), (1.1e5, "no mode|overlaps"), (0.9e5, "no mode|overlaps")):
         below = lfo.AffineMode(np.eye(2), [[1.0], [0.0]], G=[[-1.0, slope]], h=[0.0])
         for state_set in (lfo.Box(-1, 1), lfo.Box([-1, None], [1, None]), None):
             if not words:

@@ -361,7 +361,7 @@ def _number(operator: str, value: Any) -> float:
 def _text(affine: Array, labels: Sequence[str]) -> str:
     """Return an affine function in words, shortened: "-x_0 + 2 u_0 - 1"."""
     terms = [(value, label) for value, label in zip(affine, [*labels, ""], strict=True) if value]
-    text = ""
+    text = "" if terms else "0"
     for value, label in terms:
         size = "" if label and abs(value) == 1 else f"{abs(value):.4g}"
         sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")

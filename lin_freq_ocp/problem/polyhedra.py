@@ -40,9 +40,6 @@ LARGEST_BALL = 1.0
 FLAT = 1e-9
 """A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
 
-NO_COEFFICIENT = 1e-12
-"""A coefficient this small beside another one of its row is a rounding error, and says no size."""
-
 SOLVED = ("Solved", "AlmostSolved")
 """Ends of the solver at which there is no larger ball than it found."""
 
@@ -300,8 +297,8 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
     Returns
     -------
     (d,)
-        How far the rows reach along a component, if that is less than its half width, or if it has none: where the
-        sizes of everything else allow it, they cross it there. 1 if nothing says a size.
+        How far the rows reach along a component, if that is less than its half width, or if it has none: there they
+        cross it, the others being as large as they are. 1 if nothing says a size.
     """
     coefficients = np.abs(matrix)
     bounded = np.isfinite(half_widths) & (half_widths > 0)
@@ -318,9 +315,15 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
 
 
 def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:
-    """Return the largest |v_j| at which a row can hold with equality, the other components up to their sizes."""
-    terms = coefficients * sizes
-    others = limits[:, None] + terms.sum(axis=1, keepdims=True) - terms
-    crossed = coefficients > NO_COEFFICIENT * coefficients.max(axis=1, keepdims=True, initial=0.0)
-    reach = np.where(crossed, others, 0.0) / np.where(crossed, coefficients, 1.0)
-    return reach.max(axis=0, initial=0.0)
+    """Return the |v_j| at which rows can hold with equality, the others up to their sizes; 0 where no row says one.
+
+    Of rows about v_j alone it is the largest, as a limit next to zero may be rounding; else, of the rows that it shares
+    with others, the smallest, as a coefficient next to zero may be rounding.
+    """
+    others = limits[:, None] + (coefficients * sizes) @ (1 - np.eye(len(sizes)))
+    there = coefficients > 0
+    reach = np.where(there, others, 0.0) / np.where(there, coefficients, 1.0)
+    alone = there.sum(axis=1) == 1
+    own = reach[alone].max(axis=0, initial=0.0)
+    shared = np.where(reach[~alone] > 0, reach[~alone], np.inf).min(axis=0, initial=np.inf)
+    return np.where(own > 0, own, np.where(np.isfinite(shared), shared, 0.0))
