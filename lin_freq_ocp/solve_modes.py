@@ -17,6 +17,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
+from lin_freq_ocp.methods.modes.mixed import proven_or_improved
 from lin_freq_ocp.methods.modes.parts import search_in_parts
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.modes.weights import weighted
@@ -29,6 +30,9 @@ MODE_METHODS = ("enumerate", "branch_and_bound", "miqp")
 
 SEQUENCE_BACKEND = "clarabel"
 """Solves the best sequence, accurately, for its multipliers."""
+
+MIXED_BACKEND = "scip"
+"""Of the method "miqp", unless another is named: it takes every problem that a search over modes takes."""
 
 Report = Callable[[SearchProgress], None]
 
@@ -62,6 +66,8 @@ def solve_modes(
     started = time.perf_counter()
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)
+    elif method == "miqp":
+        outcome = proven_or_improved(problem, MIXED_BACKEND if backend == "auto" else backend, limits, progress)
     elif executor is not None:
         outcome = search_in_parts(problem, limits, executor, progress)
     else:
