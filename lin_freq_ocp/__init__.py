@@ -33,16 +33,19 @@ from lin_freq_ocp.interchange.run_file import SavedRun, load_run
 from lin_freq_ocp.interchange.sweep_file import load_sweep
 from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
+from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
-from lin_freq_ocp.problem.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.smooth_pieces import SmoothPiece
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -65,6 +68,7 @@ __all__ = [
     "EnergyBound",
     "Everything",
     "Explanation",
+    "Expression",
     "InfeasibleError",
     "Intersection",
     "L1Cost",
@@ -89,6 +93,7 @@ __all__ = [
     "SavedSolution",
     "SecondOrderCone",
     "Sensitivities",
+    "SmoothPiece",
     "Soft",
     "SolveError",
     "SpectralSolution",
@@ -98,6 +103,7 @@ __all__ = [
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",
+    "affine_signals",
     "band_pass",
     "certify",
     "compare",
@@ -109,6 +115,8 @@ __all__ = [
     "load_run",
     "load_sweep",
     "low_pass",
+    "maximum",
+    "minimum",
     "notch",
     "rate_limited",
     "read_csv",

@@ -291,12 +291,15 @@ def _print_certificate(problem: OptimalControlProblem, certificate: Certificate 
 
 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
-    """Say whether there are others, or the direction that proves that there are none."""
+    """Say whether there are others, or the direction that proves that there are none, and what holds at borders."""
     descent = certificate.descent
+    if certificate.borders is not None:
+        click.echo(f"borders     {certificate.borders}")
     if descent is not None:
         control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
+        proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
         click.echo(
-            f"descent     no normal multipliers exist: along a verified direction, which changes {control} most at "
+            f"descent     {proven}: along a verified direction, which changes {control} most at "
             f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":

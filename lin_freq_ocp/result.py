@@ -149,6 +149,7 @@ class Result:
                 f"theorem   {certificate.pmp}, {normal}",
                 f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
             ]
+            lines += [] if certificate.borders is None else [f"borders   {certificate.borders}"]
         if self.tree is not None and self.tree_bound is not None:
             lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
         lines.append(f"method    {self.solver}")

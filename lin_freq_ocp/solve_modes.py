@@ -17,7 +17,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
-from lin_freq_ocp.methods.modes.mixed import proven_or_improved
+from lin_freq_ocp.methods.modes.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.modes.parts import search_in_parts
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.modes.weights import weighted
@@ -31,8 +31,8 @@ MODE_METHODS = ("enumerate", "branch_and_bound", "miqp")
 SEQUENCE_BACKEND = "clarabel"
 """Solves the best sequence, accurately, for its multipliers."""
 
-MIXED_BACKEND = "scip"
-"""Of the method "miqp", unless another is named: it takes every problem that a search over modes takes."""
+LEAST_TIME = 1e-3
+"""Seconds that are left to our search when a mixed-integer solver has used them all: its sequence is solved."""
 
 Report = Callable[[SearchProgress], None]
 
@@ -67,13 +67,33 @@ def solve_modes(
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)
     elif method == "miqp":
-        outcome = proven_or_improved(problem, MIXED_BACKEND if backend == "auto" else backend, limits, progress)
+        return _through_solver(problem, "scip" if backend == "auto" else backend, limits, progress)
     elif executor is not None:
         outcome = search_in_parts(problem, limits, executor, progress)
     else:
         outcome = BranchAndBound(problem, limits, progress=progress).run()
     seconds = {"setup": outcome.setup, "solve": time.perf_counter() - started - outcome.setup}
     return _judged(problem, method, outcome, limits.gap, seconds)
+
+
+def _through_solver(
+    problem: OptimalControlProblem, backend: str, limits: SearchLimits, progress: Report | None
+) -> Result:
+    """Return what our search, begun with a mixed-integer solver's sequence, proves; and whether its claim was right."""
+    claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
+    left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
+    clock = time.perf_counter()
+    outcome = BranchAndBound(problem, replace(limits, seconds=left), progress=progress).run(claim.sequence)
+    seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
+    result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds), backend=backend)
+    found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
+    if result.status == "optimal" and not _agree(claim.cost, result.cost, max(limits.gap, AGREEMENT)):
+        return replace(result, message=f"{backend} ended with {found} ('{claim.words}'), the optimum is {proven}")
+    return result
+
+
+def _agree(claimed: float | None, cost: float | None, gap: float) -> bool:
+    return claimed is not None and cost is not None and abs(claimed - cost) <= gap * max(1.0, abs(cost))
 
 
 def _judged(

@@ -1,6 +1,7 @@
 """Time mode searches beside a mixed-integer solver on one monolithic big-M program. About 5 minutes.
 
-    python scripts/benchmark_modes.py [--case buck-15] [--contender daqp] [--limit-s 60] [--gap 1e-6]
+    python scripts/benchmark_modes.py [--case buck-15] [--contender big-M+daqp] [--limit-s 60] [--gap 1e-6] [--long]
+    python scripts/benchmark_modes.py --relaxations
     python scripts/benchmark_modes.py --list
 
 All contenders run in one process with one thread, one after the other, with the same relative gap and time limit.
@@ -9,6 +10,9 @@ sequence found is solved again as a convex program, and that is the cost shown: 
 figure for it was off. *bound* is the contender's, relative to the best cost of all: a bound above it, or a cost above
 it from who calls its answer optimal, is marked WRONG. Bounds of mixed-integer solvers are claims; that of branch and
 bound is computed by the judge from the multipliers of every leaf.
+
+``--relaxations`` prints what each relaxation of our search leaves open at the root, in per cent of the cost, and how
+many nodes the search has with it; ``--long`` adds horizons of 30.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
@@ -28,7 +32,11 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import MixedOutcome, resolved, solve_miqp
+from lin_freq_ocp.methods.modes.node import relaxed
+from lin_freq_ocp.methods.modes.search import SearchLimits
+from lin_freq_ocp.transcription.mode_relaxation import RELAXATIONS, ModeRelaxation
 from lin_freq_ocp.transcription.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
@@ -36,15 +44,21 @@ GAP, LIMIT = 1e-6, 60.0
 ALLOWED = 3.0
 """Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit."""
 
-CASES: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
-    "pendulum-20": lambda: lfo.library.pendulum_with_wall(horizon=20, control_spectrum="freq"),
-    "rotation-20": lambda: lfo.library.switched_rotation(
-        horizon=20, initial_state=(-6, 7), terminal_cost=True, control_spectrum="freq"
-    ),
-    "buck-15": lambda: lfo.library.buck_affine(horizon=15, control_spectrum="freq"),
-    "buck-20": lambda: lfo.library.buck_affine(horizon=20, control_spectrum="freq"),
+
+def _case(name: str, horizon: int) -> Callable[[], lfo.OptimalControlProblem]:
+    given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
+    return lambda: lfo.library.by_name(name)(horizon=horizon, terminal_cost=True, control_spectrum="freq", **given)
+
+
+SYSTEMS = {"pendulum": "pendulum_with_wall", "rotation": "switched_rotation", "buck": "buck_affine"}
+
+CASES = {
+    f"{short}-{horizon}": _case(SYSTEMS[short], horizon)
+    for short, horizon in (("pendulum", 20), ("rotation", 20), ("buck", 15), ("buck", 20))
 }
 """All with a terminal cost and the bins max(2, ceil(T/3)) .. T//2 of the control removed."""
+
+LONG = {f"{short}-30": _case(name, 30) for short, name in SYSTEMS.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,13 +247,33 @@ def table_of(case: str, rows: list[Row]) -> Table:
     return table
 
 
+def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], limit: float, gap: float) -> Table:
+    """Return root gaps, after what the reach excludes, and nodes of our search with each relaxation."""
+    table = Table("case", *(f"{kind}: root gap, nodes" for kind in RELAXATIONS))
+    for name, build in cases.items():
+        problem, cells = build(), list[str]()
+        best = lfo.solve(problem, time_limit=limit, throw=False).cost
+        for kind in RELAXATIONS:
+            relaxation = ModeRelaxation(problem, kind)
+            everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
+            reach = relaxation.reach.from_start(everything)
+            outcome = BranchAndBound(problem, SearchLimits(gap, limit), relaxation=kind).run()
+            nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.words else "")
+            root = None if reach is None or best is None else relaxed(relaxation, reach).bound
+            cells.append("" if root is None else f"{100 * (best - root) / abs(best):.3g} %, {nodes}")
+        table.add_row(name, *cells)
+    return table
+
+
 def parsed() -> argparse.Namespace:
     """Return the options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--case", action="append", choices=list(CASES), help="repeatable; default: all")
+    parser.add_argument("--case", action="append", choices=[*CASES, *LONG], help="repeatable; default: horizons to 20")
     parser.add_argument("--contender", action="append", choices=list(CONTENDERS), help="repeatable; default: all")
     parser.add_argument("--limit-s", type=float, default=LIMIT, metavar="SECONDS")
     parser.add_argument("--gap", type=float, default=GAP)
+    parser.add_argument("--long", action="store_true", help="also horizons of 30")
+    parser.add_argument("--relaxations", action="store_true", help="root gaps and nodes instead of times")
     parser.add_argument("--list", action="store_true", help="print cases and contenders, and stop")
     return parser.parse_args()
 
@@ -251,16 +285,21 @@ def main() -> None:
         console.width = 150
     names = options.contender or list(CONTENDERS)
     if options.list:
-        console.print("cases:", *CASES, "\ncontenders:", *CONTENDERS)
+        console.print("cases:", *CASES, "\n--long:", *LONG, "\ncontenders:", *CONTENDERS)
         return
+    known = CASES | LONG
+    cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
     console.print(machine(), highlight=False)
     console.print(", ".join(f"{name} {version(name)}" for name in ("pyscipopt", "daqp")), highlight=False)
     with threadpool_limits(1):
+        if options.relaxations:
+            console.print(relaxations(cases, options.limit_s, options.gap))
+            return
         small = lfo.library.switched_rotation(horizon=3, initial_state=(-6, 7), terminal_cost=True)
         for name in names:  # loads every library before anything is measured
             CONTENDERS[name](small, options.limit_s, options.gap)
-        for case in options.case or CASES:
-            rows = [row_of(case, name, CASES[case](), options.limit_s, options.gap) for name in names]
+        for case, build in cases.items():
+            rows = [row_of(case, name, build(), options.limit_s, options.gap) for name in names]
             console.print(table_of(case, judged(rows, options.gap)))
 
 

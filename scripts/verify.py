@@ -1,6 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About 12 minutes.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed]... [--problems N] [--seed 0] [--processes 2]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips]... [--problems N] [--seed 0]
+                             [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -15,8 +16,10 @@ Then random infeasible problems are explained, and everything that is said is tr
 
 Then random feasible problems of mixed features, against CVXPY on an independent model (verify_mixed.py).
 
+Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
+
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
-"explain" and 200 for "mixed".
+"explain", 200 for "mixed" and 200 for "flips".
 Exit status 1 if a check fails.
 """
 
@@ -31,6 +34,7 @@ from pathlib import Path
 import cvxpy as cp
 import numpy as np
 import verify_explain
+import verify_flips
 import verify_mixed
 import verify_spectral
 from rich.console import Console
@@ -42,7 +46,7 @@ import lin_freq_ocp as lfo
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
-PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200}
+PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
 """How many random problems each part solves unless told otherwise."""
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
@@ -275,6 +279,8 @@ def main() -> int:
         good &= verify_explain.verify(console, seeds["explain"])
     if "mixed" in parts:
         good &= verify_mixed.verify(console, seeds["mixed"])
+    if "flips" in parts:
+        good &= verify_flips.verify(console, seeds["flips"])
     return 0 if good else 1
 
 

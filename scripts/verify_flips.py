@@ -1,7 +1,8 @@
-"""Random continuous piecewise-affine problems: where the judge says "flip", the flip improves, and where not, it does not.
+"""Random continuous piecewise-affine problems: where the judge says "flip", it improves, and where not, it does not.
 
-A random mode sequence is optimised; at every border that its optimum lies on, every other mode that holds there is tried
-by solving the sequence with that mode instead.
+A random mode sequence is optimised; at every border that its optimum lies on, every other mode that holds there is
+tried by solving the sequence with that mode instead. Then the steepest flips are followed to where there is none, and
+``certify`` is given the trajectory alone: it must find multipliers that satisfy the maximum principle.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ KINDS = ("one kink", "two parallel kinks", "two crossing kinks", "three wedges")
 
 VISIBLE = 1e-9
 """Relative change of a cost that solvers which stop at 1e-10 show."""
+
+MOST_STEPS = 20
+"""Flips that are followed, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem, np.ndarra
             horizon=T,
             cost=cost,
             control_set=lfo.Box(-2.0, 2.0) if rng.random() < 0.7 else None,
-            initial_state=rng.standard_normal(n),
+            initial_state=_initial(rng, dynamics, n, m),
             control_spectrum=band,
             name=f"{kind} {seed}",
         )
@@ -120,7 +124,18 @@ def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem, np.ndarra
         if rng.random() < 0.5:  # bounds that the trajectory meets, so that it is feasible
             size = np.abs(x).max(0) + 0.2
             problem = replace(problem, state_set=lfo.Box(-size, size))
+        if rng.random() < 0.2:
+            problem = replace(problem, terminal_state=x[-1])
     return kind, problem, u
+
+
+def _initial(rng: np.random.Generator, dynamics: lfo.PiecewiseAffineDynamics, n: int, m: int) -> np.ndarray:
+    """Return an initial state, at times one that u = 0 has on a border."""
+    x, region = rng.standard_normal(n), dynamics.modes[0].region
+    if rng.random() < 0.2:
+        h, limit = region.C[0], region.e[0]
+        x += h * (limit - h @ x) / (h @ h)
+    return x
 
 
 def sequence_optimum(problem: lfo.OptimalControlProblem, sequence: np.ndarray) -> lfo.Result | None:
@@ -151,7 +166,45 @@ def check(seed: int) -> Outcome:
     for what, words in tried(problem, sequence, result, facts):
         counts[what] += 1
         wrong += [words] if words else []
+    for what, words in followed(problem, sequence, result):
+        counts[what] += 1
+        wrong += [words] if words else []
     return Outcome(seed, kind, len(facts.times), counts, tuple(wrong))
+
+
+def followed(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result):
+    """Follow flips to the end; yield what certify says there of the trajectory alone, and words if that is wrong."""
+    for _ in range(MOST_STEPS):
+        certificate = lfo.certify(problem, result.trajectory)
+        better = None
+        for flip in certificate.borders.flips:
+            flipped = problem.dynamics.sequence_of(result.trajectory.x, result.trajectory.u)
+            flipped[flip.time] = flip.mode
+            other = lfo.solve(problem.with_modes(flipped), throw=False)
+            change = np.inf if other.status != "optimal" else (other.cost - result.cost) / max(1.0, abs(result.cost))
+            if flip.improves is False and change < -VISIBLE:
+                yield "wrong refusal", f"t = {flip.time} to {flip.mode} is said not to improve, and gains {-change:.1e}"
+            if flip.improves and not change < 0:
+                yield "wrong flip", f"t = {flip.time} to {flip.mode} is said to improve, and gains {-change:.1e}"
+            if change < -VISIBLE and (better is None or other.cost < better.cost):
+                better = other
+        if better is None:
+            break
+        result = better
+    else:
+        yield "long way", ""
+        return
+    feasible, facts = certificate.feasible, certificate.borders
+    if not facts.times:
+        alone = problem.with_modes(problem.dynamics.sequence_of(result.trajectory.x, result.trajectory.u))
+        same = lfo.certify(alone, result.trajectory).pmp == certificate.pmp  # "violated" where a solver was inaccurate
+        yield "inside", "" if same else f"an optimum inside modes: {certificate.worst}"
+    elif facts.flip_stationary:
+        yield "flip-stationary", "" if certificate.pmp == "satisfied" and feasible else "but not satisfied"
+    elif certificate.pmp == "satisfied":
+        yield "joint only", ""
+    else:
+        yield "no multipliers found", "no flip improves, and no multipliers are found" if feasible else ""
 
 
 def tried(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result, facts: BorderFacts):
@@ -187,7 +240,10 @@ def tried(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.
 def verify(console: Console, seeds: range) -> bool:
     """Check the problems of these seeds and print what became of them; return whether nothing is wrong."""
     outcomes = [check(seed) for seed in track(seeds, "flipping", console=Console(stderr=True), transient=True)]
-    columns = ("joint", "flip", "stay", "degenerate", "undecided")
+    columns = (
+        *("joint", "flip", "stay", "degenerate", "undecided"),
+        *("inside", "flip-stationary", "joint only", "no multipliers found", "long way"),
+    )
     table = Table("map", "problems", "at borders", *columns, "failed", title="flips at the borders of modes")
     for kind in [*KINDS, "all"]:
         some = [one for one in outcomes if kind in (one.kind, "all")]

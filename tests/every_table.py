@@ -49,6 +49,24 @@ GOOD: dict[str, Any] = {
 """A problem with every table there is."""
 
 
+PIECEWISE: dict[str, Any] = GOOD | {
+    "dynamics": {
+        **{"sampling_time": 0.1, "state_names": ["position [m]", "speed [m/s]"], "control_names": ["force [N]"]},
+        "modes": [
+            {
+                **{"A": [[1.0, 0.1], [0.0, 1.0]], "B": [[0.005], [0.1]], "name": "free"},
+                **{"G": [[1.0, 0.0]], "h": [0.5]},
+            },
+            {
+                **{"A": [[1.0, 0.1], [-2.0, 1.0]], "B": [[[0.005], [0.1]]] * 8, "offset": [0.0, 1.0]},
+                **{"G": [[-1.0, 0.0], [0.0, 0.0]], "H": [[0.0], [1.0]], "h": [-0.5, float("inf")], "name": "contact"},
+            },
+        ],
+    }
+}
+"""The same with piecewise-affine dynamics."""
+
+
 def changed(tables: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
     """Return the tables with another value at a place such as ``state_set[0].g``; ``...`` takes it away."""
     tables = json.loads(json.dumps(tables))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from every_table import GOOD, changed
+from every_table import GOOD, PIECEWISE, changed
 
 import lin_freq_ocp as lfo
 
@@ -115,6 +115,49 @@ BAD = {
     ),
 }
 
+WIDE = [[1.0, 0.0, 0.0]]
+
+BAD_MODES = {
+    "modes of two sizes": (
+        "modes[1]",
+        {"A": [[1.0]], "B": [[1.0]]},
+        "modes[1]: got 1 states and 1 controls; expected 2 and 1, as in the first",
+    ),
+    "A not square": ("modes[1].A", WIDE, "modes[1].A: got shape (1, 3)"),
+    "A without a number": ("modes[0].A[1]", [NAN, 1.0], "modes[0].A[1][0]: got nan"),
+    "A ragged": ("modes[0].A[1]", [1.0], "modes[0].A: got [[1.0, 0.1], [1.0]]"),
+    "B of other size": ("modes[1].B", [[1.0]], "modes[1].B: got shape (1, 1); expected a matrix (2, m)"),
+    "B of other times": ("modes[1].B", [[[0.0], [1.0]]] * 7, "modes[1].B: got 7 times; expected one for each of the 8"),
+    "offset of other size": ("modes[0].offset", [1.0], "modes[0].offset: got shape (1,)"),
+    "offset infinite": ("modes[0].offset", [1.0, INF], "modes[0].offset[1]: got inf"),
+    "offset of other times": ("modes[0].offset", [[1.0, 1.0]] * 9, "modes[0].offset: got 9 times"),
+    "G of other size": ("modes[1].G", WIDE * 2, "modes[1].G: got shape (2, 3); expected shape (2, 2)"),
+    "G of other rows": ("modes[1].G", [[1.0, 0.0]], "modes[1].G: got shape (1, 2); expected shape (2, 2)"),
+    "G infinite": ("modes[1].G[1]", [0.0, INF], "modes[1].G[1][1]: got inf"),
+    "G of other times": (
+        "modes[0].G",
+        [[[1.0, 0.0]]] * 7,
+        "modes[0].G: got shape (7, 1, 2); expected shape (1, 2), or (8, 1, 2) with one per time",
+    ),
+    "H of other size": ("modes[1].H", [[1.0, 0.0]] * 2, "modes[1].H: got shape (2, 2); expected shape (2, 1)"),
+    "h of other rows": ("modes[0].h", [1.0, 1.0], "modes[0].G: got shape (1, 2); expected shape (2, 2)"),
+    "h of other times": ("modes[0].h", [[1.0]] * 7, "modes[0].h: got limits for 7 times"),
+    "h without a number": ("modes[0].h", [NAN], "modes[0].h[0]: got nan"),
+    "h below all": ("modes[0].h", [-INF], "modes[0].h[0]: got -inf; expected a number, or inf for no limit"),
+    "h without rows": ("modes[0].h", [], "modes[0].h: got shape (0,)"),
+    "region in u too small": ("modes[1].h", [-0.5, 1.0], "dynamics.modes: got no mode around (x, u) = "),
+    "row that cannot hold": (
+        "modes[0]",
+        {"A": [[1.0, 0.0], [0.0, 1.0]], "B": [[1.0], [1.0]], "G": [[0.0, 0.0]], "h": [-1.0]},
+        "modes[0].h: got a limit below 0 for row 0, which has no coefficients",
+    ),
+    "name twice": ("modes[1].name", "free", "modes[1].name: got 'free' a second time; expected a different name"),
+    "name of two lines": ("modes[1].name", "a\nb", "modes[1].name: got 'a\\nb'"),
+    "region too small": ("modes[0].h", [0.4], "dynamics.modes: got no mode around (x, u) = "),
+    "region too large": ("modes[0].h", [0.6], "modes[1]: got a region that overlaps that of 'free'"),
+    "two controls' names": ("control_names", ["a", "b"], "dynamics.control_names: got ['a', 'b']; expected 1"),
+}
+
 
 def fault(tmp_path, tables) -> lfo.ProblemError | None:
     """Return what the reader says of the tables; nothing, if it reads them."""
@@ -131,6 +174,14 @@ def test_a_bad_table_is_refused_with_file_and_place(tmp_path, case):
     place, value, expected = BAD[case]
     found = str(fault(tmp_path, changed(GOOD, place, value)))
     assert found.startswith("cart.toml: ")
+    assert expected in found
+
+
+@pytest.mark.parametrize("case", BAD_MODES)
+def test_a_bad_mode_is_refused_with_file_and_place(tmp_path, case):
+    place, value, expected = BAD_MODES[case]
+    found = str(fault(tmp_path, changed(PIECEWISE, f"dynamics.{place}", value)))
+    assert found.startswith("cart.toml: dynamics.")
     assert expected in found
 
 

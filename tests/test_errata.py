@@ -160,3 +160,53 @@ def test_the_printed_bound_is_one_sided():
     result = lfo.solve(printed_problem)
     assert result.control.min() < -5.1
     assert result.cost < lfo.solve(pendulum).cost - 1
+
+
+SLOPES = np.linspace(-10, 10, 4001)
+"""Candidates for one multiplier."""
+
+
+def test_the_printed_transversality_fails_at_an_optimum():
+    u = np.linspace(-2, 2, 4001)
+    assert u[np.argmin(u**2 - (abs(0.0) + u))] == pytest.approx(0.5)
+    eta_0 = 1.0  # eta_{T-1} = -D c_T
+    up, down = (eta_0 * abs(y) - SLOPES * y for y in (1.0, -1.0))  # D_y H - mu_0 y, which must be <= 0
+    assert not ((up <= 0) & (down <= 0)).any()
+    assert (np.maximum(up, down) >= 1).all()
+    alpha = (SLOPES / eta_0 + 1) / 2  # the joint inclusion: mu_0 = alpha eta_0 - (1 - alpha) eta_0
+    assert (abs(SLOPES[(alpha >= 0) & (alpha <= 1)]) <= 1 + 1e-12).all()
+    assert ((alpha >= 0) & (alpha <= 1)).sum() > 100
+
+
+def test_the_printed_adjoint_equation_fails_at_an_optimum():
+    a, b = np.meshgrid(np.linspace(0, 1, 201), np.linspace(-1, 1, 401), indexing="ij")
+    cost = 2 * a + a**2 / 2 + b**2 - (abs(a) + b)
+    best = np.unravel_index(np.argmin(cost), cost.shape)
+    assert (a[best], b[best]) == pytest.approx((0.0, 0.5))
+    eta_1 = 1.0
+    assert not ((eta_1 <= SLOPES) & (eta_1 <= -SLOPES)).any()  # eta_0 y >= D_y H_1 = |y| for y = 1 and -1
+    joint = abs(SLOPES) <= eta_1
+    stationary = SLOPES - 2 <= 0  # nu_0 = eta_0 - 2 is a normal of [0, 1] at 0
+    assert (joint & stationary).any()
+
+
+def test_partial_inclusions_fail_at_an_optimum():
+    def h(x, u):
+        return np.maximum(np.minimum(x, -u), u - x)
+
+    v = np.linspace(-1, 1, 2001)
+    assert v[np.argmin(-v / 2 + h(v, -v))] == pytest.approx(0.0, abs=1e-12)
+    t = np.array([1.0, -1.0])
+    in_x = -(h(t, 0.0) - h(0.0, 0.0))  # the derivatives of <eta_1, h>, eta_1 = -1, along x and along u
+    in_u = -(h(0.0, t) - h(0.0, 0.0))
+    rho = SLOPES[:, None]
+    fits_x = ((rho - 0.5) * t >= in_x - 1e-12).all(axis=1)  # eta_0 = rho, p_x = eta_0 - 1/2
+    fits_u = (rho * t >= in_u - 1e-12).all(axis=1)
+    assert SLOPES[fits_x].min() == pytest.approx(0.5)
+    assert SLOPES[fits_u].max() == pytest.approx(0.0, abs=1e-12)
+    assert not (fits_x & fits_u).any()
+    corners = np.array([[-1.0, 0.0, 1.0], [0.0, 1.0, -1.0], [1.0, 1.0, 1.0]])  # gradients of <eta_1, h>, and ones
+    weights = np.linalg.solve(corners, np.array([SLOPES - 0.5, SLOPES, np.ones_like(SLOPES)]))
+    joint = (weights >= -1e-12).all(axis=0)
+    assert SLOPES[joint].min() == pytest.approx(-1 / 6, abs=5e-3)
+    assert SLOPES[joint].max() == pytest.approx(2 / 3, abs=5e-3)

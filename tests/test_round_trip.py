@@ -35,6 +35,37 @@ BOX = lfo.Box([-1 / 3, None, 0.0], [1.0, 2.0, None])
 LOW = lfo.low_pass(cutoff_hz=2.0)
 PER_BIN = RNG.uniform(0.1, 1.0, 4)
 
+NAMES = {"state_names": DYNAMICS.state_names, "control_names": DYNAMICS.control_names, "sampling_time": 0.1}
+
+
+def random_mode(*per_time: str, **region: Any) -> lfo.AffineMode:
+    """Return a mode with random matrices, those named with one per time, and a region."""
+    shapes = {"A": (N, N), "B": (N, M), "offset": (N,)}
+    maps = {key: RNG.normal(size=(T, *shape) if key in per_time else shape) for key, shape in shapes.items()}
+    return lfo.AffineMode(**maps, **region)
+
+
+G, H, EDGE = RNG.normal(size=(1, N)), RNG.normal(size=(1, M)), RNG.normal(size=1)
+PER_TIME = RNG.normal(size=(T, 1))
+MODES: dict[str, list[lfo.AffineMode]] = {
+    "one mode": [lfo.AffineMode(DYNAMICS.A, DYNAMICS.B)],
+    "two modes": [random_mode(G=G, H=H, h=EDGE), random_mode(G=-G, H=-H, h=-EDGE)],
+    "named modes": [random_mode(G=G, h=EDGE, name="below [m]"), random_mode(G=-G, h=-EDGE)],
+    "regions in u": [random_mode(H=H, h=EDGE), random_mode(H=-H, h=-EDGE, name="“above”")],
+    "maps per time": [random_mode("A", "offset", G=G, h=EDGE), random_mode("B", G=-G, h=-EDGE)],
+    "limits per time": [random_mode(G=G, H=H, h=PER_TIME), random_mode(G=-G, H=-H, h=-PER_TIME)],
+    "all per time": [
+        random_mode("A", "B", "offset", G=np.tile(G, (T, 1, 1)), H=np.tile(H, (T, 1, 1)), h=PER_TIME),
+        random_mode(G=np.tile(-G, (T, 1, 1)), H=-H, h=-PER_TIME),
+    ],
+    "rows without limits": [
+        random_mode(G=np.vstack([G, F[0]]), h=[EDGE[0], np.inf]),
+        random_mode(G=-G, H=np.zeros((1, M)), h=-EDGE),
+    ],
+    "rows without coefficients": [random_mode(G=np.zeros((2, N)), h=[np.inf, 1 / 3])],
+    "unlimited per time": [random_mode(G=np.zeros((1, N)), h=np.full((T, 1), np.inf))],
+}
+
 FEATURES_ALONE: dict[str, dict[str, Any]] = {
     "polyhedron": {"state_set": POLYHEDRON},
     "ball": {"state_set": BALL},
@@ -123,9 +154,23 @@ def assert_same_arrays(one: Any, other: Any) -> None:
         assert np.array_equal(np.asarray(value), np.asarray(theirs[field])), field
 
 
+def assert_same_dynamics(one: Any, other: Any) -> None:
+    if isinstance(one, lfo.LinearDynamics):
+        assert_same_arrays(one, other)
+        return
+    assert (one.sampling_time, one.state_names, one.control_names, one.mode_names) == (
+        *(other.sampling_time, other.state_names, other.control_names),
+        other.mode_names,
+    )
+    assert [mode.name for mode in one.modes] == [mode.name for mode in other.modes]
+    for mine, theirs in zip(one.modes, other.modes, strict=True):
+        assert_same_arrays(mine.linear, theirs.linear)
+        assert_same_arrays(mine.region, theirs.region)
+
+
 def assert_same_problem(one: lfo.OptimalControlProblem, other: lfo.OptimalControlProblem) -> None:
     assert (one.name, one.horizon, one.sampling_time) == (other.name, other.horizon, other.sampling_time)
-    assert_same_arrays(one.dynamics, other.dynamics)
+    assert_same_dynamics(one.dynamics, other.dynamics)
     assert_same_arrays(one.quadratic, other.quadratic)
     for tube in ("initial_box", "terminal_box", "state_tube", "control_tube"):
         for side in ("lower", "upper"):
@@ -168,6 +213,26 @@ def test_every_feature_survives_the_round_trip(tmp_path, feature):
     round_trip(problem, tmp_path)
 
 
+@pytest.mark.parametrize("name", MODES)
+def test_modes_survive_the_round_trip(tmp_path, name):
+    dynamics = lfo.PiecewiseAffineDynamics(MODES[name], **NAMES)
+    tables = round_trip(problem_with(dynamics=dynamics, state_set=lfo.Box(-9, 9)), tmp_path)
+    for mode, table in zip(dynamics.modes, tables["dynamics"]["modes"], strict=True):
+        assert ("name" in table) == bool(mode.name)
+        assert ("h" in table) == ("G" in table or "H" in table) == (name != "one mode")
+        assert ("offset" in table) == (name != "one mode")
+
+
+def test_large_arrays_of_modes_leave_the_text(tmp_path):
+    steps = INLINE_LIMIT + 1
+    edge = RNG.normal(size=(steps, 1))
+    plant = np.array([[0.5]]), np.array([[1.0]])
+    modes = [lfo.AffineMode(*plant, G=[[1.0]], h=edge), lfo.AffineMode(*plant, G=[[-1.0]], h=-edge, name="above")]
+    problem = lfo.OptimalControlProblem(lfo.PiecewiseAffineDynamics(modes), steps, lfo.QuadraticCost(R=1.0))
+    tables = round_trip(problem, tmp_path)
+    assert tables["dynamics"]["modes"][1]["h"] == {"npz": "problem.problem.npz", "key": "dynamics.modes[1].h"}
+
+
 @pytest.mark.parametrize("seed", range(60))
 def test_mixed_features_survive_the_round_trip(tmp_path, seed):
     round_trip(problem_of(random_model(seed)), tmp_path)
@@ -178,7 +243,7 @@ def test_the_mixed_problems_have_every_feature():
     assert seen == {feature.__name__.strip("_").replace("_", " ") for feature in FEATURES}
 
 
-@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
+@pytest.mark.parametrize("name", lfo.library.LINEAR)
 def test_the_library_survives_the_round_trip(tmp_path, name):
     round_trip(lfo.library.by_name(name)(), tmp_path)
 

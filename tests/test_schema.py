@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from every_table import GOOD, changed
+from every_table import GOOD, PIECEWISE, changed
 from jsonschema import Draft202012Validator
 from verify_mixed import problem_of, random_model
 
@@ -21,7 +21,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli import cli
-from lin_freq_ocp.interchange import band_tables, problem_tables, set_tables, spectrum_tables
+from lin_freq_ocp.interchange import band_tables, dynamics_tables, problem_tables, set_tables, spectrum_tables
 from lin_freq_ocp.interchange.summary import comparison_summary, failed_comparison_summary, result_summary, to_json
 from lin_freq_ocp.interchange.template import template
 from lin_freq_ocp.problem.measures import Measures
@@ -73,7 +73,7 @@ def test_every_part_of_a_schema_is_used():
 # --- what the package writes is valid -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
+@pytest.mark.parametrize("name", lfo.library.LINEAR)
 def test_the_problems_of_the_library_are_valid(tmp_path, name):
     lfo.write_problem(lfo.library.by_name(name)(), tmp_path / "problem.toml")
     assert_valid_file(tmp_path / "problem.toml")
@@ -213,6 +213,33 @@ BAD: dict[str, tuple[str, Any]] = {
     "reference of no text": ("dynamics.A", {"npz": 3, "key": "A"}),
 }
 
+BAD_MODES: dict[str, tuple[str, Any]] = {
+    "modes no tables": ("dynamics.modes", 3),
+    "modes a table": ("dynamics.modes", {"A": [[1.0]], "B": [[1.0]]}),
+    "no modes": ("dynamics.modes", []),
+    "mode no table": ("dynamics.modes[1]", 3),
+    "mode without A": ("dynamics.modes[0].A", ...),
+    "mode without B": ("dynamics.modes[0].B", ...),
+    "mode with a typo": ("dynamics.modes[1].offsets", [0.0, 0.0]),
+    "mode of continuous time": ("dynamics.modes[0].continuous", True),
+    "mode with its own names": ("dynamics.modes[0].state_names", ["x", "v"]),
+    "A beside modes": ("dynamics.A", [[1.0, 0.1], [0.0, 1.0]]),
+    "offset beside modes": ("dynamics.offset", [0.0, 0.0]),
+    "continuous beside modes": ("dynamics.continuous", False),
+    "sampling time of modes zero": ("dynamics.sampling_time", 0.0),
+    "names of modes' states no list": ("dynamics.state_names", "position"),
+    "A of a mode a vector": ("dynamics.modes[0].A", [1.0]),
+    "offset of a mode a number": ("dynamics.modes[0].offset", 1.0),
+    "region without limits": ("dynamics.modes[0].h", ...),
+    "limits without a region": ("dynamics.modes[0].G", ...),
+    "limits a number": ("dynamics.modes[0].h", 0.5),
+    "limits with text": ("dynamics.modes[0].h", ["much"]),
+    "G a vector": ("dynamics.modes[0].G", [1.0, 0.0]),
+    "H a number": ("dynamics.modes[1].H", 1.0),
+    "name of a mode no text": ("dynamics.modes[0].name", 3),
+    "name of a mode blank": ("dynamics.modes[0].name", " "),
+}
+
 
 def refused(tables: dict[str, Any], folder: Path) -> str:
     """Return the place in the file that the reader finds fault with; nothing, if it reads the tables."""
@@ -225,17 +252,21 @@ def refused(tables: dict[str, Any], folder: Path) -> str:
     return place
 
 
-def test_a_problem_with_every_table_is_read_and_valid(tmp_path):
-    assert not refused(GOOD, tmp_path)
-    assert faults(PROBLEM, GOOD) == []
-    lfo.write_problem(lfo.read_problem(tmp_path / "cart.toml", GOOD), tmp_path / "again.toml")
+@pytest.mark.parametrize("tables", [GOOD, PIECEWISE], ids=["linear", "piecewise"])
+def test_a_problem_with_every_table_is_read_and_valid(tmp_path, tables):
+    assert not refused(tables, tmp_path)
+    assert faults(PROBLEM, tables) == []
+    lfo.write_problem(lfo.read_problem(tmp_path / "cart.toml", tables), tmp_path / "again.toml")
     assert_valid_file(tmp_path / "again.toml")
 
 
-@pytest.mark.parametrize("case", BAD)
+ALL_BAD = BAD | BAD_MODES
+
+
+@pytest.mark.parametrize("case", ALL_BAD)
 def test_what_the_reader_refuses_for_its_structure_is_invalid(tmp_path, case):
-    place, value = BAD[case]
-    tables = changed(GOOD, place, value)
+    place, value = ALL_BAD[case]
+    tables = changed(PIECEWISE if case in BAD_MODES else GOOD, place, value)
     found = refused(tables, tmp_path).removeprefix("cart.toml: ")
     assert found.startswith(place.rpartition(".")[0]) if "." in place else found.startswith(place)
     assert faults(PROBLEM, tables) != []
@@ -286,7 +317,9 @@ def test_the_keys_of_tables_are_those_of_the_reader():
     assert (set(PROBLEM["properties"]), set(PROBLEM["required"])) == ({*required, *optional}, set(required))
     assert PROBLEM["properties"]["schema"]["const"] == problem_tables.SCHEMA
     for part, needed, others in (
-        ("dynamics", {"A", "B"}, problem_tables.DYNAMICS_KEYS),
+        ("dynamics", {"A", "B"}, dynamics_tables.DYNAMICS_KEYS),
+        ("piecewise_affine_dynamics", {"modes"}, dynamics_tables.PIECEWISE_KEYS),
+        ("mode", {"A", "B"}, dynamics_tables.MODE_KEYS),
         ("cost", set(), (*problem_tables.DIMENSIONS_OF_COST, "norms")),
         ("norm_cost", {"kind"}, problem_tables.NORM_COST_KEYS),
         ("stage_rows", {"e"}, problem_tables.ROW_KEYS),
@@ -333,6 +366,8 @@ def test_every_argument_of_python_has_a_key():
     for kind, maker in band_tables.MAKERS.items():
         assert arguments(maker) == keys(kind) - {"kind"}
     assert arguments(lfo.LinearDynamics) == keys("dynamics") - {"continuous"}
+    assert arguments(lfo.PiecewiseAffineDynamics) == keys("piecewise_affine_dynamics")
+    assert arguments(lfo.AffineMode) == keys("mode")
     assert arguments(lfo.QuadraticCost) == keys("cost") - {"norms"}
     assert arguments(lfo.StageRows) == keys("stage_rows")
     assert arguments(lfo.OutputSpectrum) == keys("output_spectrum")

@@ -1,9 +1,17 @@
 """A seeded sample of scripts/verify.py."""
 
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
 import pytest
 import verify
 import verify_explain
+import verify_flips
 import verify_mixed
+
+from lin_freq_ocp.certificate.clarke import Flip
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -34,3 +42,33 @@ def test_the_sample_of_mixed_features_has_most_of_them_and_spoils_something():
     outcomes = [verify_mixed.check(seed) for seed in range(6)]
     assert len({one for seed in range(20) for one in verify_mixed.random_model(seed).features}) >= 17
     assert sum(len(outcome.tried) for outcome in outcomes) >= 6
+
+
+flips = cache(verify_flips.check)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_flips_at_borders_improve_where_the_judge_says_so_and_nowhere_else(seed):
+    assert flips(seed).passed, flips(seed)
+
+
+def test_the_sample_of_flips_has_every_outcome():
+    counts = sum((flips(seed).counts for seed in range(8)), start=Counter())
+    assert min(counts[what] for what in ("flip", "stay", "inside", "flip-stationary")) >= 1
+    assert counts["flip"] >= 5
+
+
+def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
+    honest, what = verify_flips.judge, {}
+
+    def spoiled(problem, trajectory, multipliers):
+        certificate = honest(problem, trajectory, multipliers)
+        meeting = problem.dynamics.arrays(problem.horizon).meeting(trajectory.x, trajectory.u)
+        every = [Flip(int(t), int(j), 1.0) for t, j in np.argwhere(meeting)] if what["all"] else []
+        return replace(certificate, borders=replace(certificate.borders, flips=tuple(every)))
+
+    monkeypatch.setattr(verify_flips, "judge", spoiled)
+    monkeypatch.setattr(verify_flips, "followed", lambda *given: ())
+    for every, words in ((False, "that would gain"), (True, "that gains")):
+        what["all"] = every
+        assert any(words in one for seed in range(8) for one in verify_flips.check(seed).wrong)

@@ -1,16 +1,16 @@
 """What the maximum principle says of piecewise-affine dynamics where modes meet (docs/borders.md).
 
-At (x_t, u_t), with I the modes that meet there, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first
-order, p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same
-without the normals to the sets of the stage:
+At (x_t, u_t), with I the modes that meet there, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to
+first order, p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the
+same without the normals to the sets of the stage:
 
-    joint     p_t = sum_i alpha_i a_i with one set of weights alpha >= 0, sum alpha = 1, for x and u alike (Clarke's rule)
+    joint     p_t = sum_i alpha_i a_i, one set of weights alpha >= 0, sum alpha = 1, for x and u alike   (Clarke's rule)
     flip      <a_i - b_t, d> <= 0 for all i in I, and all d with G_i d <= 0 in the tangent cone of the sets of the stage
     printed   that for d = (dx, 0), any dx at all and some mu_t, and for d = (0, du)            (paper, C-iii to C-v)
     regular   <a_i - a_k, d> <= 0 for all i, k in I and G_i d <= 0: -<eta_t, f_t> is Clarke-regular
 
-By Farkas' lemma an inequality for all d of a polyhedral cone says that a vector is a nonnegative sum of the cone's rows:
-nonnegative least squares decides, and what is left over is the residual.
+By Farkas' lemma an inequality for all d of a polyhedral cone says that a vector is a nonnegative sum of the cone's
+rows: nonnegative least squares decides, and what is left over is the residual.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, 
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.regions import Border
 from lin_freq_ocp.problem.stage_normals import Normal, stage_normals
 
@@ -294,9 +294,9 @@ def _printed_in_u(stage: BorderStage) -> list[Array]:
     """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
     part = slice(stage.states, None)
     own = stage.of_one(part)
-    base, normals = stage.without(own)[part], stage.generators(own)[part]
+    base, normals, no_state = stage.without(own)[part], stage.generators(own)[part], np.zeros(stage.states)
     return [
-        _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part])
+        np.append(no_state, _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 

@@ -1,7 +1,7 @@
 """The conditions of a problem with piecewise-affine dynamics: those of the averaged linear one, and those of its modes.
 
 With weights alpha, the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and
-stationarity in u of the linear problem with these dynamics, if the weights are those of a convex sum of modes that meet.
+stationarity in u of the linear problem with these dynamics, if the sum is a convex one of modes that meet.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
@@ -43,7 +43,7 @@ def judge_modes(
     """Return all conditions of a trajectory of piecewise-affine dynamics, and the facts about its borders."""
     problem.require(trajectory)
     arrays = problem.piecewise.arrays(problem.horizon)
-    sequence, meeting = (find(trajectory.x, trajectory.u) for find in (arrays.sequence, arrays.meeting))
+    sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)
     least = floors(lifted)
@@ -117,5 +117,4 @@ def _stationary(lifted: Lift, least: Floors, times: Mask) -> bool:
     n, scale = lifted.problem.state_dim, stationarity_scale(lifted, least)
     in_x = np.abs(lifted.eta_before - lifted.in_x + lifted.multipliers.mu)[:-1] / scale[:n]
     in_u = np.abs(lifted.in_u - lifted.multipliers.nu) / scale[n:]
-    worst = max(float(part[times].max(initial=0.0)) for part in (in_x, in_u))
-    return worst <= CONDITION_TOLERANCE
+    return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

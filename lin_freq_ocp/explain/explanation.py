@@ -15,6 +15,7 @@ from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 
@@ -68,9 +69,15 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     ProblemError
         If the time limit is not above zero.
     UnsupportedError
-        If the problem has a solution, or none of the methods could prove that it has none.
+        If the problem has a solution, or none of the methods could prove that it has none; or if its dynamics have
+        modes.
     """
     require_problem(problem)
+    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+        raise UnsupportedError(
+            "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
+            "explain(problem.with_modes(sequence)) tells those of one."
+        )
     if time_limit is not None:
         positive_number("time_limit", time_limit)
     search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)

@@ -11,7 +11,7 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.interchange.cvxpy_terms import constraints_of, costs_of, stage_products
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets import Box, stacked
 from lin_freq_ocp.transcription.real_rows import real_rows
 
@@ -42,10 +42,12 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     Raises
     ------
     UnsupportedError
-        If the cost is not convex.
+        If the cost is not convex, or the dynamics have modes (take ``problem.with_modes(sequence)``).
     """
     import cvxpy as cp  # here, because it takes more than a second to import and only its users need it
 
+    require_problem(problem)
+    _ = problem.linear  # which raises if there are modes
     _require_convex(problem.quadratic)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")

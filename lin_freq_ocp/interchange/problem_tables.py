@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.dynamics_tables import dynamics_from_table, table_from_dynamics
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.interchange.set_tables import sets_from_tables, table_from_set, tables_from_sets
@@ -19,7 +20,6 @@ from lin_freq_ocp.interchange.spectrum_tables import (
 )
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, Point
@@ -43,11 +43,6 @@ OPTIONAL_KEYS = (
     *("control_set", "state_set", "control_spectrum", "state_spectrum", "stage_rows", "output_spectrum"),
 )
 
-NAME_KEYS = ("state_names", "control_names")
-
-DYNAMICS_KEYS = ("offset", "continuous", "sampling_time", *NAME_KEYS)
-"""Of dynamics, beside A and B."""
-
 ROW_KEYS = ("C", "D", "name", "penalty")
 """Of stage rows, beside e."""
 
@@ -67,7 +62,7 @@ def problem_from_tables(tables: Mapping[str, Any]) -> OptimalControlProblem:
     if not isinstance(name, str):
         raise ProblemError("name", brief(name), "text in quotes")
     return OptimalControlProblem(
-        dynamics=_dynamics(tables["dynamics"]),
+        dynamics=dynamics_from_table(tables["dynamics"]),
         horizon=tables["horizon"],
         cost=_cost(tables["cost"]),
         control_set=sets_from_tables("control_set", tables),
@@ -90,7 +85,7 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "horizon": problem.horizon,
         "initial_state": _table_of_end("initial_state", problem.initial_state),
         "terminal_state": _table_of_end("terminal_state", problem.terminal_state),
-        "dynamics": _table_of_dynamics(problem.linear),
+        "dynamics": table_from_dynamics(problem.dynamics),
         "cost": _table_of_cost(problem.cost),
         "control_set": tables_from_sets("control_set", problem.control_set, problem.control_dim, problem.horizon),
         "state_set": tables_from_sets("state_set", problem.state_set, problem.state_dim, problem.horizon + 1),
@@ -100,32 +95,6 @@ def tables_from_problem(problem: OptimalControlProblem) -> dict[str, Any]:
         "output_spectrum": _tables(problem.output_spectrum, table_from_outputs),
     }
     return {key: value for key, value in tables.items() if value is not None}
-
-
-def _dynamics(table: Any) -> LinearDynamics:
-    require_keys("dynamics", table, ("A", "B"), DYNAMICS_KEYS)
-    for key in NAME_KEYS:
-        if key in table and not isinstance(table[key], list):
-            raise ProblemError(f"dynamics.{key}", brief(table[key]), "a list of names")
-    arguments = dict(table)
-    continuous = arguments.pop("continuous", False)
-    if not isinstance(continuous, bool):
-        raise ProblemError("dynamics.continuous", brief(continuous), "true or false")
-    with placed("dynamics"):
-        if not continuous:
-            return LinearDynamics(**arguments)
-        if "sampling_time" not in arguments:
-            raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
-        return LinearDynamics.from_continuous(**arguments)
-
-
-def _table_of_dynamics(dynamics: LinearDynamics) -> dict[str, Any]:
-    table: dict[str, Any] = {"A": dynamics.A, "B": dynamics.B}
-    if dynamics.offset.any() or dynamics.offset.ndim > 1:
-        table["offset"] = dynamics.offset
-    if dynamics.sampling_time is not None:
-        table["sampling_time"] = dynamics.sampling_time
-    return table | {"state_names": list(dynamics.state_names), "control_names": list(dynamics.control_names)}
 
 
 def _cost(table: Any) -> QuadraticCost | CostSum:

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
@@ -123,6 +124,26 @@ def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
         "global": certificate.globally_optimal,
         "conditions": [{**asdict(one), "passed": one.passed} for one in certificate.conditions],
         "descent": _direction(certificate.descent),
+        "borders": _borders(certificate.borders),
+    }
+
+
+def _borders(facts: BorderFacts | None) -> dict[str, Any] | None:
+    if facts is None:
+        return None
+    jumping = facts.jumping
+    return {
+        "joint": facts.joint,
+        "flip_stationary": facts.flip_stationary,
+        "printed": facts.printed,
+        "regular": facts.regular,
+        "elsewhere": facts.elsewhere,
+        "modes": list(facts.mode_names),
+        "times": list(facts.times),
+        "weights": facts.weights.tolist(),
+        "flips": [flip._asdict() for flip in facts.flips],
+        "jumping": jumping and {"modes": [jumping.first, jumping.second], "jump": jumping.jump, "time": jumping.time},
+        "conditions": [{**asdict(one), "passed": one.passed} for one in facts.conditions],
     }
 
 

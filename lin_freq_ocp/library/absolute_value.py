@@ -25,7 +25,7 @@ def absolute_value(
     control_bound: float = 1.0,
     state_bound: float | None = None,
 ) -> OptimalControlProblem:
-    """Grow as far as effort allows under x+ = |x| + u: two mode sequences are extremal, one is optimal.
+    """Grow under x+ = |x| + u: two mode sequences are extremal, one is optimal.
 
     Minimise the sum of (u_t - b)^2, minus x_T. From x_0 = 0 the first control may go up or down: with T >= 2 the
     absolute value turns a negative x_1 into the same gain. Both signs of x_1 satisfy the maximum principle: every other

@@ -58,7 +58,7 @@ def ball_and_paddle(
     state_bounds: Sequence[float] = (0.3, 0.2, 1.2 * pi, 0.3, 0.15, 2.0, 2.0, 10.0, 2.0, 2.0),
     acceleration_bounds: Sequence[float] = (30.0, 30.0),
 ) -> OptimalControlProblem:
-    """Turn a ball by half a turn with a paddle below it and a ceiling above, by stick and slip: a hard one.
+    """Turn a ball by half a turn between a paddle and a ceiling, by stick and slip: a hard one.
 
     Minimise the sum of x_t'Q x_t + u_t'R u_t (no 1/2), Q = diag(1, 1, 0.01, 1, 1, 1, 1, 0.01, 1, 1), R = diag(0.01,
     0.001), from an angle of pi to rest in the middle, at an angle of zero.

@@ -54,7 +54,7 @@ def buck_affine(
     terminal_cost: bool = True,
     voltage_bounds: Sequence[float] = (2.2, 6.0),
 ) -> OptimalControlProblem:
-    """Hold the current of a peak-current controlled buck converter: a concave kink, one affine piece or many.
+    """Hold the current of a buck converter: a concave kink, and a second mode in affine pieces.
 
     Minimise the sum of 20 (i_t - 0.75)^2 + v_t^2 (no 1/2) within 0 <= i <= I_ref = 1 A. While the current is below the
     border i_b(v) the switch stays closed for the whole period; above it the current reaches I_ref within the period and

@@ -29,7 +29,7 @@ def cart_between_walls(
     speed_bound: float = 5.0,
     force_bound: float = 5.0,
 ) -> OptimalControlProblem:
-    """Bring a fast cart to rest in the middle between two walls, with their help: it loses half of its speed there.
+    """Bring a fast cart to rest between two inelastic walls, with their help.
 
     Minimise 0.01 times the sum of |x_t|^2 + u_t^2 (no 1/2). Position q and speed v follow q+ = q + h v, v+ = v + h u;
     where q + h v would leave [-0.4, 0.4] the cart hits a wall within the step instead: q+ = q, v+ = -v/2, whatever the

@@ -28,7 +28,7 @@ def max_min_network(
     control_bound: float = 1.0,
     state_bound: float = 3.0,
 ) -> OptimalControlProblem:
-    """Steer x+ = max(min(x, -u), u - x) with controls whose sum is zero: the kink is in x and u at once.
+    """Steer x+ = max(min(x, -u), u - x) by controls whose sum is zero: kinks in x and u at once.
 
     Minimise the sum of -x_t/2 over t = 1 .. T-1, plus x_T (plus w u_t^2). The first step loads the state, x_1 = u_0;
     after it the network acts. With T = 2 and the mean of u removed, (x_1, u_1) lies on the line x + u = 0, and the

@@ -26,7 +26,7 @@ def switched_rotation(
     state_bounds: float | Sequence[float] = 10.0,
     control_bound: float = 1.0,
 ) -> OptimalControlProblem:
-    """Regulate a state that turns by +60 or -60 degrees with the sign of x1: the example of Bemporad and Morari.
+    """Regulate a state that turns left or right with the sign of x1: the example of Bemporad and Morari.
 
     Minimise the sum of |x_t|^2 + u_t^2 (no 1/2) under x+ = 0.8 Rot(+60 degrees) x + (0, u) where x1 >= 0, Rot(-60
     degrees) where x1 <= 0, Rot(a) = [[cos a, -sin a], [sin a, cos a]]. The two images of a point with x1 = 0 differ by

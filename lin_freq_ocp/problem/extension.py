@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.convex_sets import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import bands_of
@@ -44,19 +46,11 @@ class FurtherStates:
 
 def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    n, k, plant = problem.state_dim, len(further.A), problem.linear
-    A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
+    k = len(further.A)
     free = np.full(k, np.inf)
     return replace(
         problem,
-        dynamics=LinearDynamics(
-            A,
-            _below(plant.B, further.B),
-            _beside(plant.offset, k),
-            plant.sampling_time,
-            [*plant.state_names, *further.names],
-            plant.control_names,
-        ),
+        dynamics=_wider_dynamics(problem.dynamics, further),
         cost=_wider_cost(problem, k),
         state_set=_wider_state_set(problem, further.lower),
         initial_state=_with_box(problem.initial_state, problem.initial_box, further.initial),
@@ -71,6 +65,31 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
         ]
         or None,
     )
+
+
+def _wider_dynamics(
+    plant: LinearDynamics | PiecewiseAffineDynamics, further: FurtherStates
+) -> LinearDynamics | PiecewiseAffineDynamics:
+    names = [*plant.state_names, *further.names]
+    if isinstance(plant, LinearDynamics):
+        return LinearDynamics(*_wider_map(plant, further), plant.sampling_time, names, plant.control_names)
+    modes = [
+        AffineMode(
+            *_wider_map(mode.linear, further),
+            G=_beside(mode.region.C, len(further.A)),
+            H=mode.region.D,
+            h=mode.region.e,
+            name=mode.name,
+        )
+        for mode in plant.modes
+    ]
+    return PiecewiseAffineDynamics(modes, plant.sampling_time, names, plant.control_names)
+
+
+def _wider_map(plant: LinearDynamics, further: FurtherStates) -> tuple[Array, Array, Array]:
+    n, k = plant.state_dim, len(further.A)
+    A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
+    return A, _below(plant.B, further.B), _beside(plant.offset, k)
 
 
 def _beside(array: Array, columns: int) -> Array:

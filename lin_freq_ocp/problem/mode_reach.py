@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import ModeArrays
 
 OUTWARD = 1e-12
 """By this part of the largest terms, sums are rounded outwards: far above their rounding errors."""

@@ -30,6 +30,7 @@ from lin_freq_ocp.problem.regions import Border, borders, require_partition
 from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
 from lin_freq_ocp.problem.spectrum import stopped_bins
 from lin_freq_ocp.problem.stage_rows import row_families
+from lin_freq_ocp.problem.stage_sets import StageSets, stage_sets
 from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -99,7 +100,7 @@ class OptimalControlProblem:
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
         _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # validated, kept for later
         if isinstance(self.dynamics, PiecewiseAffineDynamics):
-            require_partition(self.dynamics, self.horizon, self.state_boxes, self.control_tube)
+            require_partition(self.dynamics, self._stage_sets)
 
     def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
         """Return the same problem with other ends; nothing else is looked at again.
@@ -190,7 +191,11 @@ class OptimalControlProblem:
         """Where regions of modes meet within the sets, and whether the map jumps there; empty for linear dynamics."""
         if isinstance(self.dynamics, LinearDynamics):
             return ()
-        return borders(self.dynamics, self.horizon, self.state_boxes, self.control_tube)
+        return borders(self.dynamics, self._stage_sets)
+
+    @property
+    def _stage_sets(self) -> StageSets:
+        return stage_sets(self.state_boxes, self.control_tube, self.state_tube, self.terms)
 
     @property
     def state_dim(self) -> int:
@@ -336,9 +341,10 @@ class OptimalControlProblem:
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
         joint = sum(family.rows for family in self.stage_rows)
+        modes = f"{len(self.dynamics.modes)} modes, " if isinstance(self.dynamics, PiecewiseAffineDynamics) else ""
         return (
             f"{self.name or 'optimal control problem'}: horizon {self.horizon}, "
-            f"{self.state_dim} states, {self.control_dim} controls, "
+            f"{self.state_dim} states, {self.control_dim} controls, {modes}"
             f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
             + (f", {joint} joint rows per step" if joint else "")
             + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")

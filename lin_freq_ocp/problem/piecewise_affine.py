@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,154 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, positive_number
+from lin_freq_ocp.problem.affine_mode import REGION, AffineMode
+from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, positive_number
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.guards import guarded_modes
+from lin_freq_ocp.problem.max_min import Expression, modes_of
+from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING, ModeArrays
+from lin_freq_ocp.problem.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.stage_rows import StageRows
-
-BORDER_TOLERANCE = 1e-6
-"""A point this far beyond a facet of a region, relative to the largest terms of its row, is still on it: solvers meet
-rows to 1e-8 or so, and the judge forgives 1e-6."""
-
-SAME_IMAGE = 4 * BORDER_TOLERANCE
-"""Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms: those
-of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g h'| times
-the terms for each of the two, and |g h'| <= |F_1| + |F_2|."""
-
-REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows."""
-
-REGION = "mode region"
-"""The name under which the region rows of a fixed mode sequence, and their multipliers, stand."""
-
-OWN_FIELDS = {"dynamics.A": "A", "dynamics.B": "B", "dynamics.offset": "offset", "stage_rows.C": "G"} | {
-    "stage_rows.D": "H",
-    "stage_rows.e": "h",
-}
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class AffineMode:
-    """One piece of the dynamics, and the polyhedron in (x, u) where it holds.
-
-    Parameters
-    ----------
-    A : (n, n) or (T, n, n), B : (n, m) or (T, n, m), offset : (n,) or (T, n), optional
-        x_{t+1} = A x_t + B u_t + offset.
-    G : (rows, n) or (T, rows, n), H : (rows, m) or (T, rows, m), h : (rows,) or (T, rows)
-        The region G x_t + H u_t <= h; one of G and H may be missing, and all three for a mode that holds everywhere.
-    name : str
-        As reports show it; default "mode i".
-
-    Raises
-    ------
-    ProblemError
-        If shapes do not match or entries are not numbers.
-    """
-
-    linear: LinearDynamics
-    region: StageRows
-    name: str
-
-    def __init__(
-        self,
-        A: ArrayLike,
-        B: ArrayLike,
-        offset: ArrayLike | None = None,
-        G: ArrayLike | None = None,
-        H: ArrayLike | None = None,
-        h: ArrayLike | None = None,
-        name: str = "",
-    ):
-        if not isinstance(name, str) or not (name.isprintable() or not name):
-            raise ProblemError("mode.name", brief(name), "printable characters")
-        try:
-            linear = LinearDynamics(A, B, offset)
-            n, m = linear.state_dim, linear.control_dim
-            if h is None and (G is not None or H is not None):
-                raise ProblemError("stage_rows.e", "None", "one limit per row of the region")
-            if h is None:
-                G, H, h = np.zeros((1, n)), np.zeros((1, m)), [np.inf]
-            region = StageRows(G, H, h, REGION)
-            for field, given, dimension in (("C", G, n), ("D", H, m)):
-                if given is not None and getattr(region, field).shape[-1] != dimension:
-                    shape = getattr(region, field).shape
-                    raise ProblemError(f"stage_rows.{field}", f"shape {shape}", f"{dimension} columns")
-        except ProblemError as error:
-            own = next((own for known, own in OWN_FIELDS.items() if error.field.startswith(known)), error.field)
-            raise ProblemError(f"mode.{own}", error.got, error.expected, error.advice) from None
-        assign(self, linear=linear, region=region, name=name)
-
-
-@dataclass(frozen=True, eq=False)
-class ModeArrays:
-    """All modes at all times, with rows of regions filled up by 0 <= inf.
-
-    Attributes
-    ----------
-    A : (T, modes, n, n), B : (T, modes, n, m), offset : (T, modes, n)
-    G : (T, modes, rows, n), H : (T, modes, rows, m), h : (T, modes, rows)
-    """
-
-    A: Array
-    B: Array
-    offset: Array
-    G: Array
-    H: Array
-    h: Array
-
-    def images(self, x: Array, u: Array) -> Array:
-        """Return what each mode makes of (x_t, u_t), shape (T, modes, n); x is (T+1, n) or (T, n)."""
-        through_x = np.einsum("tkij,tj->tki", self.A, x[: len(u)])
-        return through_x + np.einsum("tkij,tj->tki", self.B, u) + self.offset
-
-    def excess(self, x: Array, u: Array) -> Array:
-        """Return G x_t + H u_t - h per row of each region, (T, modes, rows); -inf where there is no row."""
-        return np.einsum("tkrj,tj->tkr", self.G, x[: len(u)]) + np.einsum("tkrj,tj->tkr", self.H, u) - self.h
-
-    def row_sizes(self, x: Array, u: Array) -> Array:
-        """Return what an excess is measured by, (modes, rows): the largest sum of absolute terms of its row over t."""
-        limits = np.where(np.isfinite(self.h), np.abs(self.h), 0.0)
-        terms = np.einsum("tkrj,tj->tkr", np.abs(self.G), np.abs(x[: len(u)]))
-        terms += np.einsum("tkrj,tj->tkr", np.abs(self.H), np.abs(u)) + limits
-        largest = terms.max(axis=0)
-        return np.where(largest > 0, largest, 1.0)
-
-    def distance(self, x: Array, u: Array) -> Array:
-        """Return by how much (x_t, u_t) lies outside each region, relative to the sizes of its rows; (T, modes)."""
-        return np.maximum((self.excess(x, u) / self.row_sizes(x, u)).max(axis=2), 0.0)
-
-    def touching(self, x: Array, u: Array) -> Mask:
-        """Which rows of each region (x_t, u_t) lies on, or beyond, within BORDER_TOLERANCE; (T, modes, rows)."""
-        return self.excess(x, u) >= -BORDER_TOLERANCE * self.row_sizes(x, u)
-
-    def active(self, x: Array, u: Array) -> Mask:
-        """Which modes hold at (x_t, u_t), within BORDER_TOLERANCE; (T, modes)."""
-        return self.distance(x, u) <= BORDER_TOLERANCE
-
-    def sequence(self, x: Array, u: Array) -> Indices:
-        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
-
-        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m).
-        """
-        miss = np.abs(x[1:, None] - self.images(x, u)).max(axis=2)
-        distance = self.distance(x, u)
-        outside = np.where(distance <= BORDER_TOLERANCE, 0.0, distance)
-        nearest = outside <= outside.min(axis=1, keepdims=True)
-        return np.argmin(np.where(nearest, miss, np.inf), axis=1)
-
-    def meeting(self, x: Array, u: Array) -> Mask:
-        """Which modes hold at (x_t, u_t) and lead to the same state as that of ``sequence``, itself one; (T, modes).
-
-        Of a continuous map, all that hold; of one that jumps, those on the trajectory's side.
-        """
-        times, sequence = np.arange(len(u)), self.sequence(x, u)
-        images, active = self.images(x, u), self.active(x, u)
-        terms = np.einsum("tkij,tj->tki", np.abs(self.A), np.abs(x[: len(u)]))
-        terms += np.einsum("tkij,tj->tki", np.abs(self.B), np.abs(u)) + np.abs(self.offset)
-        active[times, sequence] = True
-        sizes = np.where(active[..., None], terms, 0.0).max(axis=(0, 1))
-        here = images[times, sequence][:, None]
-        return active & (np.abs(images - here) <= SAME_IMAGE * sizes).all(axis=2)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -195,8 +55,11 @@ class PiecewiseAffineDynamics:
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ):
-        if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, AffineMode) for mode in modes):
+        if not isinstance(modes, Sequence) or not modes:
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one AffineMode")
+        for i, mode in enumerate(modes):
+            if not isinstance(mode, AffineMode):
+                raise ProblemError(f"dynamics.modes[{i}]", brief(mode), "an AffineMode")
         n, m = modes[0].linear.state_dim, modes[0].linear.control_dim
         for i, mode in enumerate(modes):
             got = mode.linear.state_dim, mode.linear.control_dim
@@ -212,6 +75,102 @@ class PiecewiseAffineDynamics:
             state_names=names("dynamics.state_names", state_names, n, "x"),
             control_names=names("dynamics.control_names", control_names, m, "u"),
         )
+        for i, name in enumerate(self.mode_names):
+            if name in self.mode_names[:i]:
+                raise ProblemError(f"dynamics.modes[{i}].name", f"{name!r} a second time", "a different name for each")
+
+    @classmethod
+    def from_max_min(
+        cls,
+        expressions: Sequence[Expression | float],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Take x_{t+1} as maxima and minima of affine functions of (x_t, u_t): one mode for each combination.
+
+        Parameters
+        ----------
+        expressions : sequence of Expression
+            One for each state, made of ``affine_signals(n, m)`` by sums, multiples, ``maximum`` and ``minimum``; a
+            number is a constant.
+        sampling_time, state_names, control_names
+            As for the class.
+
+        Returns
+        -------
+        PiecewiseAffineDynamics
+            Continuous, its regions without rows that say nothing. Combinations of the same map that make up one
+            polyhedron together are one mode.
+
+        Raises
+        ------
+        ProblemError
+            If expressions and states are not as many, or there are more than ``MOST_PIECES`` (256) combinations.
+        """
+        return cls(modes_of(expressions, state_names, control_names), sampling_time, state_names, control_names)
+
+    @classmethod
+    def from_guards(
+        cls,
+        G: ArrayLike | None,
+        H: ArrayLike | None,
+        d: ArrayLike | None,
+        modes: Mapping[str, Any],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Take the mode by the signs of guards G x_t + H u_t - d; at zero both signs hold.
+
+        Parameters
+        ----------
+        G : (guards, n) or (T, guards, n), H : (guards, m) or (T, guards, m), d : (guards,) or (T, guards)
+            One of G and H may be None, and d, for zeros.
+        modes : mapping from str to AffineMode, (A, B), (A, B, offset), or None
+            One mode for each pattern of signs, which has one character per guard: "+" (zero or above), "-" (zero or
+            below) or "*" (any). The first is mode 0. An AffineMode brings its name, and no region of its own; another
+            mode is named by its pattern. None: no mode, because these signs do not occur within the sets of the
+            problem, which checks it.
+        sampling_time, state_names, control_names
+            As for the class.
+
+        Raises
+        ------
+        ProblemError
+            If shapes do not match, a pattern is none, two patterns hold together, or signs that occur have none.
+        """
+        return cls(guarded_modes(G, H, d, modes), sampling_time, state_names, control_names)
+
+    @classmethod
+    def linearised(
+        cls,
+        pieces: Sequence[SmoothPiece],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Linearise nonlinear models, each at its own point and with its own region: one mode for each.
+
+        A map that is continuous need not be so any more afterwards: ``problem.borders`` says how much it jumps. It is
+        continuous across a border if both models are linearised at the same point of it, agree there, and the region's
+        facet is tangent to the surface on which they agree. Over a period the mode is that of its beginning.
+
+        Parameters
+        ----------
+        pieces : sequence of SmoothPiece
+        sampling_time : float, optional
+            Seconds per step; required for continuous models, and must agree with that of discrete ones.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the first model.
+
+        Raises
+        ------
+        ProblemError
+            If shapes or sampling times do not match, or a model has no value or derivatives at its point.
+        """
+        modes, step, states, controls = linearised_modes(pieces, sampling_time, state_names, control_names)
+        return cls(modes, step, states, controls)
 
     @property
     def state_dim(self) -> int:
@@ -231,13 +190,18 @@ class PiecewiseAffineDynamics:
     @cached_property
     def time_varying(self) -> bool:
         """Whether any map or region depends on time."""
-        return any(
-            mode.linear.time_varying
-            or mode.linear.offset.ndim > 1
-            or mode.region.time_varying
-            or mode.region.e.ndim > 1
-            for mode in self.modes
-        )
+        maps_vary = any(mode.linear.time_varying or mode.linear.offset.ndim > 1 for mode in self.modes)
+        return maps_vary or self.regions_vary
+
+    @cached_property
+    def regions_vary(self) -> bool:
+        """Whether any region depends on time."""
+        return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
+
+    @cached_property
+    def found_whole(self) -> set[bytes]:
+        """Sets, in bytes, that the regions were found to cover without overlap: the check is not made again."""
+        return set()
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
@@ -251,14 +215,16 @@ class PiecewiseAffineDynamics:
                 raise ProblemError(f"dynamics.modes[{i}].{own}", error.got, error.expected, error.advice) from None
 
     def arrays(self, horizon: int) -> ModeArrays:
-        """Return all modes at all times."""
+        """Return all modes at all times; what does not depend on time stands in memory once."""
         n, m = self.state_dim, self.control_dim
         regions = [mode.region.at_dimensions(n, m, horizon, "dynamics") for mode in self.modes]
         most = max(region.rows for region in regions)
 
         def stacked(parts: Sequence[Array], ndim: int) -> Array:
             per_time = [part if part.ndim > ndim else part[None] for part in parts]
-            return np.stack([np.broadcast_to(part, (horizon, *part.shape[1:])) for part in per_time], axis=1)
+            times = max(len(part) for part in per_time)
+            once = np.stack([np.broadcast_to(part, (times, *part.shape[1:])) for part in per_time], axis=1)
+            return np.broadcast_to(once, (horizon, *once.shape[1:]))
 
         def filled(part: Array, axis: int, value: float) -> Array:
             pad = [(0, 0)] * part.ndim
@@ -302,7 +268,7 @@ class PiecewiseAffineDynamics:
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
 
-        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m).
+        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m). See ``ModeArrays.sequence``.
         """
         return self.arrays(len(u)).sequence(x, u)
 
@@ -310,6 +276,7 @@ class PiecewiseAffineDynamics:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
 
         It raises NumericalError where no region holds (x_t, u_t): the state has left the sets that the regions cover.
+        What follows a state that is not finite is not a number.
         """
         arrays = self.arrays(horizon)
         limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
@@ -318,8 +285,13 @@ class PiecewiseAffineDynamics:
             excess = arrays.G[t] @ x + arrays.H[t] @ u - arrays.h[t]
             size = np.abs(arrays.G[t]) @ np.abs(x) + np.abs(arrays.H[t]) @ np.abs(u) + limits[t]
             holds = (excess <= REPLAY_ROUNDING * size).all(axis=1)
+            if not np.isfinite(x).all():
+                return np.full_like(x, np.nan)
             if not holds.any():
-                raise NumericalError(f"No mode of the dynamics holds at t = {t}, x = {brief(x.tolist())}.")
+                raise NumericalError(
+                    f"No mode of the dynamics holds at t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}: "
+                    "the regions cover the state and control sets, and this lies outside."
+                )
             i = int(np.argmax(holds))
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]
 
@@ -328,8 +300,11 @@ class PiecewiseAffineDynamics:
 
 def as_sequence(field: str, sequence: Any, horizon: int, modes: int) -> Indices:
     """Return a mode sequence as integers (T,), or raise ProblemError."""
-    given = np.asarray(sequence)
     expected = f"{horizon} mode numbers from 0 to {modes - 1}"
+    try:
+        given = np.asarray(sequence)
+    except ValueError:
+        raise ProblemError(field, brief(sequence), expected) from None
     if given.shape != (horizon,) or given.dtype.kind not in "iu":
         raise ProblemError(field, f"shape {given.shape} of {given.dtype}", expected)
     if (given < 0).any() or (given >= modes).any():

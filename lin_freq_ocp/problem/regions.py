@@ -1,30 +1,45 @@
 """Polyhedral regions in (x, u): whether they cover the sets or overlap, where they meet, and whether the map jumps.
 
-Every question is a linear program: the radius of the largest ball in a polyhedron, in units of the sets' half widths.
+Lengths are measured in natural units: of each component the half width of its bounds, or how far the rows of the
+regions reach along it, if that is less or if it has none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linprog
 
-from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import Array, brief
-from lin_freq_ocp.problem.piecewise_affine import ModeArrays, PiecewiseAffineDynamics
-from lin_freq_ocp.problem.sets import Box
-
-THICKNESS = 1e-7
-"""A gap or an overlap counts if a ball of this radius fits in, relative to the half widths of the sets."""
-
-SAME_FACET = 1e-9
-"""Largest difference of two rows, divided by their norms, that are one and the same hyperplane."""
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.affine_mode import REGION
+from lin_freq_ocp.problem.arrays import Array, Mask, brief
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.polyhedra import (
+    FLAT,
+    SAME_FACET,
+    THICKNESS,
+    Cell,
+    ball_centre,
+    cell_of,
+    natural_sizes,
+    uncovered,
+)
+from lin_freq_ocp.problem.stage_sets import StageSet, StageSets
 
 CONTINUITY_TOLERANCE = 1e-9
 """Jump of the map across a border, relative to the terms it is made of, up to which it is continuous."""
+
+NARROW = 1e-9
+"""A component whose bounds are closer than this, relative to their size, is fixed between them."""
+
+LEAST_UNIT = 1e-6
+"""Rows that reach along a component by less than this part of its half width do not make its unit smaller: THICKNESS
+times both is still a hundred times above rounding."""
+
+PLACE_LENGTH = 200
+"""Characters of a point (x, u) in a message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +51,11 @@ class Border:
     first, second : int
         The modes.
     h_x : (n,), h_u : (m,), limit : float
-        The facet, h_x'x + h_u'u <= limit for the first mode.
+        The facet, h_x'x + h_u'u <= limit for the first mode; |(h_x, h_u)| = 1.
     g : (n,)
         D f_first - D f_second = g h' where the map is continuous.
     jump : float
-        Largest difference of the two maps on the border, over the sets, relative to its terms.
+        Bound on the difference of the two maps on the border, within the bounds of the sets, relative to its terms.
     time : int or None
         The time, if the dynamics depend on it.
     """
@@ -62,142 +77,191 @@ class Border:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """The modes of one time in y = (x, u) / units: maps F y + c, regions rows y <= limits, box rows apart."""
+    """The regions of one time in y = (v - centre) / units, v = (x, u).
 
-    maps: Array
-    offsets: Array
-    rows: list[Array]
-    limits: list[Array]
-    box_rows: Array
-    box_limits: Array
+    Attributes
+    ----------
+    cells : list of Cell
+        One region each, in all components of y.
+    domain : Cell
+        The sets, in the free components of y.
+    free : (n + m,)
+        Which components are not fixed by their bounds; of the others, y is 0.
+    centre, units, extent : (n + m,)
+        ``extent``: the largest |y| within the bounds; 1 without.
+    """
+
+    cells: list[Cell]
+    domain: Cell
+    free: Mask
+    centre: Array
+    units: Array
+    extent: Array
+
+    def place(self, y: Array) -> str:
+        """Return (x, u) of free components y, as a message shows it."""
+        v = self.centre.copy()
+        v[self.free] += self.units[self.free] * y
+        return brief([float(f"{value:.4g}") for value in v], PLACE_LENGTH)
+
+    @property
+    def key(self) -> bytes:
+        """Return what pieces share that are the same."""
+        parts = [self.centre, self.units, self.free.astype(float), self.domain.normals, self.domain.limits]
+        parts += [part for cell in self.cells for part in (cell.normals, cell.limits)]
+        return b"|".join(part.tobytes() for part in parts)
 
 
-def require_partition(dynamics: PiecewiseAffineDynamics, horizon: int, states: Box, controls: Box) -> None:
-    """Raise ProblemError unless the regions cover the boxes and overlap on borders only."""
-    names = dynamics.mode_names
-    for t, pieces, units in _times(dynamics, horizon, states, controls):
-        when = "" if t is None else f" at t = {t}"
-        for i, j in _pairs(len(names)):
-            rows, limits = np.vstack([pieces.rows[i], pieces.rows[j]]), np.append(pieces.limits[i], pieces.limits[j])
-            point = _inner_point(pieces, rows, limits)
-            if point is not None:
-                where = brief([float(f"{value:.4g}") for value in point * units])
-                raise ProblemError(
-                    f"dynamics.modes[{j}]",
-                    f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {where}",
-                    "regions that meet on borders only",
-                )
-        point = _uncovered(pieces, 0, np.zeros((0, len(units))), np.zeros(0))
-        if point is not None:
-            where = brief([float(f"{value:.4g}") for value in point * units])
-            raise ProblemError(
-                "dynamics.modes",
-                f"no mode around (x, u) = {where}{when}",
-                "regions that cover the state and control sets",
-                "Widen a region or tighten the bounds.",
-            )
+def require_partition(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> None:
+    """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
+    if REGION in sets.names:
+        raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
+    arrays = dynamics.arrays(sets.horizon)
+    if not dynamics.regions_vary:
+        fault = _fault(dynamics, _pieces(arrays, 0, sets.around()), "")
+        if fault is None:
+            return
+        if sets.constant:
+            raise fault
+    for t in range(sets.horizon):
+        fault = _fault(dynamics, _pieces(arrays, t, sets.at(t)), f" at t = {t}")
+        if fault is not None:
+            raise fault
 
 
-def borders(dynamics: PiecewiseAffineDynamics, horizon: int, states: Box, controls: Box) -> tuple[Border, ...]:
-    """Return every border that regions share within the boxes."""
-    n = dynamics.state_dim
+def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border, ...]:
+    """Return every border that regions share within the sets."""
+    n, arrays, around = dynamics.state_dim, dynamics.arrays(sets.horizon), sets.around()
+    known: dict[bytes, list[tuple[int, int, Array, float]]] = {}
     found: list[Border] = []
-    for t, pieces, units in _times(dynamics, horizon, states, controls):
-        for i, j in _pairs(len(dynamics.modes)):
-            for row, limit in _shared_facets(pieces, i, j):
-                g, jump = _jump(pieces, i, j, row, limit)
-                normal = row / units
-                size = float(np.linalg.norm(normal))
-                normal, edge = normal / size, limit / size
-                found.append(Border(i, j, normal[:n], normal[n:], edge, g * size, jump, t))
+    for t in range(sets.horizon if dynamics.time_varying else 1):
+        pieces = _pieces(arrays, t, around)
+        if pieces.key not in known:
+            pairs = combinations(range(len(pieces.cells)), 2)
+            facets = [(i, j, _shared_facet(pieces, i, j)) for i, j in pairs]
+            known[pieces.key] = [(i, j, *facet) for i, j, facet in facets if facet is not None]
+        for i, j, row, limit in known[pieces.key]:
+            g, jump = _jump(arrays, t, (i, j), pieces, row, limit)
+            normal = row / pieces.units
+            size = float(np.linalg.norm(normal))
+            edge = (limit + float(normal @ pieces.centre)) / size
+            time = t if dynamics.time_varying else None
+            found.append(Border(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
     return tuple(found)
 
 
-def _times(
-    dynamics: PiecewiseAffineDynamics, horizon: int, states: Box, controls: Box
-) -> Iterator[tuple[int | None, _Pieces, Array]]:
-    """Yield the pieces of every time that differs, with the half widths of the boxes as units."""
-    lower = np.concatenate([states.lower.min(0), controls.lower.min(0)])
-    upper = np.concatenate([states.upper.max(0), controls.upper.max(0)])
-    bounded = np.isfinite(lower) & np.isfinite(upper) & (upper > lower)
-    units = np.where(bounded, (upper - np.where(bounded, lower, 0.0)) / 2, 1.0)
-    arrays = dynamics.arrays(horizon if dynamics.time_varying else 1)
-    identity = np.eye(len(units))
-    box_rows = np.vstack([identity[np.isfinite(upper)], -identity[np.isfinite(lower)]])
-    box_limits = np.concatenate([(upper / units)[np.isfinite(upper)], (-lower / units)[np.isfinite(lower)]])
-    for t in range(len(arrays.h)):
-        yield (t if dynamics.time_varying else None), _pieces(arrays, t, units, box_rows, box_limits), units
+def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
+    """Return the regions of one time in natural units."""
+    below, above = np.isfinite(sets.lower), np.isfinite(sets.upper)
+    lower, upper = np.where(below, sets.lower, 0.0), np.where(above, sets.upper, 0.0)
+    centre = np.where(below & above, (lower + upper) / 2, lower + upper)
+    width = np.where(below & above, upper - lower, np.inf)
+    fixed = width <= NARROW * np.maximum(np.abs(lower), np.abs(upper))
+    matrices = np.concatenate([arrays.G[t], arrays.H[t]], axis=-1)
+    limits, beyond = arrays.h[t] - matrices @ centre, sets.limits - sets.matrix @ centre
+    every, right = np.vstack([*matrices, sets.matrix]), np.concatenate([*limits, beyond])
+    known = np.isfinite(right)
+    units = natural_sizes(every[known], right[known], np.where(fixed, 0.0, width / 2), LEAST_UNIT)
+    cells = [cell_of(matrix * units, limit) for matrix, limit in zip(matrices, limits, strict=True)]
+    free, identity = ~fixed, np.eye(len(centre))
+    walls = np.vstack([identity[above & free], -identity[below & free]])[:, free]
+    distances = np.concatenate([((upper - centre) / units)[above & free], ((centre - lower) / units)[below & free]])
+    within = cell_of(np.vstack([walls, (sets.matrix * units)[:, free]]), np.append(distances, beyond))
+    if within is None or within.inner_point(THICKNESS) is None:  # equations among the rows: only the bounds remain
+        within = Cell(walls, distances)
+    extent = np.where(below & above, np.where(fixed, 0.0, width / 2) / units, 1.0)
+    return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
 
 
-def _pieces(arrays: ModeArrays, t: int, units: Array, box_rows: Array, box_limits: Array) -> _Pieces:
-    matrices = np.concatenate([arrays.G[t], arrays.H[t]], axis=-1) * units
-    norms = np.linalg.norm(matrices, axis=-1)
-    real = np.isfinite(arrays.h[t]) & (norms > 0)
-    return _Pieces(
-        maps=np.concatenate([arrays.A[t], arrays.B[t]], axis=-1) * units,
-        offsets=arrays.offset[t],
-        rows=[matrix[keep] / norm[keep, None] for matrix, keep, norm in zip(matrices, real, norms, strict=True)],
-        limits=[limit[keep] / norm[keep] for limit, keep, norm in zip(arrays.h[t], real, norms, strict=True)],
-        box_rows=box_rows,
-        box_limits=box_limits,
+def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> ProblemError | None:
+    """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
+    key = pieces.key
+    if key in dynamics.found_whole:
+        return None
+    names = dynamics.mode_names
+    for i, j in combinations(range(len(names)), 2):
+        point = _overlap(pieces, i, j)
+        if point is not None:
+            return ProblemError(
+                f"dynamics.modes[{j}]",
+                f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
+                "regions that meet on borders only",
+            )
+    columns = np.eye(len(pieces.free))[:, pieces.free]
+    regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
+    point = uncovered(pieces.domain, [region for region in regions if region is not None])
+    if point is None:
+        dynamics.found_whole.add(key)
+        return None
+    return ProblemError(
+        "dynamics.modes",
+        f"no mode around (x, u) = {pieces.place(point)}{when}",
+        "regions that cover the state and control sets",
+        "Widen a region or tighten the bounds.",
     )
 
 
-def _pairs(count: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(count) for j in range(i + 1, count)]
-
-
-def _inner_point(pieces: _Pieces, rows: Array, limits: Array, plane: tuple[Array, float] | None = None) -> Array | None:
-    """Return the centre of the largest ball in rows y <= limits and the box, if it has the radius THICKNESS.
-
-    With a plane (a, b), |a| = 1, the ball lies in a'y = b.
-    """
-    matrix, right = np.vstack([rows, pieces.box_rows]), np.append(limits, pieces.box_limits)
-    across = matrix if plane is None else matrix - np.outer(matrix @ plane[0], plane[0])
-    radii = np.linalg.norm(across, axis=1)
-    inequalities = np.column_stack([matrix, radii])
-    cost = np.zeros(matrix.shape[1] + 1)
-    cost[-1] = -1.0
-    equal = () if plane is None else (np.append(plane[0], 0.0)[None], np.array([plane[1]]))
-    bounds = [(None, None)] * matrix.shape[1] + [(None, 1.0)]
-    answer: Any = linprog(cost, inequalities, right, *equal, bounds=bounds, method="highs")
-    if answer.status == 2:
+def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
+    """Return the centre, in the sets, of a ball in all components that both regions hold."""
+    first, second, domain = pieces.cells[i], pieces.cells[j], pieces.domain
+    if first.apart_from(second, THICKNESS):
         return None
-    if answer.status != 0:
-        raise NumericalError(f"A linear program about the regions of modes ended as: {answer.message}")
-    return np.asarray(answer.x[:-1]) if answer.x[-1] > THICKNESS else None
+    normals = np.vstack([first.normals[:, pieces.free], second.normals[:, pieces.free], domain.normals])
+    limits = np.concatenate([first.limits, second.limits, domain.limits])
+    return ball_centre(normals, limits, np.ones(len(limits)), THICKNESS)
 
 
-def _uncovered(pieces: _Pieces, i: int, rows: Array, limits: Array) -> Array | None:
-    """Return a point of rows y <= limits and the box, with a ball around it, that modes i, i+1, ... do not cover."""
-    point = _inner_point(pieces, rows, limits)
-    if point is None or i == len(pieces.rows):
-        return point
-    for row, limit in zip(pieces.rows[i], pieces.limits[i], strict=True):
-        beyond = _uncovered(pieces, i + 1, np.vstack([rows, -row]), np.append(limits, -limit))
-        if beyond is not None:
-            return beyond
-        rows, limits = np.vstack([rows, row]), np.append(limits, limit)
-    return None
+def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None:
+    """Return (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge.
+
+    Regions on different sides of two hyperplanes meet in their intersection at most, which is an edge.
+    """
+    first, second = pieces.cells[i], pieces.cells[j]
+    opposite = np.abs(first.normals[:, None] + second.normals).max(axis=-1, initial=0.0) <= SAME_FACET
+    size = np.maximum(1.0, np.abs(first.limits))[:, None]
+    opposite &= np.abs(first.limits[:, None] + second.limits) <= SAME_FACET * size
+    facing = np.flatnonzero(opposite.any(axis=1))
+    if not len(facing):
+        return None
+    row, limit = first.normals[facing[0]], float(first.limits[facing[0]])
+    if not first.take(facing).same_as(row, limit).all():
+        return None
+    both = first & second
+    others = both.take(~both.same_as(row, limit) & ~both.same_as(-row, -limit))
+    return (row, limit) if _touch(pieces, others, row, limit) else None
 
 
-def _shared_facets(pieces: _Pieces, i: int, j: int) -> Iterator[tuple[Array, float]]:
-    """Yield (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge."""
-    for row, limit in zip(pieces.rows[i], pieces.limits[i], strict=True):
-        opposite = np.abs(pieces.rows[j] + row).max(axis=1, initial=0.0) <= SAME_FACET
-        opposite &= np.abs(pieces.limits[j] + limit) <= SAME_FACET * max(1.0, abs(limit))
-        if opposite.any():
-            rows, limits = np.vstack([pieces.rows[i], pieces.rows[j]]), np.append(pieces.limits[i], pieces.limits[j])
-            others = np.linalg.norm(rows - np.outer(rows @ row, row), axis=1) > SAME_FACET
-            if _inner_point(pieces, rows[others], limits[others], (row, float(limit))) is not None:
-                yield row, float(limit)
+def _touch(pieces: _Pieces, others: Cell, row: Array, limit: float) -> bool:
+    """Whether, within the hyperplane row'y = limit, a ball fits into the other rows with its centre in the sets."""
+    domain, along = pieces.domain, row[pieces.free]
+    length = float(np.linalg.norm(along))
+    if length <= FLAT:
+        if abs(limit) > SAME_FACET:
+            return False
+        plane, inside = None, np.ones(len(domain.limits))
+    else:
+        direction = along / length
+        plane = direction, limit / length
+        inside = _part_across(domain.normals, direction)
+    normals = np.vstack([others.normals[:, pieces.free], domain.normals])
+    radii = np.append(_part_across(others.normals, row), inside)
+    return ball_centre(normals, np.append(others.limits, domain.limits), radii, THICKNESS, plane) is not None
 
 
-def _jump(pieces: _Pieces, i: int, j: int, row: Array, limit: float) -> tuple[Array, float]:
-    """Return g with D f_i - D f_j = g row' (the nearest such), and the largest relative difference on the border."""
-    difference, offset = pieces.maps[i] - pieces.maps[j], pieces.offsets[i] - pieces.offsets[j]
+def _part_across(normals: Array, direction: Array) -> Array:
+    """Return the lengths of what remains of vectors without their parts along a direction of length 1."""
+    return np.linalg.norm(normals - np.outer(normals @ direction, direction), axis=1)
+
+
+def _jump(
+    arrays: ModeArrays, t: int, pair: tuple[int, int], pieces: _Pieces, row: Array, limit: float
+) -> tuple[Array, float]:
+    """Return g with D f_i - D f_j = g row' (the nearest such), and a bound on the relative difference on the border."""
+    maps = [np.concatenate([arrays.A[t, i], arrays.B[t, i]], axis=-1) for i in pair]
+    difference, offset = (maps[0] - maps[1]) * pieces.units, arrays.offset[t, pair[0]] - arrays.offset[t, pair[1]]
+    offset = offset + (maps[0] - maps[1]) @ pieces.centre
     g = difference @ row
-    rest = np.abs(difference - np.outer(g, row)).sum(axis=1) + np.abs(offset + g * limit)
-    terms = np.abs(pieces.maps[i]).sum(axis=1) + np.abs(pieces.maps[j]).sum(axis=1)
-    terms += np.abs(pieces.offsets[i]) + np.abs(pieces.offsets[j])
+    rest = np.abs(difference - np.outer(g, row)) @ pieces.extent + np.abs(offset + g * limit)
+    largest = np.abs(pieces.centre) + pieces.extent * pieces.units
+    terms = (np.abs(maps[0]) + np.abs(maps[1])) @ largest + np.abs(arrays.offset[t, list(pair)]).sum(axis=0)
     return g, float((rest / np.where(terms > 0, terms, 1.0)).max())

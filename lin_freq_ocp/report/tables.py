@@ -28,6 +28,9 @@ OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
 OF_ROWS = ("S-z", "N-z")
 """Conditions whose component is a joint row."""
 
+OF_MODES = ("S-f", "N-f")
+"""Conditions whose component is a mode."""
+
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
 """Conditions whose worst place is a bin."""
 
@@ -290,6 +293,8 @@ def _place(problem: OptimalControlProblem, condition: Condition) -> str:
         return NOTHING
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
+    if condition.label in OF_MODES and condition.component is not None:
+        return f"t = {condition.time}, {problem.piecewise.mode_names[condition.component]}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:

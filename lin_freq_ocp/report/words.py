@@ -106,8 +106,12 @@ def verdict(certificate: Certificate) -> list[str]:
     elif certificate.pmp == "violated":
         failed = listed([f"{one.label} ({one.name})" for one in certificate.failed])
         sentences.append(f"The maximum principle is violated. What does not hold: {failed}.")
+    elif certificate.borders is not None:
+        sentences.append("The maximum principle does not apply: it needs dynamics without jumps.")
     else:
         sentences.append("The maximum principle was not judged: there are no multipliers.")
+    if certificate.borders is not None:
+        sentences.append(f"Borders of modes: {certificate.borders}.")
     return [*sentences, *_global_bound(certificate)]
 
 
@@ -256,6 +260,8 @@ def _proven(result: Result) -> str:
 
 def _global_bound(certificate: Certificate) -> list[str]:
     if certificate.bound is None or certificate.lower_bound is None or certificate.gap is None:
+        if certificate.borders is not None:
+            return ["There is no global lower bound: with modes, it takes a search over their sequences."]
         return ["There is no global lower bound: the cost is not convex, or the multipliers give none."]
     rigorous = "the bound is rigorous, with rounding errors counted in"
     numerical = "the bound is numerical: valid for trajectories of a similar size"

@@ -1,8 +1,8 @@
 """Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
 
 A node is a mask of modes. Its relaxation bounds the cost of all sequences within; where several modes are left, the
-node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a node whose bound comes within
-the gap of the best sequence found; its multipliers prove that, and the judge checks them all.
+node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a
+node whose bound comes within the gap of the best sequence found; its multipliers prove that, and the judge checks all.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.node import Duals, Relaxed, relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
 from lin_freq_ocp.problem.arrays import Indices, Mask
 from lin_freq_ocp.problem.mode_reach import Reach
 from lin_freq_ocp.problem.mode_tree import ModeNode
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 
@@ -144,8 +145,20 @@ class BranchAndBound:
             return
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
-            if answer.weights is not None and (index % ROUNDING_EVERY == 0 or self._best is None):
-                self._try(np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1))
+            if index % ROUNDING_EVERY == 0 or self._best is None:
+                for sequence in self._rounded(answer):
+                    self._try(sequence)
+
+    def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
+        """Yield the sequence of the largest weights, and that which the relaxed controls lead through."""
+        if answer.trajectory is None or answer.weights is None:
+            return
+        yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
+        try:
+            replayed = simulate(self.problem, answer.trajectory.u, answer.trajectory.x[0])
+        except NumericalError:  # the controls lead out of all regions
+            return
+        yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
 
     def _try(self, sequence: Indices, answer: Relaxed | None = None) -> None:
         """Solve a sequence, and improve it by flips while that is better than the best."""

@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 
-MOST_SEQUENCES = 50_000
+MOST_SEQUENCES = 10_000
 """More would take minutes; branch and bound needs a small part of them."""
 
 

@@ -7,7 +7,7 @@ looked for here, all with the least residual of stationarity as in ``methods/mul
               stage is stationary there: then the trajectory is flip-stationary
     border    region multipliers of either sign, as if the trajectory had to stay on the borders: if the active
               gradients are independent, the only ones that can satisfy Clarke's rule
-    vertex    weights 0 and 1: those of one mode sequence with its regions forgotten
+    vertex    weights 0 and 1: those of one mode sequence with its regions forgotten; only if gradients depend
 
 The first are those of a linear problem, too: with d_j the part of (dx_t, du_t) that goes into mode j, in the cone of
 directions into its region within the sets of the stage, and what is left in that of the sequence's own mode,
@@ -25,13 +25,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.methods.modes.weights import weighted
-from lin_freq_ocp.methods.multipliers import fit_multipliers, fitted_duals
+from lin_freq_ocp.methods.multipliers import fit_multipliers, fitted_duals, uniqueness
+from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import REGION, ModeArrays
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
@@ -58,11 +59,21 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
         yield weighted(problem, trajectory, place.sequence, place.fitted(_on_borders(place), place.z))
     except NumericalError:
         pass
+    if _independent(problem, trajectory):
+        return
     for sequence in sequences_nearby(place.sequence, place.meeting, MOST_SEQUENCES):
         try:
             yield _vertex(problem, trajectory, sequence)
         except NumericalError:
             continue
+
+
+def _independent(problem: OptimalControlProblem, trajectory: Trajectory) -> bool:
+    """Whether the active gradients are known to be independent: then no other multipliers are worth a try."""
+    try:
+        return uniqueness(problem, trajectory).unique
+    except UnsupportedError:  # too many to count in a moment
+        return False
 
 
 def sequences_nearby(sequence: Indices, meeting: Mask, most: int) -> list[Indices]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from lin_freq_ocp.backends.mixed import MixedSolution, mixed_backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -75,10 +72,6 @@ class MixedOutcome:
     slope: float
     words: str
     seconds: dict[str, float] = field(default_factory=dict[str, float])
-
-
-SHARE_OF_TIME = 0.5
-"""Part of a time limit that a mixed-integer solver gets where branch and bound is to check what it says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,30 +151,6 @@ def resolved(
         return Resolved(candidate, None, words)
     cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
     return Resolved(candidate, cost, "; ".join(_mismatches(outcome, cost)))
-
-
-def proven_or_improved(
-    problem: OptimalControlProblem,
-    backend: str,
-    limits: SearchLimits,
-    progress: Callable[[SearchProgress], None] | None = None,
-) -> SearchOutcome:
-    """Ask a mixed-integer solver, and let branch and bound begin with its sequence: the proof is that of its tree.
-
-    Raises
-    ------
-    UnsupportedError, MissingExtraError
-        As ``solve_miqp`` and ``BranchAndBound`` do.
-    """
-    started = time.perf_counter()
-    claim = solve_miqp(
-        problem, backend, SHARE_OF_TIME * limits.seconds if np.isfinite(limits.seconds) else None, limits.gap
-    )
-    interrupted = claim.status == "interrupted"
-    left = 0.0 if interrupted else limits.seconds - (time.perf_counter() - started)
-    outcome = BranchAndBound(problem, replace(limits, seconds=left), progress=progress).run(claim.sequence)
-    outcome = replace(outcome, setup=outcome.setup + claim.seconds["setup"])
-    return replace(outcome, words="interrupted", interrupted=True) if interrupted else outcome
 
 
 def _mismatches(outcome: MixedOutcome, cost: float) -> list[str]:

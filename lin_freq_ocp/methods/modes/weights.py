@@ -18,9 +18,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
+from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import REGION
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -91,7 +91,7 @@ def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: 
 
 
 def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
-    """Return alpha and nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
     norms = np.linalg.norm(rays, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])

@@ -1,0 +1,94 @@
+"""Dynamics as tables: A and B of a linear model, or one table for each mode of a piecewise-affine one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.places import placed
+from lin_freq_ocp.problem.affine_mode import MODE, AffineMode
+from lin_freq_ocp.problem.arrays import brief
+from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+
+NAME_KEYS = ("state_names", "control_names")
+
+DYNAMICS_KEYS = ("offset", "continuous", "sampling_time", *NAME_KEYS)
+"""Of linear dynamics, beside A and B."""
+
+PIECEWISE_KEYS = ("sampling_time", *NAME_KEYS)
+"""Of piecewise-affine dynamics, beside modes."""
+
+MODE_KEYS = ("offset", "G", "H", "h", "name")
+"""Of a mode, beside A and B."""
+
+
+def dynamics_from_table(table: Any) -> LinearDynamics | PiecewiseAffineDynamics:
+    """Return the dynamics of a table: piecewise affine ones if it has modes."""
+    piecewise = isinstance(table, Mapping) and "modes" in table
+    required, optional = (("modes",), PIECEWISE_KEYS) if piecewise else (("A", "B"), DYNAMICS_KEYS)
+    require_keys("dynamics", table, required, optional)
+    for key in NAME_KEYS:
+        if key in table and not isinstance(table[key], list):
+            raise ProblemError(f"dynamics.{key}", brief(table[key]), "a list of names")
+    return _piecewise(table) if piecewise else _linear(table)
+
+
+def table_from_dynamics(dynamics: LinearDynamics | PiecewiseAffineDynamics) -> dict[str, Any]:
+    """Return the table from which ``dynamics_from_table`` makes the same dynamics."""
+    named: dict[str, Any] = {} if dynamics.sampling_time is None else {"sampling_time": dynamics.sampling_time}
+    named |= {"state_names": list(dynamics.state_names), "control_names": list(dynamics.control_names)}
+    if isinstance(dynamics, LinearDynamics):
+        return _table_of_map(dynamics) | named
+    return named | {"modes": [_table_of_mode(mode) for mode in dynamics.modes]}
+
+
+def _linear(table: Mapping[str, Any]) -> LinearDynamics:
+    arguments = dict(table)
+    continuous = arguments.pop("continuous", False)
+    if not isinstance(continuous, bool):
+        raise ProblemError("dynamics.continuous", brief(continuous), "true or false")
+    with placed("dynamics"):
+        if not continuous:
+            return LinearDynamics(**arguments)
+        if "sampling_time" not in arguments:
+            raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
+        return LinearDynamics.from_continuous(**arguments)
+
+
+def _piecewise(table: Mapping[str, Any]) -> PiecewiseAffineDynamics:
+    given = table["modes"]
+    if not isinstance(given, list) or not given:
+        raise ProblemError("dynamics.modes", brief(given), "tables that begin with [[dynamics.modes]]")
+    modes = [_mode(f"dynamics.modes[{i}]", one) for i, one in enumerate(given)]
+    with placed("dynamics"):
+        return PiecewiseAffineDynamics(modes, **{key: value for key, value in table.items() if key != "modes"})
+
+
+def _mode(place: str, table: Any) -> AffineMode:
+    require_keys(place, table, ("A", "B"), MODE_KEYS)
+    with placed(place, MODE):
+        return AffineMode(**table)
+
+
+def _table_of_map(dynamics: LinearDynamics) -> dict[str, Any]:
+    table: dict[str, Any] = {"A": dynamics.A, "B": dynamics.B}
+    if dynamics.offset.any() or dynamics.offset.ndim > 1:
+        table["offset"] = dynamics.offset
+    return table
+
+
+def _table_of_mode(mode: AffineMode) -> dict[str, Any]:
+    """Leave out a matrix of zeros: without it, the same one is made again; but one of the two stays beside h."""
+    region = mode.region
+    table = ({"name": mode.name} if mode.name else {}) | _table_of_map(mode.linear)
+    without_G, without_H = (not part.any() and part.ndim == 2 for part in (region.C, region.D))
+    if without_G and without_H and mode.everywhere and region.e.shape == (1,):
+        return table
+    if not without_G:
+        table["G"] = region.C
+    if not without_H or without_G:
+        table["H"] = region.D
+    return table | {"h": region.e}
