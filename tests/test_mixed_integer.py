@@ -10,6 +10,7 @@ from dataclasses import replace
 import benchmark_modes
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from modes import brute_force, random_problem
 
 import lin_freq_ocp as lfo
@@ -57,7 +58,7 @@ def test_the_reference_values_are_found(backend, name, given, cost):
 @each_backend
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_problems_with_four_modes_agree_with_branch_and_bound(backend, seed):
-    problem = random_problem(seed, horizon=4, kinks=2, control_spectrum=lfo.stop_band(bins=[2]))
+    problem = random_problem(seed, horizon=3, kinks=2, control_spectrum=lfo.stop_band(bins=[1]))
     best = lfo.solve(problem).cost
     again = resolved(problem, solve_miqp(problem, backend))
     assert again.words == ""
@@ -358,6 +359,22 @@ def test_bounds_of_single_variables_are_told_from_rows():
     z = np.random.default_rng(0).uniform(-1, 1, len(program.q))
     held = ((program.A @ z >= program.lower) & (program.A @ z <= program.upper))[singles].all()
     assert held == ((z >= rows.below) & (z <= rows.above)).all()
+
+
+@each_backend
+def test_rows_without_variables_hold_or_exclude_everything(backend):
+    given = big_m_program(library.pendulum_with_wall(horizon=3))
+    program, binaries = given.program, given.binaries
+    A = sp.csc_array(sp.vstack([program.A, sp.csc_array((1, program.A.shape[1]))]))
+
+    def with_row(lower, upper):
+        return replace(program, A=A, lower=np.append(program.lower, lower), upper=np.append(program.upper, upper))
+
+    solve = mixed_backend(backend)
+    free, held = (solve(one, binaries, 20.0, 1e-6) for one in (program, with_row(-1.0, 1.0)))
+    assert (free.claim, held.claim) == (Claim.SOLVED, Claim.SOLVED)
+    np.testing.assert_allclose(free.z, held.z, atol=1e-7)
+    assert solve(with_row(0.5, 1.0), binaries, 20.0, 1e-6).claim is Claim.INFEASIBLE
 
 
 @each_backend

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.backends.base import Claim, require_no_cones
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.backends.mixed import Bounded, MixedSolution, bounded
+from lin_freq_ocp.backends.mixed import EXCLUDED, NOTHING, Bounded, MixedSolution, bounded
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.transcription.program import Program
 
@@ -84,7 +84,7 @@ def _attempt(
     rows = bounded(program)
     dense = _dense(program, rows, binaries, curvature)
     if dense is None:
-        return MixedSolution(Claim.INFEASIBLE, None, None, "infeasible without a search")
+        return NOTHING
     with interrupts_noted() as noted:
         x, flag, nodes = _called(dense, time_limit, gap)
     claim, words = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
@@ -132,7 +132,7 @@ def _dense(program: Program, rows: Bounded, binaries: Indices, curvature: float)
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
-    if (rows.below > rows.above).any() or (np.maximum(lower, -upper)[empty] > FEASIBILITY).any():
+    if not rows.consistent or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
         return None
     added = _regularisation(program, binaries)
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
