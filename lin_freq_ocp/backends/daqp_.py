@@ -13,7 +13,7 @@ It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import daqp
 import numpy as np
@@ -22,13 +22,14 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.backends.base import Claim, require_no_cones
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.backends.mixed import Bounded, MixedSolution, bounded
+from lin_freq_ocp.backends.mixed import EXCLUDED, NOTHING, Bounded, MixedSolution, bounded
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.transcription.program import Program
 
-BINARY_CURVATURE = 0.1
+BINARY_CURVATURES = (0.1, 0.01)
 """Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
-rows parallel once they are measured in the metric of the Hessian, as DAQP does."""
+rows parallel once they are measured in the metric of the Hessian, as DAQP does. The second is tried where DAQP cycles
+with the first, or finds nothing feasible: of 200 random problems, it cycled on one with each, on none with both."""
 
 SINGULAR = 1e-7
 """Least eigenvalue of a block of P, relative to the largest row sum of P, with which nothing is added to it."""
@@ -37,8 +38,9 @@ REGULARISATION = 1e-7
 """What is added to the diagonal of a singular block, relative to that row sum: 1e-6 of the cost or so, where variables
 are of order 1."""
 
-FEASIBILITY = 1e-8
-"""Of rows of order 1; DAQP's own is 1e-6, and its points are accurate to rounding as a rule."""
+FEASIBILITY = 1e-7
+"""Of rows of order 1. With 1e-8 it called nodes infeasible that are not, in one of 60 random problems; with its own
+1e-6, costs were too low by 5e-6 of themselves."""
 
 INFINITE = 1e30
 """What DAQP calls infinite."""
@@ -63,18 +65,32 @@ CLAIMS = {
 def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
     """Solve; what it stops with early has no bound."""
     require_no_cones(program, "daqp")
+    started, found = time.perf_counter(), list[MixedSolution]()
+    for curvature in BINARY_CURVATURES:
+        left = None if time_limit is None else time_limit - (time.perf_counter() - started)
+        if left is None or left > 0:
+            found.append(_attempt(program, binaries, curvature, left, gap))
+        if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
+            break
+    answers = [one for one in found if one.claim is not Claim.FAILED]
+    last = answers[-1] if answers else found[-1]
+    return replace(last, words="; then ".join(one.words for one in found))
+
+
+def _attempt(
+    program: Program, binaries: Indices, curvature: float, time_limit: float | None, gap: float
+) -> MixedSolution:
+    """Solve with one curvature of the binaries."""
     rows = bounded(program)
-    dense = _dense(program, rows, binaries)
+    dense = _dense(program, rows, binaries, curvature)
     if dense is None:
-        return MixedSolution(Claim.INFEASIBLE, None, None, "infeasible without a search")
+        return NOTHING
     with interrupts_noted() as noted:
-        started = time.perf_counter()
         x, flag, nodes = _called(dense, time_limit, gap)
-        seconds = time.perf_counter() - started
     claim, words = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
     words = f"{words}, {nodes} nodes"
     if noted.is_set():
-        claim, words = Claim.INTERRUPTED, f"interrupted after {seconds:.1f} s ({words})"
+        claim, words = Claim.INTERRUPTED, f"interrupted ({words})"
     if flag < 0 or not np.isfinite(x).all():
         return MixedSolution(claim, None, None, words)
     z = dense.fixed.copy()
@@ -109,19 +125,19 @@ class _Dense:
     added: Array
 
 
-def _dense(program: Program, rows: Bounded, binaries: Indices) -> _Dense | None:
+def _dense(program: Program, rows: Bounded, binaries: Indices, curvature: float) -> _Dense | None:
     """Return the program as DAQP takes it; None if its bounds alone have no point."""
     free = np.flatnonzero(rows.below < rows.above)
     fixed = np.where(rows.below < rows.above, 0.0, rows.below)
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
-    if (rows.below > rows.above).any() or (np.maximum(lower, -upper)[empty] > FEASIBILITY).any():
+    if not rows.consistent or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
         return None
     added = _regularisation(program, binaries)
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
-    hessian[binaries, binaries] += 2 * BINARY_CURVATURE
-    gradient[binaries] -= BINARY_CURVATURE
+    hessian[binaries, binaries] += 2 * curvature
+    gradient[binaries] -= curvature
     below, above = (np.append(*pair) for pair in ((rows.below[free], lower[~empty]), (rows.above[free], upper[~empty])))
     kinds = np.where(below == above, EQUATION, 0)
     kinds[: len(free)][np.isin(free, binaries)] = BINARY

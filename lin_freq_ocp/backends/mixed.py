@@ -36,6 +36,12 @@ class MixedSolution:
     words: str
 
 
+NOTHING = MixedSolution(Claim.INFEASIBLE, None, None, "infeasible without a search")
+"""The answer to a program whose bounds exclude each other."""
+
+EXCLUDED = 1e-6
+"""By this much must bounds of order 1 exclude each other, or rows without variables be violated: solvers forgive less."""
+
 MixedSolver = Callable[[Program, Indices, float | None, float], MixedSolution]
 """(program, indices of binaries, time limit in seconds or None, relative gap) -> MixedSolution."""
 
@@ -73,7 +79,9 @@ class Bounded:
     below, above : (variables,)
         Bounds of the variables.
     A : sparse (rows, variables); lower, upper : (rows,)
-        The other rows, outside cones.
+        The other rows, outside cones; none is empty.
+    consistent : bool
+        Whether no bound excludes another, and rows without variables hold.
     """
 
     below: Array
@@ -81,6 +89,7 @@ class Bounded:
     A: sp.csr_array
     lower: Array
     upper: Array
+    consistent: bool
 
 
 def bounded(program: Program) -> Bounded:
@@ -94,5 +103,8 @@ def bounded(program: Program) -> Bounded:
     limits = np.sort([program.lower[single] / value, program.upper[single] / value], axis=0)
     np.maximum.at(below, column, limits[0])
     np.minimum.at(above, column, limits[1])
-    rest = program.alone & (count != 1)
-    return Bounded(below, above, sp.csr_array(A[rest]), program.lower[rest], program.upper[rest])
+    empty, rest = program.alone & (count == 0), program.alone & (count > 1)
+    excess = np.concatenate([below - above, program.lower[empty], -program.upper[empty]])
+    above = np.where(below > above, below, above)
+    consistent = bool(excess.max(initial=0.0) <= EXCLUDED)
+    return Bounded(below, above, sp.csr_array(A[rest]), program.lower[rest], program.upper[rest], consistent)

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.backends.mixed import MixedSolution, bounded
+from lin_freq_ocp.backends.mixed import NOTHING, Bounded, MixedSolution, bounded
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.transcription.program import Program
 
@@ -60,9 +60,11 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 
 def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
     """Solve; the best point found is returned whatever ended the search, Ctrl-C included."""
-    integer = np.zeros(len(program.q), dtype=bool)
+    rows, integer = bounded(program), np.zeros(len(program.q), dtype=bool)
+    if not rows.consistent:
+        return NOTHING
     integer[binaries] = True
-    model, variables = _model(program, integer)
+    model, variables = _model(program, rows, integer)
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
         model.setParam("limits/time", time_limit)
@@ -113,8 +115,8 @@ def _nodes(model: Any) -> str:
     return f"{int(model.getNTotalNodes())} nodes"
 
 
-def _model(program: Program, integer: Mask) -> tuple[Any, list[Any]]:
-    rows, model = bounded(program), Model()
+def _model(program: Program, rows: Bounded, integer: Mask) -> tuple[Any, list[Any]]:
+    model = Model()
     model.hideOutput()
     z = [
         model.addVar(vtype="B" if whole else "C", lb=_finite(low), ub=_finite(high))

@@ -120,7 +120,8 @@ class _LeafJudge:
 
     def __init__(self, problem: OptimalControlProblem):
         T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
-        at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)))
+        named = problem.sampling_time, problem.state_names, problem.control_names  # as bands and terms know them
+        at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)), None, *named)
         self._problem = replace(problem, dynamics=at_rest)
         self._arrays = problem.piecewise.arrays(T)
         self._maps = np.concatenate([self._arrays.A, self._arrays.B], axis=-1)

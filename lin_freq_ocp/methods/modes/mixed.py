@@ -16,6 +16,7 @@ from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mixed_integer import MixedInteger, big_m_program
+from lin_freq_ocp.transcription.units import COST_LEVEL
 
 DEFAULT_GAP = 1e-6
 """Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
@@ -25,7 +26,8 @@ POINT_TOLERANCE = 1e-5
 the row, and as much in each binary times a coefficient of at most 1."""
 
 AGREEMENT = 1e-6
-"""Difference of the claimed cost and that of the sequence solved again, relative to the cost, that is no mismatch."""
+"""Part of the cost by which the claimed one may differ from that of the sequence solved again, beside what
+POINT_TOLERANCE in one row can change."""
 
 STATUS = {
     Claim.SOLVED: "optimal",
@@ -54,8 +56,8 @@ class MixedOutcome:
         Its cost J, in the problem's units, as far as the solver's point is a trajectory.
     bound : float or None
         A claimed lower bound on J.
-    unit : float
-        A cost of order 1 as the solver saw it: differences are relative to this, or to the cost where it is larger.
+    slope : float
+        Steepest change of J with a variable in the units of the program: what an error of 1 there would change.
     words : str
         The solver's own status, and what is wrong with its claim.
     seconds : dict
@@ -67,7 +69,7 @@ class MixedOutcome:
     trajectory: Trajectory | None
     cost: float | None
     bound: float | None
-    unit: float
+    slope: float
     words: str
     seconds: dict[str, float] = field(default_factory=dict[str, float])
 
@@ -152,7 +154,7 @@ def resolved(
 
 
 def _mismatches(outcome: MixedOutcome, cost: float) -> list[str]:
-    allowed = AGREEMENT * max(abs(cost), outcome.unit)
+    allowed = AGREEMENT * abs(cost) + POINT_TOLERANCE * outcome.slope
     found: list[str] = []
     if outcome.cost is not None and abs(outcome.cost - cost) > allowed:
         which = "above" if outcome.cost > cost else "below"
@@ -164,11 +166,11 @@ def _mismatches(outcome: MixedOutcome, cost: float) -> list[str]:
 
 def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, float]) -> MixedOutcome:
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, words, unit = STATUS[solution.claim], solution.words, mixed.cost(1.0)
+    status, words, slope = STATUS[solution.claim], solution.words, mixed.cost(COST_LEVEL)
     if solution.z is None:
         if status == "optimal":
             status, words = "failed", f"{words}, without a point"
-        return MixedOutcome(status, None, None, None, bound, unit, words, seconds)
+        return MixedOutcome(status, None, None, None, bound, slope, words, seconds)
     z, sequence = solution.z.copy(), mixed.sequence(solution.z)
     z[mixed.binaries] = mixed.deltas(sequence)
     violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
@@ -176,4 +178,4 @@ def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, fl
         status = "failed"
         words = f"{words}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
     cost = mixed.cost(mixed.program.objective(z))
-    return MixedOutcome(status, sequence, mixed.trajectory(z), cost, bound, unit, words, seconds)
+    return MixedOutcome(status, sequence, mixed.trajectory(z), cost, bound, slope, words, seconds)
