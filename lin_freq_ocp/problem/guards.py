@@ -63,7 +63,13 @@ def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None,
         raise ProblemError("guards.modes", brief(modes), expected)
     maps = {pattern: _mode(f"guards.modes[{pattern!r}]", pattern, given) for pattern, given in modes.items()}
     first = next(mode for mode in maps.values() if mode is not None)
-    guards = _guards(G, H, d, first.linear.state_dim, first.linear.control_dim)
+    sizes = first.linear.state_dim, first.linear.control_dim
+    for pattern, mode in maps.items():
+        got = sizes if mode is None else (mode.linear.state_dim, mode.linear.control_dim)
+        if got != sizes:
+            expected = f"{sizes[0]} and {sizes[1]}, as in the first"
+            raise ProblemError(f"guards.modes[{pattern!r}]", f"{got[0]} states and {got[1]} controls", expected)
+    guards = _guards(G, H, d, *sizes)
     for pattern in maps:
         if not isinstance(pattern, str) or len(pattern) != guards.count or set(pattern) - {*SIGNS, ANY}:
             expected = f'{guards.count} characters "+", "-" or "*", one for each guard'
