@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.stage_normals import mode_arrays
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
@@ -160,7 +161,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-        problem = problem.with_modes(problem.dynamics.sequence_of(trajectory.x, trajectory.u))
+        problem = problem.with_modes(mode_arrays(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from lin_freq_ocp.problem.stage_rows import StageRows
 
 BORDER_TOLERANCE = 1e-6
 """A point this far beyond a facet of a region, relative to the largest terms of its row, is still on it: solvers meet
-rows to 1e-8 or so, and the judge forgives 1e-6."""
+rows to 1e-8 or so, and the judge forgives 1e-6. The terms are those of the trajectory, or of ``ModeArrays.least_x``."""
 
 SAME_IMAGE = 4 * BORDER_TOLERANCE
 """Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms: those
@@ -97,6 +97,8 @@ class ModeArrays:
     ----------
     A : (T, modes, n, n), B : (T, modes, n, m), offset : (T, modes, n)
     G : (T, modes, rows, n), H : (T, modes, rows, m), h : (T, modes, rows)
+    least_x : (n,), least_u : (m,)
+        What |x_t| and |u_t| count as at least, where sizes of rows and images are asked for; 0 if not said.
     """
 
     A: Array
@@ -105,6 +107,8 @@ class ModeArrays:
     G: Array
     H: Array
     h: Array
+    least_x: Array = field(default_factory=lambda: np.zeros(()))
+    least_u: Array = field(default_factory=lambda: np.zeros(()))
 
     def images(self, x: Array, u: Array) -> Array:
         """Return what each mode makes of (x_t, u_t), shape (T, modes, n); x is (T+1, n) or (T, n)."""
@@ -117,9 +121,8 @@ class ModeArrays:
 
     def row_sizes(self, x: Array, u: Array) -> Array:
         """Return what an excess is measured by, (modes, rows): the largest sum of absolute terms of its row over t."""
-        limits = np.where(np.isfinite(self.h), np.abs(self.h), 0.0)
-        terms = np.einsum("tkrj,tj->tkr", np.abs(self.G), np.abs(x[: len(u)]))
-        terms += np.einsum("tkrj,tj->tkr", np.abs(self.H), np.abs(u)) + limits
+        limits, (x, u) = np.where(np.isfinite(self.h), np.abs(self.h), 0.0), self._sizes(x, u)
+        terms = np.einsum("tkrj,tj->tkr", np.abs(self.G), x) + np.einsum("tkrj,tj->tkr", np.abs(self.H), u) + limits
         largest = terms.max(axis=0)
         return np.where(largest > 0, largest, 1.0)
 
@@ -153,12 +156,17 @@ class ModeArrays:
         """
         times, sequence = np.arange(len(u)), self.sequence(x, u)
         images, active = self.images(x, u), self.active(x, u)
-        terms = np.einsum("tkij,tj->tki", np.abs(self.A), np.abs(x[: len(u)]))
-        terms += np.einsum("tkij,tj->tki", np.abs(self.B), np.abs(u)) + np.abs(self.offset)
+        x, u = self._sizes(x, u)
+        terms = np.einsum("tkij,tj->tki", np.abs(self.A), x) + np.einsum("tkij,tj->tki", np.abs(self.B), u)
+        terms += np.abs(self.offset)
         active[times, sequence] = True
         sizes = np.where(active[..., None], terms, 0.0).max(axis=(0, 1))
         here = images[times, sequence][:, None]
         return active & (np.abs(images - here) <= SAME_IMAGE * sizes).all(axis=2)
+
+    def _sizes(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return |x_t| and |u_t|, t < T, or what they count as at least."""
+        return np.maximum(np.abs(x[: len(u)]), self.least_x), np.maximum(np.abs(u), self.least_u)
 
 
 @dataclass(frozen=True, eq=False, init=False)

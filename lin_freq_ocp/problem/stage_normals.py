@@ -1,9 +1,9 @@
-"""The normal cone of the sets and rows of one stage at (x_t, u_t), by generators, with the multiplier behind each."""
+"""What is active at the stages of a trajectory: modes that meet, and the normals of the sets and rows of each stage."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,17 @@ from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.penalties import Below
+from lin_freq_ocp.problem.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 TOUCHING = 1e-6
 """A bound or row is active at this distance, relative to its size: what the judge forgives."""
+
+NATURAL_SHARE = 1e-2
+"""States and controls count as at least this part of their natural size where a distance to a border is measured: with
+BORDER_TOLERANCE, 1e-8 of it, to which solvers meet a border at 0. All of it would be too coarse: bounds may be wide."""
 
 STATE, CONTROL = "mu", "nu"
 """The fields of Multipliers that are normals to boxes; other families are names of terms."""
@@ -52,6 +57,13 @@ class Normal:
                 return 0.0
             array = multipliers.mu if self.family == STATE else multipliers.nu
         return max(self.sign * float(array[self.place]), 0.0)
+
+
+def mode_arrays(problem: OptimalControlProblem) -> ModeArrays:
+    """Return all modes at all times, with sizes below which no distance to a border is measured."""
+    x, u = stated_sizes(problem)
+    arrays = problem.piecewise.arrays(problem.horizon)
+    return replace(arrays, least_x=NATURAL_SHARE * x, least_u=NATURAL_SHARE * u)
 
 
 def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:

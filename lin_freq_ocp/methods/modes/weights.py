@@ -21,7 +21,7 @@ from scipy.optimize import nnls
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import REGION
-from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
+from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, mode_arrays, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GOOD_FIT = 1e-8
@@ -30,7 +30,11 @@ allows 1e-6, and solvers leave 1e-9."""
 
 
 def weighted(
-    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, multipliers: Multipliers
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    sequence: Indices,
+    multipliers: Multipliers,
+    pushed: Array | None = None,
 ) -> Multipliers:
     """Return the multipliers of the map, with weights, from those of ``problem.with_modes(sequence)``.
 
@@ -44,6 +48,8 @@ def weighted(
         The mode at every time.
     multipliers : Multipliers
         Those of the linear problem; region multipliers under the name REGION, zero if they are not there.
+    pushed : (T, n + m), optional
+        What is to be added to G_s' lambda.
 
     Returns
     -------
@@ -51,13 +57,15 @@ def weighted(
         Without REGION, with weights of the modes that meet at each time. They are the nearest to Clarke's rule that
         there are with this adjoint: whether near enough, the judge says.
     """
-    arrays, x, u = problem.piecewise.arrays(problem.horizon), trajectory.x, trajectory.u
+    arrays, x, u = mode_arrays(problem), trajectory.x, trajectory.u
     times, meeting = np.arange(problem.horizon), arrays.meeting(x, u)
     meeting[times, sequence] = True
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
     region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
+    across = np.einsum("tr,trj->tj", region, rows[times, sequence, : region.shape[1]])
+    across += 0.0 if pushed is None else pushed
     weights, normals = np.zeros(meeting.shape), stage_normals(problem, trajectory)
     weights[times, sequence] = 1.0
     parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
@@ -65,10 +73,9 @@ def weighted(
     scale = _scale(maps, multipliers)
     for t in times:
         s, modes = sequence[t], np.flatnonzero(meeting[t])
-        pushed = region[t] @ rows[t, s, : region.shape[1]]
-        if len(modes) == 1 and not (np.abs(pushed) > GOOD_FIT * scale).any():
+        if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
             continue
-        differences = (slopes[t, modes] - slopes[t, s] + pushed) / scale
+        differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
         held = np.array([one.value(multipliers) for one in normals[t]])
         weights[t, modes], changed = _nearest(differences, normals[t], held, scale)
         if changed is not None:
