@@ -12,6 +12,7 @@ from lin_freq_ocp.methods.modes.fitting import candidates
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -52,7 +53,7 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
 
 def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
     """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
-    sequence = problem.piecewise.sequence_of(trajectory.x, trajectory.u)
+    sequence = measured_modes(problem).sequence(trajectory.x, trajectory.u)
     found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
     if found is None:
         return None
@@ -64,7 +65,7 @@ def _verified(
     problem: OptimalControlProblem, trajectory: Trajectory, facts: BorderFacts
 ) -> tuple[BorderFacts, Direction | None]:
     """Return the facts with what became of the flips, and the steepest direction of descent that was verified."""
-    sequence = problem.piecewise.sequence_of(trajectory.x, trajectory.u)
+    sequence = measured_modes(problem).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:

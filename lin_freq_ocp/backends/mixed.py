@@ -40,7 +40,7 @@ NOTHING = MixedSolution(Claim.INFEASIBLE, None, None, "infeasible without a sear
 """The answer to a program whose bounds exclude each other."""
 
 EXCLUDED = 1e-6
-"""By this much must bounds of order 1 exclude each other, or rows without variables be violated: solvers forgive less."""
+"""Bounds of order 1 exclude each other, or rows without variables are violated, by this much: solvers forgive less."""
 
 MixedSolver = Callable[[Program, Indices, float | None, float], MixedSolution]
 """(program, indices of binaries, time limit in seconds or None, relative gap) -> MixedSolution."""

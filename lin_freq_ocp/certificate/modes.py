@@ -28,7 +28,7 @@ from lin_freq_ocp.certificate.conditions import (
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.measures import measured_modes, one_step_residual
+from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -90,8 +90,9 @@ def _state_equation(
 ) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t), with the mode that holds."""
     x, u = np.abs(trajectory.x), np.abs(trajectory.u)
-    terms = x[1:] + problem.piecewise.along(sequence).magnitudes().successors(x, u)
-    residual = np.abs(one_step_residual(problem, trajectory))
+    dynamics = problem.piecewise.along(sequence)
+    terms = x[1:] + dynamics.magnitudes().successors(x, u)
+    residual = np.abs(trajectory.x[1:] - dynamics.successors(trajectory.x, trajectory.u))
     return worst_condition("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
 
 

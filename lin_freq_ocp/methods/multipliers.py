@@ -23,6 +23,7 @@ from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -160,7 +161,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-        problem = problem.with_modes(problem.dynamics.sequence_of(trajectory.x, trajectory.u))
+        problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

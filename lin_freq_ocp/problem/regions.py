@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.polyhedra import (
 from lin_freq_ocp.problem.stage_sets import StageSet, StageSets
 
 CONTINUITY_TOLERANCE = 1e-7
-"""Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices that were
+"""Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
 linearised are right to 1e-9 or so, and what the judge forgives, BORDER_TOLERANCE, is ten times as much."""
 
 NARROW = 1e-9

@@ -31,7 +31,11 @@ allows 1e-6, and solvers leave 1e-9."""
 
 
 def weighted(
-    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, multipliers: Multipliers
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    sequence: Indices,
+    multipliers: Multipliers,
+    pushed: Array | None = None,
 ) -> Multipliers:
     """Return the multipliers of the map, with weights, from those of ``problem.with_modes(sequence)``.
 
@@ -45,6 +49,8 @@ def weighted(
         The mode at every time.
     multipliers : Multipliers
         Those of the linear problem; region multipliers under the name REGION, zero if they are not there.
+    pushed : (T, n + m), optional
+        What is to be added to G_s' lambda.
 
     Returns
     -------
@@ -59,6 +65,8 @@ def weighted(
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
     region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
+    across = np.einsum("tr,trj->tj", region, rows[times, sequence, : region.shape[1]])
+    across += 0.0 if pushed is None else pushed
     weights, normals = np.zeros(meeting.shape), stage_normals(problem, trajectory)
     weights[times, sequence] = 1.0
     parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
@@ -66,10 +74,9 @@ def weighted(
     scale = _scale(maps, multipliers)
     for t in times:
         s, modes = sequence[t], np.flatnonzero(meeting[t])
-        pushed = region[t] @ rows[t, s, : region.shape[1]]
-        if len(modes) == 1 and not (np.abs(pushed) > GOOD_FIT * scale).any():
+        if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
             continue
-        differences = (slopes[t, modes] - slopes[t, s] + pushed) / scale
+        differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
         held = np.array([one.value(multipliers) for one in normals[t]])
         weights[t, modes], changed = _nearest(differences, normals[t], held, scale)
         if changed is not None:
