@@ -16,7 +16,6 @@ from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli import cli
 from lin_freq_ocp.interchange.summary import certificate_summary
-from lin_freq_ocp.methods.modes.fitting import MOST_SEQUENCES, sequences_nearby
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.piecewise_affine import REGION
@@ -139,16 +138,6 @@ def test_uniqueness_counts_the_rows_of_the_sequence():
     found = uniqueness(problem, trajectory)
     assert found.unique
     assert found.active == uniqueness(problem.with_modes([0, 0]), trajectory).active
-
-
-def test_sequences_nearby_change_one_mode_at_a_time_and_are_limited():
-    sequence, meeting = np.zeros(40, int), np.ones((40, 2), dtype=bool)
-    found = sequences_nearby(sequence, meeting, MOST_SEQUENCES)
-    assert len(found) == MOST_SEQUENCES
-    assert (found[0] == sequence).all()
-    assert all((one != sequence).sum() == 1 for one in found[1:])
-    meeting[:, 1] = False
-    assert len(sequences_nearby(sequence, meeting, MOST_SEQUENCES)) == 1
 
 
 # --- files, words, command line ---------------------------------------------------------------------------------------

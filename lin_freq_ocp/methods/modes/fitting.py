@@ -203,7 +203,7 @@ def _on_kinks(place: _Place) -> tuple[Program, Array]:
         push[:, t] = across / units / place.scaling.cost
         pushes.append(push.reshape(len(across), len(place.sequence) * len(signals)))
     fixed = sp.csc_array(sp.vstack(rows))
-    return _extended(_without_regions(place), fixed, fixed @ place.z, equations=True), np.vstack(pushes)
+    return _extended(_without_regions(place), fixed, np.asarray(fixed @ place.z), equations=True), np.vstack(pushes)
 
 
 def _weighing(place: _Place, eta: Array) -> tuple[Program, Array]:
