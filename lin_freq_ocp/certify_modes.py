@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 from lin_freq_ocp.certificate.clarke import BorderFacts, Flip
 from lin_freq_ocp.certificate.directions import Direction, descent_direction
@@ -14,7 +16,7 @@ from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multiplie
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MOST_FLIPS = 16
 """Flips that are verified, the steepest first: each takes one fit of multipliers."""
@@ -27,17 +29,48 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     those that fit wherever only one mode holds, with the fewest flips. A flip that they name is tried: a direction of
     descent is looked for in the mode sequence with the flip, and the judge checks it.
     """
-    best: Certificate | None = None
-    for multipliers in candidates(problem, trajectory):
-        certificate = judge(problem, trajectory, multipliers)
-        if best is None or _rank(certificate) > _rank(best):
-            best = certificate
-        if not best.failed and _facts(best).flip_stationary:
-            return best
-    assert best is not None  # candidates yields one, or raises
+    best, _ = best_multipliers(problem, trajectory)
+    if not best.failed and _facts(best).flip_stationary:
+        return best
     facts, descent = _verified(problem, trajectory, _facts(best))
     abnormal = _abnormal(problem, trajectory) if best.failed and best.feasible else None
     return replace(best, borders=facts, descent=descent) if abnormal is None else replace(abnormal, descent=descent)
+
+
+def best_multipliers(
+    problem: OptimalControlProblem, trajectory: Trajectory, first: Multipliers | None = None
+) -> tuple[Certificate, Multipliers]:
+    """Return the best multipliers that are found, and what the judge says of the trajectory with them.
+
+    Parameters
+    ----------
+    first : Multipliers, optional
+        Judged before any others are looked for.
+
+    Raises
+    ------
+    NumericalError
+        If there are no first ones, and the first fit could not be solved.
+    """
+    best: tuple[Certificate, Multipliers] | None = None
+    for multipliers in chain([] if first is None else [first], _candidates(problem, trajectory, first is not None)):
+        certificate = judge(problem, trajectory, multipliers)
+        if best is None or _rank(certificate) > _rank(best[0]):
+            best = certificate, multipliers
+        if not best[0].failed and _facts(best[0]).flip_stationary:
+            break
+        if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
+            break  # no others can help
+    assert best is not None  # candidates yields one, or raises
+    return best
+
+
+def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
+    try:
+        yield from candidates(problem, trajectory)
+    except NumericalError:
+        if not optional:
+            raise
 
 
 def _facts(certificate: Certificate) -> BorderFacts:

@@ -11,7 +11,8 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.mode_bound import TreeBound, tree_bound
-from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.certify_modes import best_multipliers
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
@@ -133,12 +134,11 @@ def _judged(
 def _certificate(
     problem: OptimalControlProblem, sequence: Indices | None, candidate: Candidate | None
 ) -> tuple[Certificate | None, Multipliers | None]:
-    """Judge the best sequence's trajectory with the multipliers that fit best where modes meet."""
+    """Judge the best sequence's trajectory with its multipliers, or with others where modes meet and its do not fit."""
     if sequence is None or candidate is None or candidate.trajectory is None or candidate.multipliers is None:
         return None, None
-    multipliers = weighted(problem, candidate.trajectory, sequence, candidate.multipliers)
-    certificate = judge(problem, candidate.trajectory, multipliers)
-    return certificate, multipliers
+    first = weighted(problem, candidate.trajectory, sequence, candidate.multipliers)
+    return best_multipliers(problem, candidate.trajectory, first)
 
 
 def _status(
