@@ -1,6 +1,6 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About 12 minutes.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips]... [--problems N] [--seed 0]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes]... [--problems N] [--seed 0]
                              [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
@@ -17,6 +17,8 @@ Then random infeasible problems are explained, and everything that is said is tr
 Then random feasible problems of mixed features, against CVXPY on an independent model (verify_mixed.py).
 
 Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
+
+Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
 "explain", 200 for "mixed" and 200 for "flips".
@@ -36,6 +38,7 @@ import numpy as np
 import verify_explain
 import verify_flips
 import verify_mixed
+import verify_modes
 import verify_spectral
 from rich.console import Console
 from rich.progress import track
@@ -48,6 +51,8 @@ from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
 """How many random problems each part solves unless told otherwise."""
+
+PARTS = ["known", *PROBLEMS, "modes"]
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 """Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
@@ -261,12 +266,12 @@ def random_convex(console: Console, seeds: range) -> bool:
 def main() -> int:
     """Run the checks and print the tables; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--part", action="append", choices=["known", *PROBLEMS], help="may be repeated; default: all")
+    parser.add_argument("--part", action="append", choices=PARTS, help="may be repeated; default: all")
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument("--processes", type=int, default=2, help="of the part 'spectral'")
     options = parser.parse_args()
-    parts, console, good = options.part or ["known", *PROBLEMS], Console(), True
+    parts, console, good = options.part or PARTS, Console(), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
     if "known" in parts:
         table, good = known_optima()
@@ -281,6 +286,8 @@ def main() -> int:
         good &= verify_mixed.verify(console, seeds["mixed"])
     if "flips" in parts:
         good &= verify_flips.verify(console, seeds["flips"])
+    if "modes" in parts:
+        good &= verify_modes.verify(console)
     return 0 if good else 1
 
 

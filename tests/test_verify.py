@@ -10,6 +10,7 @@ import verify
 import verify_explain
 import verify_flips
 import verify_mixed
+import verify_modes
 
 from lin_freq_ocp.certificate.clarke import Flip
 
@@ -72,3 +73,15 @@ def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
     for every, words in ((False, "that would gain"), (True, "that gains")):
         what["all"] = every
         assert any(words in one for seed in range(8) for one in verify_flips.check(seed).wrong)
+
+
+@pytest.mark.parametrize("name", ["rotation, T = 6, freq", "pendulum, T = 6", "buck, T = 6", "network, T = 4, freq"])
+def test_four_methods_find_the_same_mode_sequences(name):
+    outcome = verify_modes.check(name)
+    assert outcome.passed, outcome
+
+
+def test_methods_that_disagree_or_prove_nothing_are_found_out(monkeypatch):
+    system, arguments, known = verify_modes.INSTANCES["buck, T = 6"]
+    monkeypatch.setitem(verify_modes.INSTANCES, "buck, T = 6", (system, arguments, known * (1 + 2e-6)))
+    assert not verify_modes.check("buck, T = 6").passed
