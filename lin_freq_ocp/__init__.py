@@ -37,10 +37,12 @@ from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.formulas import Formula, norm, signals
 from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
@@ -69,6 +71,7 @@ __all__ = [
     "Everything",
     "Explanation",
     "Expression",
+    "Formula",
     "InfeasibleError",
     "Intersection",
     "L1Cost",
@@ -84,6 +87,7 @@ __all__ = [
     "OptimalControlProblem",
     "OutputSpectrum",
     "PiecewiseAffineDynamics",
+    "PiecewiseSmoothDynamics",
     "Point",
     "Polyhedron",
     "ProblemError",
@@ -93,6 +97,7 @@ __all__ = [
     "SavedSolution",
     "SecondOrderCone",
     "Sensitivities",
+    "SmoothMode",
     "SmoothPiece",
     "Soft",
     "SolveError",
@@ -117,11 +122,13 @@ __all__ = [
     "low_pass",
     "maximum",
     "minimum",
+    "norm",
     "notch",
     "rate_limited",
     "read_csv",
     "read_mat",
     "read_problem",
+    "signals",
     "simulate",
     "solve",
     "stop_band",

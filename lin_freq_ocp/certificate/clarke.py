@@ -55,6 +55,31 @@ class Flip(NamedTuple):
     improves: bool | None = None
 
 
+class NormKink(NamedTuple):
+    """A norm whose arguments q are zero at a time.
+
+    Attributes
+    ----------
+    time : int
+    norm : str
+        In words.
+    selection : (components,)
+        xi, |xi| <= 1: the derivative of the norm that fits best is xi' Dq, the same in x and u.
+    rate : float
+        The derivative of <eta_t, f_t> by the norm. Above zero the kink is convex: the printed form has no solution.
+    """
+
+    time: int
+    norm: str
+    selection: tuple[float, ...]
+    rate: float
+
+    def told(self) -> str:
+        """Return the kink in words."""
+        xi = ", ".join(f"{part:.4g}" for part in self.selection)
+        return f"{self.norm} = 0 at t = {self.time} with xi = ({xi})"
+
+
 @dataclass(frozen=True, eq=False)
 class BorderFacts:
     """What holds where modes meet, with the multipliers that were judged.
@@ -83,6 +108,8 @@ class BorderFacts:
     conditions : tuple of Condition
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
     mode_names : tuple of str
+    norms : tuple of NormKink
+        Where the arguments of norms are zero.
     """
 
     elsewhere: bool
@@ -96,15 +123,18 @@ class BorderFacts:
     jumping: Border | None
     conditions: tuple[Condition, ...]
     mode_names: tuple[str, ...]
+    norms: tuple[NormKink, ...] = ()
 
     def __str__(self) -> str:
         parts = list[str]()
         if self.jumping is not None:
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
-        if not self.times:
+        parts += [kink.told() for kink in self.norms]
+        if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
-        parts.append(f"modes meet at t = {', '.join(map(str, self.times))}")
+        if self.times:
+            parts.append(f"modes meet at t = {', '.join(map(str, self.times))}")
         parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
         parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
         flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)

@@ -12,10 +12,12 @@ from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
+from lin_freq_ocp.certificate.smooth import judge_smooth
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GAP_TOLERANCE = 1e-6
@@ -115,6 +117,8 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
         if isinstance(problem.dynamics, PiecewiseAffineDynamics):
             bound, (conditions, borders) = None, judge_modes(problem, trajectory, multipliers)
+        elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
+            bound, (conditions, borders) = None, judge_smooth(problem, trajectory, multipliers)
         else:
             _require_no_weights(multipliers)
             lifted, borders = lift(problem, trajectory, multipliers), None

@@ -8,6 +8,7 @@ from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.library.absolute_value import absolute_value
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.buck_affine import buck_affine
+from lin_freq_ocp.library.buck_converter import buck_converter
 from lin_freq_ocp.library.cart_between_walls import cart_between_walls
 from lin_freq_ocp.library.cart_pole_with_walls import cart_pole_with_walls
 from lin_freq_ocp.library.crane import crane
@@ -17,6 +18,7 @@ from lin_freq_ocp.library.flexible_joint_arm import flexible_joint_arm
 from lin_freq_ocp.library.flexible_satellite import flexible_satellite
 from lin_freq_ocp.library.mass_chain import mass_chain
 from lin_freq_ocp.library.max_min_network import max_min_network
+from lin_freq_ocp.library.norm_dynamics import norm_dynamics
 from lin_freq_ocp.library.pendulum import pendulum
 from lin_freq_ocp.library.pendulum_with_wall import pendulum_with_wall
 from lin_freq_ocp.library.quadcopter import quadcopter
@@ -29,10 +31,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 __all__ = [
     "LINEAR",
     "PIECEWISE_AFFINE",
+    "PIECEWISE_SMOOTH",
     "PROBLEMS",
     "absolute_value",
     "ball_and_paddle",
     "buck_affine",
+    "buck_converter",
     "by_name",
     "cart_between_walls",
     "cart_pole_with_walls",
@@ -43,6 +47,7 @@ __all__ = [
     "flexible_satellite",
     "mass_chain",
     "max_min_network",
+    "norm_dynamics",
     "pendulum",
     "pendulum_with_wall",
     "quadcopter",
@@ -79,7 +84,13 @@ PIECEWISE_AFFINE: dict[str, Callable[..., OptimalControlProblem]] = {
 }
 """Problems with piecewise-affine dynamics, simple ones first; see docs/hybrid_systems.md."""
 
-PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = LINEAR | PIECEWISE_AFFINE
+PIECEWISE_SMOOTH: dict[str, Callable[..., OptimalControlProblem]] = {
+    "norm_dynamics": norm_dynamics,
+    "buck_converter": buck_converter,
+}
+"""Problems with piecewise-smooth dynamics: Examples 2 and 3 of the paper."""
+
+PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = LINEAR | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 """Every problem by its name; the first line of each docstring says what it shows."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array, Mask, brief, names, positive_integer, real_array
+from lin_freq_ocp.problem.formulas import MAXIMUM, MINIMUM, Formula, extreme
 from lin_freq_ocp.problem.polyhedra import Cell, cell_of, irredundant, natural_sizes
 
 MOST_PIECES = 256
@@ -129,13 +130,21 @@ def affine_signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDA
     return signals[:n], signals[n:]
 
 
-def maximum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression:
+@overload
+def maximum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
+
+
+@overload
+def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+
+
+def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
     """Return the largest of several expressions and numbers.
 
     Parameters
     ----------
-    arguments : Expression or float
-        At least one is an expression.
+    arguments : Expression, Formula or float
+        Affine expressions of ``affine_signals``, or formulas of ``signals``; at least one is no number.
     names : sequence of str, optional
         What to call the modes in which each argument is the largest; "" adds nothing to a name.
 
@@ -144,11 +153,23 @@ def maximum(*arguments: Expression | float, names: Sequence[str] | None = None) 
     ProblemError
         If there is no expression, or not one name each.
     """
+    if any(isinstance(one, Formula) for one in arguments):
+        return extreme(MAXIMUM, arguments, names)
     return _branching("maximum", arguments, names)
 
 
-def minimum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression:
+@overload
+def minimum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
+
+
+@overload
+def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+
+
+def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
     """Return the smallest of several expressions and numbers; parameters and errors as for ``maximum``."""
+    if any(isinstance(one, Formula) for one in arguments):
+        return extreme(MINIMUM, arguments, names)
     return _branching("minimum", arguments, names)
 
 

@@ -1,8 +1,8 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)): linear or piecewise-affine dynamics, convex costs and sets."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)): convex costs and sets."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,8 +14,10 @@ from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.problem_terms import (
     BEYOND_BANDS,
     OutputSpectrum,
@@ -41,8 +43,9 @@ class OptimalControlProblem:
 
     Parameters
     ----------
-    dynamics : LinearDynamics or PiecewiseAffineDynamics
-        The map f_t, with names, units and sampling time. The regions of modes must cover the state and control sets.
+    dynamics : LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics
+        The map f_t, with names, units and sampling time. The regions of affine modes must cover the state and control
+        sets.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
     cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
@@ -66,7 +69,7 @@ class OptimalControlProblem:
         Saying which field, what was got and what was expected.
     """
 
-    dynamics: LinearDynamics | PiecewiseAffineDynamics
+    dynamics: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics
     horizon: int
     cost: Any
     control_set: Any = None
@@ -81,11 +84,11 @@ class OptimalControlProblem:
 
     def __post_init__(self):
         set_field = object.__setattr__
-        if not isinstance(self.dynamics, (LinearDynamics, PiecewiseAffineDynamics)):
+        if not isinstance(self.dynamics, (LinearDynamics, PiecewiseAffineDynamics, PiecewiseSmoothDynamics)):
             raise ProblemError(
                 "dynamics",
                 brief(self.dynamics),
-                "LinearDynamics or PiecewiseAffineDynamics",
+                "LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics",
                 "From python-control: LinearDynamics.from_statespace.",
             )
         cost = as_cost(self.cost)
@@ -139,13 +142,13 @@ class OptimalControlProblem:
         Raises
         ------
         UnsupportedError
-            If they are piecewise affine.
+            If they have modes.
         """
         if isinstance(self.dynamics, LinearDynamics):
             return self.dynamics
         raise UnsupportedError(
-            "dynamics: got PiecewiseAffineDynamics; expected LinearDynamics. solve(), compare() and certify() take "
-            "both; problem.with_modes(sequence) is the linear problem of one mode sequence."
+            f"dynamics: got {type(self.dynamics).__name__}; expected LinearDynamics. solve(), compare() and certify() "
+            "take all; of affine modes, problem.with_modes(sequence) is the linear problem of one mode sequence."
         )
 
     @property
@@ -155,11 +158,43 @@ class OptimalControlProblem:
         Raises
         ------
         UnsupportedError
-            If they are linear.
+            If they are not.
         """
         if isinstance(self.dynamics, PiecewiseAffineDynamics):
             return self.dynamics
-        raise UnsupportedError("dynamics: got LinearDynamics; expected PiecewiseAffineDynamics, which has modes.")
+        got = type(self.dynamics).__name__
+        raise UnsupportedError(f"dynamics: got {got}; expected PiecewiseAffineDynamics, which has affine modes.")
+
+    @property
+    def smooth_pieces(self) -> PiecewiseSmoothDynamics:
+        """Return the dynamics, which must be piecewise smooth.
+
+        Raises
+        ------
+        UnsupportedError
+            If they are not.
+        """
+        if isinstance(self.dynamics, PiecewiseSmoothDynamics):
+            return self.dynamics
+        raise UnsupportedError(f"dynamics: got {type(self.dynamics).__name__}; expected PiecewiseSmoothDynamics.")
+
+    def affine_at(
+        self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
+    ) -> OptimalControlProblem:
+        """Return the problem with piecewise-smooth dynamics linearised along a trajectory: one affine mode for each.
+
+        To first order at the trajectory, both problems are the same: they have the same states there, and the same
+        multipliers. The regions, linearised, need not cover the sets, and nothing is asked of them.
+
+        Parameters
+        ----------
+        selections : mapping from norms to (T, components), optional
+            The derivatives of norms at zero, as for ``formulas.jets``.
+        """
+        problem = copy(self)
+        assign(problem, dynamics=self.smooth_pieces.affine_at(trajectory.x, trajectory.u, selections))
+        problem.__dict__["borders"] = ()  # smooth pieces meet continuously
+        return problem
 
     def with_modes(self, sequence: Any) -> OptimalControlProblem:
         """Return the linear problem of one mode sequence: its maps, and the rows of its regions as stage rows.
@@ -181,15 +216,20 @@ class OptimalControlProblem:
         return replace(self, dynamics=self.piecewise.along(modes), stage_rows=rows)
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
-        """Return the linear dynamics, those of the modes that a trajectory is in if there are modes."""
+        """Return the linear dynamics, those of the modes that a trajectory is in if there are modes.
+
+        Smooth pieces are linearised along the trajectory.
+        """
         if isinstance(self.dynamics, LinearDynamics):
             return self.dynamics
+        if isinstance(self.dynamics, PiecewiseSmoothDynamics):
+            return self.affine_at(trajectory).dynamics_along(trajectory)
         return self.dynamics.along(self.dynamics.sequence_of(trajectory.x, trajectory.u))
 
     @cached_property
     def borders(self) -> tuple[Border, ...]:
-        """Where regions of modes meet within the sets, and whether the map jumps there; empty for linear dynamics."""
-        if isinstance(self.dynamics, LinearDynamics):
+        """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
+        if not isinstance(self.dynamics, PiecewiseAffineDynamics):
             return ()
         return borders(self.dynamics, self._stage_sets)
 
@@ -341,7 +381,7 @@ class OptimalControlProblem:
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
         joint = sum(family.rows for family in self.stage_rows)
-        modes = f"{len(self.dynamics.modes)} modes, " if isinstance(self.dynamics, PiecewiseAffineDynamics) else ""
+        modes = "" if isinstance(self.dynamics, LinearDynamics) else f"{len(self.dynamics.modes)} modes, "
         return (
             f"{self.name or 'optimal control problem'}: horizon {self.horizon}, "
             f"{self.state_dim} states, {self.control_dim} controls, {modes}"

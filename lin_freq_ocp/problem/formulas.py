@@ -1,0 +1,397 @@
+"""Formulas of states and controls: written with operators, evaluated with their first and second derivatives.
+
+``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
+``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin`` and ``cos`` of formulas are formulas. A Python
+function of (x, u) that is made of these can be traced: it is called once, with signals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import Array, brief, positive_integer, real_array
+
+LARGEST_POWER = 16
+
+VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
+MAXIMUM, MINIMUM, NORM = "maximum", "minimum", "norm"
+SMOOTH = ("exp", "log", "sqrt", "sin", "cos")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Formula:
+    """One node of a formula; made by ``signals`` and operators.
+
+    Attributes
+    ----------
+    dimensions : (n, m)
+    kind : str
+    arguments : tuple of Formula
+    data : tuple of float
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent.
+    names : tuple of str
+        Of a maximum or minimum, what to call the modes in which each argument is the one.
+    """
+
+    dimensions: tuple[int, int]
+    kind: str
+    arguments: tuple[Formula, ...] = ()
+    data: tuple[float, ...] = ()
+    names: tuple[str, ...] = ()
+
+    @property
+    def constant(self) -> float | None:
+        """Return the value of a formula without variables, else None."""
+        return self.data[-1] if self.kind == SUM and not self.arguments else None
+
+    def __add__(self, other: Any) -> Formula:
+        if not isinstance(other, Formula):
+            return _sum(self.dimensions, {self: 1.0}, _number("+", other))
+        _require_same(self, other)
+        return _sum(self.dimensions, {self: 2.0} if other is self else {self: 1.0, other: 1.0}, 0.0)
+
+    def __mul__(self, other: Any) -> Formula:
+        if not isinstance(other, Formula):
+            return _sum(self.dimensions, {self: _number("*", other)}, 0.0)
+        _require_same(self, other)
+        for one, factor in ((self, other), (other, self)):
+            if one.constant is not None:
+                return _sum(self.dimensions, {factor: one.constant}, 0.0)
+        if other is self:
+            return self**2
+        return Formula(self.dimensions, PRODUCT, (self, other))
+
+    def __truediv__(self, other: Any) -> Formula:
+        if isinstance(other, Formula) and other.constant is None:
+            _require_same(self, other)
+            return Formula(self.dimensions, QUOTIENT, (self, other))
+        value = _number("/", other.constant if isinstance(other, Formula) else other)
+        if not value:
+            raise ProblemError("formula", "a quotient by 0", "a number other than zero")
+        return self * (1 / value)
+
+    def __rtruediv__(self, other: Any) -> Formula:
+        return Formula(self.dimensions, QUOTIENT, (_sum(self.dimensions, {}, _number("/", other)), self))
+
+    def __pow__(self, exponent: Any) -> Formula:
+        if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
+            expected = f"a whole number from 2 to {LARGEST_POWER}"
+            raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
+        return Formula(self.dimensions, POWER, (self,), (float(exponent),))
+
+    def __neg__(self) -> Formula:
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> Formula:
+        return self + (other * -1.0 if isinstance(other, Formula) else -_number("-", other))
+
+    def __rsub__(self, other: Any) -> Formula:
+        return -self + other
+
+    def __abs__(self) -> Formula:
+        return Formula(self.dimensions, MAXIMUM, (self, -self))
+
+    def _compare(self, other: Any) -> bool:
+        advice = "Python's max and min, and comparisons, decide here and now."
+        raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
+
+    __radd__, __rmul__ = __add__, __mul__
+    __lt__ = __le__ = __gt__ = __ge__ = _compare
+
+    def exp(self) -> Formula:
+        """Return the exponential; np.exp of an array of formulas calls it, and so on."""
+        return Formula(self.dimensions, "exp", (self,))
+
+    def log(self) -> Formula:
+        """Return the natural logarithm."""
+        return Formula(self.dimensions, "log", (self,))
+
+    def sqrt(self) -> Formula:
+        """Return the square root; of a sum of squares, ``norm`` is known to have a kink at zero."""
+        return Formula(self.dimensions, "sqrt", (self,))
+
+    def sin(self) -> Formula:
+        """Return the sine."""
+        return Formula(self.dimensions, "sin", (self,))
+
+    def cos(self) -> Formula:
+        """Return the cosine."""
+        return Formula(self.dimensions, "cos", (self,))
+
+    def __repr__(self) -> str:
+        return f"Formula({text_of(self)})"
+
+
+def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    """Return the components of x and of u as formulas, arrays (n,) and (m,).
+
+    Parameters
+    ----------
+    states, controls : int
+        n and m.
+
+    Raises
+    ------
+    ProblemError
+        If they are no whole numbers from 1.
+    """
+    n, m = positive_integer("states", states), positive_integer("controls", controls)
+    made = np.empty(n + m, dtype=object)
+    made[:] = [Formula((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
+    return made[:n], made[n:]
+
+
+def norm(components: Any) -> Formula:
+    """Return the Euclidean norm of formulas, which has a kink where all of them are zero.
+
+    Raises
+    ------
+    ProblemError
+        If they are not formulas.
+    """
+    listed = list(components) if isinstance(components, (Sequence, np.ndarray)) else [components]
+    given = [one for one in listed if isinstance(one, Formula)]
+    if not given:
+        raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
+    zero = given[0] * 0.0
+    return Formula(given[0].dimensions, NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
+
+
+def extreme(kind: str, arguments: Sequence[Any], given: Sequence[str] | None) -> Formula:
+    """Return the maximum or minimum of formulas and numbers; see ``maximum`` and ``minimum``."""
+    first = next(one for one in arguments if isinstance(one, Formula))
+    listed: list[Formula] = []
+    for one in arguments:
+        made = one if isinstance(one, Formula) else _sum(first.dimensions, {}, _number(kind, one))
+        _require_same(first, made)
+        listed.append(made)
+    if len(listed) < 2:
+        raise ProblemError(kind, brief(arguments), "two arguments or more")
+    if given is not None and (isinstance(given, str) or len(given) != len(listed)):
+        raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
+    return Formula(first.dimensions, kind, tuple(listed), names=tuple(given or ()))
+
+
+def in_order(formulas: Sequence[Formula]) -> list[Formula]:
+    """Return all nodes, each once, arguments before what is made of them."""
+    found: dict[Formula, None] = {}
+    stack = [(one, False) for one in reversed(formulas)]
+    while stack:
+        one, done = stack.pop()
+        if one in found:
+            continue
+        if done:
+            found[one] = None
+        else:
+            stack += [(one, True), *((argument, False) for argument in reversed(one.arguments))]
+    return list(found)
+
+
+def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
+    """Return the formulas with some nodes replaced; what has none of them stays the same object."""
+    made: dict[Formula, Formula] = {}
+    for one in in_order(formulas):
+        if one in changed:
+            made[one] = made.get(changed[one], changed[one])
+            continue
+        arguments = tuple(made[argument] for argument in one.arguments)
+        same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
+        made[one] = one if same else Formula(one.dimensions, one.kind, arguments, one.data, one.names)
+    return [made[one] for one in formulas]
+
+
+@dataclass(frozen=True, eq=False)
+class Jets:
+    """Formulas at points y = (x, u), with derivatives.
+
+    Attributes
+    ----------
+    values : (points, formulas)
+    slopes : (points, formulas, n + m)
+    curvatures : (points, formulas, n + m, n + m)
+    """
+
+    values: Array
+    slopes: Array
+    curvatures: Array
+
+
+def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Array] | None = None) -> Jets:
+    """Return formulas without maxima and minima at points, with derivatives; what is undefined there is not a number.
+
+    Parameters
+    ----------
+    y : (points, n + m)
+    selections : mapping from norms to (points, components), optional
+        Where the rows are numbers, they stand for the derivative of the norm by its arguments, and its curvature is 0.
+        At zero without a selection, the derivative is 0.
+    """
+    points, k = y.shape
+    found: dict[Formula, _Jet] = {}
+    with np.errstate(all="ignore"):
+        for one in in_order(formulas):
+            found[one] = _jet(one, [found[argument] for argument in one.arguments], y, (selections or {}).get(one))
+    shape = (points, len(formulas))
+    values, slopes = np.empty(shape), np.empty((*shape, k))
+    curvatures = np.empty((*shape, k, k))
+    for place, one in enumerate(formulas):
+        values[:, place], slopes[:, place], curvatures[:, place] = found[one]
+    return Jets(values, slopes, curvatures)
+
+
+_Jet = tuple[Array, Array, Array]
+
+
+def _jet(one: Formula, arguments: Sequence[_Jet], y: Array, selection: Array | None) -> _Jet:
+    points, k = y.shape
+    if one.kind == VARIABLE:
+        slope = np.zeros((points, k))
+        slope[:, int(one.data[0])] = 1.0
+        return y[:, int(one.data[0])], slope, np.zeros((points, k, k))
+    if one.kind == SUM:
+        parts = [np.full(points, one.data[-1]), np.zeros((points, k)), np.zeros((points, k, k))]
+        for factor, argument in zip(one.data[:-1], arguments, strict=True):
+            parts = [part + factor * more for part, more in zip(parts, argument, strict=True)]
+        return parts[0], parts[1], parts[2]
+    if one.kind == PRODUCT:
+        return _product(*arguments)
+    if one.kind == QUOTIENT:
+        over, (value, slope, curvature) = arguments
+        inverse = _chained((value, slope, curvature), 1 / value, -(value**-2.0), 2 * value**-3.0)
+        return _product(over, inverse)
+    if one.kind == NORM:
+        return _norm(arguments, selection)
+    (argument,) = arguments
+    return _chained(argument, *_smooth(one, argument[0]))
+
+
+def _smooth(one: Formula, value: Array) -> tuple[Array, Array, Array]:
+    """Return a function of one variable with its first and second derivative."""
+    if one.kind == POWER:
+        p = one.data[0]
+        return value**p, p * value ** (p - 1), p * (p - 1) * value ** (p - 2)
+    if one.kind == "exp":
+        result = np.exp(value)
+        return result, result, result
+    if one.kind == "log":
+        return np.log(value), 1 / value, -(value**-2.0)
+    if one.kind == "sqrt":
+        root = np.sqrt(value)
+        return root, 0.5 / root, -0.25 / (root * value)
+    if one.kind == "sin":
+        return np.sin(value), np.cos(value), -np.sin(value)
+    if one.kind == "cos":
+        return np.cos(value), -np.sin(value), -np.cos(value)
+    raise ProblemError("formula", f"a {one.kind}", "a formula without maxima and minima: a mode of it")
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[:, :, None] * b[:, None, :]
+
+
+def _product(one: _Jet, other: _Jet) -> _Jet:
+    cross = _outer(one[1], other[1])
+    curvature = one[0][:, None, None] * other[2] + other[0][:, None, None] * one[2] + cross + np.swapaxes(cross, 1, 2)
+    return one[0] * other[0], one[0][:, None] * other[1] + other[0][:, None] * one[1], curvature
+
+
+def _chained(one: _Jet, value: Array, first: Array, second: Array) -> _Jet:
+    curvature = first[:, None, None] * one[2] + second[:, None, None] * _outer(one[1], one[1])
+    return value, first[:, None] * one[1], curvature
+
+
+def _norm(arguments: Sequence[_Jet], selection: Array | None) -> _Jet:
+    a, slopes, curvatures = (np.stack([one[part] for one in arguments], axis=1) for part in range(3))
+    length = np.linalg.norm(a, axis=1)
+    at_zero = length == 0
+    selected = np.isfinite(selection).all(axis=1) if selection is not None else at_zero
+    selected = selected | at_zero
+    unit = a / np.where(at_zero, 1.0, length)[:, None]
+    if selection is not None:
+        unit = np.where(np.isfinite(selection), selection, unit)
+    slope = np.einsum("pc,pck->pk", unit, slopes)
+    curvature = np.einsum("pc,pckl->pkl", unit, curvatures)
+    within = np.einsum("pck,pcl->pkl", slopes, slopes) - _outer(slope, slope)
+    curvature = curvature + np.where(
+        selected[:, None, None], 0.0, within / np.where(at_zero, 1.0, length)[:, None, None]
+    )
+    return length, slope, curvature
+
+
+def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+    """Return formulas and numbers, or what a function of (x, u) makes of signals, as formulas.
+
+    Raises
+    ------
+    ProblemError
+        If they are none, or have other signals.
+    """
+    if callable(given):
+        x, u = signals(*dimensions)
+        given = given(x, u)
+    if isinstance(given, Formula):
+        given = [given]
+    if not isinstance(given, (Sequence, np.ndarray)) or isinstance(given, str):
+        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
+    made: list[Formula] = []
+    for i, one in enumerate(given):
+        formula = one if isinstance(one, Formula) else _sum(dimensions, {}, _number(f"{field}[{i}]", one))
+        if formula.dimensions != dimensions:
+            expected = f"{dimensions[0]} states and {dimensions[1]} controls"
+            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        made.append(formula)
+    return tuple(made)
+
+
+def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
+    """Return a formula in words."""
+    n = one.dimensions[0]
+    if one.kind == VARIABLE:
+        i = int(one.data[0])
+        return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
+    parts = [text_of(argument, labels) for argument in one.arguments]
+    if one.kind == SUM:
+        terms = [f"{factor:.4g} {part}" for factor, part in zip(one.data[:-1], parts, strict=True)]
+        terms += [f"{one.data[-1]:.4g}"] if one.data[-1] or not terms else []
+        return " + ".join(terms).replace("+ -", "- ").replace("-1 ", "-")
+    if one.kind in (PRODUCT, QUOTIENT):
+        return f"({parts[0]}) {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
+    if one.kind == POWER:
+        return f"({parts[0]})^{one.data[0]:g}"
+    return f"{one.kind}({', '.join(parts)})"
+
+
+def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
+    """Yield the nodes of some kinds, those within others first."""
+    return (one for one in in_order(formulas) if one.kind in kinds)
+
+
+def _sum(dimensions: tuple[int, int], factors: Mapping[Formula, float], constant: float) -> Formula:
+    """Return sum factor * formula + constant; sums within it are taken up."""
+    flat: dict[Formula, float] = {}
+    for one, factor in factors.items():
+        inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == SUM else [(one, 1.0)]
+        constant += factor * one.data[-1] if one.kind == SUM else 0.0
+        for part, weight in inner:
+            flat[part] = flat.get(part, 0.0) + factor * weight
+    kept = {one: factor for one, factor in flat.items() if factor}
+    if list(kept.values()) == [1.0] and not constant:
+        return next(iter(kept))
+    return Formula(dimensions, SUM, tuple(kept), (*kept.values(), constant))
+
+
+def _require_same(one: Formula, other: Formula) -> None:
+    if one.dimensions != other.dimensions:
+        raise ProblemError("formula", f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
+
+
+def _number(operator: str, value: Any) -> float:
+    if isinstance(value, (bool, np.bool_)) or np.ndim(value):
+        raise ProblemError("formula", f"{operator} {brief(value)}", "a number or a formula")
+    return float(real_array("formula", value))
