@@ -5,8 +5,9 @@ With the current i, the voltage v, a = exp(-R Tc/L), r = I_ref R and the border 
     i+ = a i + (1 - a) v/R                                      i <= i_b(v): the switch stays closed
     i+ = d ((v - R i)/(v - r))^((R + r_d)/R)                    i >= i_b(v): it opens within the period
 
-with d = I_ref exp(-(R + r_d) Tc/L). With e = i - i_b(v) the first is I_ref + a e. With r_d = 0 the second is I_ref - r a
-e/(v - r): a fraction. The map is continuous, I_ref on the border, for every r_d: there (v - R i)/(v - r) = 1/a.
+with d = I_ref exp(-(R + r_d) Tc/L). With e = i - i_b(v) the first is I_ref + a e, and with r_d = 0 the second is
+I_ref - r a e/(v - r): a fraction. The map is continuous, I_ref on the border, for every r_d, since there
+(v - R i)/(v - r) = 1/a.
 """
 
 from __future__ import annotations
