@@ -38,7 +38,7 @@ ZERO_NORM = 1e-9
 """The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1."""
 
 OUTSIDE = 1e3
-"""The limit that stands for the region of a mode that is not defined at a point: 0 <= -OUTSIDE."""
+"""A mode that is not defined at a point has a region there that the point is this far from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,10 +255,13 @@ class PiecewiseSmoothDynamics:
             ok = defined[:, i]
             F = np.where(ok[:, None, None], found.f[i].slopes, 0.0)
             offset = np.where(ok[:, None], found.f[i].values, 0.0) - np.einsum("tij,tj->ti", F, y)
-            G = np.where(ok[:, None, None], found.regions[i].slopes, 0.0)
-            h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], found.regions[i].values, OUTSIDE)
-            if not G.shape[1]:
-                G, h = np.zeros((T, 1, y.shape[1])), np.where(ok[:, None], np.inf, -OUTSIDE)
+            rows, values = found.regions[i].slopes, found.regions[i].values
+            if not rows.shape[1]:
+                rows, values = np.zeros((T, 1, y.shape[1])), np.full((T, 1), -np.inf)
+            far = np.zeros(rows.shape)
+            far[..., 0] = 1.0
+            G = np.where(ok[:, None, None], rows, far)
+            h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], values, OUTSIDE)
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 

@@ -1,0 +1,122 @@
+"""Local optima of several mode sequences, each improved by changing one mode at a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, flipped, local_optimum
+from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
+"""Constant controls to start from, as parts of the way from the lower bound to the upper one."""
+
+BETTER = 1e-9
+"""A sequence is better from this part of the cost."""
+
+
+@dataclass
+class LocalSearch:
+    """One search; ``run`` it once.
+
+    Attributes
+    ----------
+    best : LocalOptimum or None
+        The least cost of those that are trajectories, else the one that violates least.
+    tried : int
+        Sequences, each from one start.
+    words : str
+        Why it stopped early.
+    interrupted : bool
+    """
+
+    problem: OptimalControlProblem
+    seconds: float = np.inf
+    best: LocalOptimum | None = None
+    tried: int = 0
+    words: str = ""
+    interrupted: bool = False
+
+    def __post_init__(self):
+        self._end = time.perf_counter() + self.seconds
+        self._known: set[tuple[bytes, bytes]] = set()
+
+    def run(self) -> LocalSearch:
+        """Search from all starts, then improve the best."""
+        try:
+            for trajectory, sequence in self._starts():
+                self._try(trajectory, sequence)
+            while not self._late() and self._improved():
+                pass
+        except KeyboardInterrupt:
+            self.interrupted, self.words = True, "interrupted"
+        return self
+
+    def _improved(self) -> bool:
+        """Try the neighbours of the best sequence; return whether one of them is better."""
+        before = self.best
+        if before is None:
+            return False
+        for sequence in flipped(self.problem, before):
+            if self._late():
+                return False
+            self._try(before.trajectory, sequence)
+            if self.best is not before:
+                return True
+        return False
+
+    def _try(self, start: Trajectory, sequence: Indices) -> None:
+        key = sequence.tobytes(), np.round(start.u, 6).tobytes()
+        if self._late() or key in self._known:
+            return
+        self._known.add(key)
+        self.tried += 1
+        found = local_optimum(self.problem, start, sequence)
+        if found is not None and (self.best is None or _better(found, self.best)):
+            self.best = found
+
+    def _late(self) -> bool:
+        if time.perf_counter() <= self._end:
+            return False
+        self.words = f"time limit of {self.seconds:g} s"
+        return True
+
+    def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
+        """Yield trajectories of constant controls with the modes that they go through, then with each mode alone."""
+        problem, T = self.problem, self.problem.horizon
+        tube, start = problem.control_tube, _middle(problem.ends[0], np.full(problem.state_dim, 0.5))
+        held: Trajectory | None = None
+        for share in SHARES:
+            u = _middle(tube, np.full(tube.lower.shape, share))
+            try:
+                trajectory = simulate(problem, u, start)
+            except NumericalError:
+                trajectory = Trajectory(np.tile(start, (T + 1, 1)), u)
+            held = held or trajectory
+            yield trajectory, problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u)
+        assert held is not None  # there are shares
+        for mode in range(len(problem.smooth_pieces.modes)):
+            yield held, np.full(T, mode, dtype=np.intp)
+
+
+def _middle(box: Box, share: Array) -> Array:
+    """Return a point of a box, so far between its bounds; at its only bound, or at zero, if it has not two."""
+    lower, upper = np.asarray(box.lower, dtype=float), np.asarray(box.upper, dtype=float)
+    low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
+    high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
+    return low + share * (high - low)
+
+
+def _better(one: LocalOptimum, other: LocalOptimum) -> bool:
+    if one.feasible != other.feasible:
+        return one.feasible
+    if not one.feasible:
+        return one.violation < other.violation
+    return one.cost < other.cost - BETTER * max(1.0, abs(other.cost))
