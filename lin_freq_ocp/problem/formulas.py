@@ -245,6 +245,32 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     return Jets(values, slopes, curvatures)
 
 
+def values_of(formulas: Sequence[Formula], y: Array) -> Array:
+    """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
+    found: dict[Formula, Array] = {}
+    with np.errstate(all="ignore"):
+        for one in in_order(formulas):
+            found[one] = _value(one, [found[argument] for argument in one.arguments], y)
+    return np.stack([found[one] for one in formulas], axis=1) if formulas else np.empty((len(y), 0))
+
+
+def _value(one: Formula, arguments: Sequence[Array], y: Array) -> Array:
+    if one.kind == VARIABLE:
+        return y[:, int(one.data[0])]
+    if one.kind == SUM:
+        total = np.full(len(y), one.data[-1])
+        for factor, argument in zip(one.data[:-1], arguments, strict=True):
+            total += factor * argument
+        return total
+    if one.kind == PRODUCT:
+        return arguments[0] * arguments[1]
+    if one.kind == QUOTIENT:
+        return arguments[0] / arguments[1]
+    if one.kind == NORM:
+        return np.linalg.norm(np.stack(arguments, axis=1), axis=1)
+    return _smooth(one, arguments[0])[0]
+
+
 _Jet = tuple[Array, Array, Array]
 
 

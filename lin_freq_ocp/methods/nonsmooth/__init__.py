@@ -1,1 +1,1 @@
-"""Piecewise-smooth dynamics: sequential quadratic programs, a semismooth Newton method, and cells for a global bound."""
+"""Piecewise-smooth dynamics: sequential quadratic programs, a semismooth Newton method, cells for a global bound."""

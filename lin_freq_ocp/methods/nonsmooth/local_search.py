@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, flipped, local_optimum
+from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
+from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.sets import Box
@@ -51,13 +52,24 @@ class LocalSearch:
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best."""
         try:
+            self._on_grid()
             for trajectory, sequence in self._starts():
                 self._try(trajectory, sequence)
-            while not self._late() and self._improved():
+            while not self._late() and (self._on_grid() or self._improved()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.words = True, "interrupted"
         return self
+
+    def _on_grid(self) -> bool:
+        """Try the trajectory of a grid, with the frequency multipliers of the best; return whether it is better."""
+        before = self.best
+        constrained = self.problem.control_stop.any() or self.problem.state_stop.any()
+        if before is not None and (not constrained or not before.feasible):
+            return False
+        for trajectory in grid_trajectories(self.problem, None if before is None else before.multipliers):
+            self._try(trajectory, self.problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u))
+        return self.best is not before
 
     def _improved(self) -> bool:
         """Try the neighbours of the best sequence; return whether one of them is better."""
@@ -67,18 +79,18 @@ class LocalSearch:
         for sequence in flipped(self.problem, before):
             if self._late():
                 return False
-            self._try(before.trajectory, sequence)
+            self._try(before.trajectory, sequence, PRICES[:1])
             if self.best is not before:
                 return True
         return False
 
-    def _try(self, start: Trajectory, sequence: Indices) -> None:
+    def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES) -> None:
         key = sequence.tobytes(), np.round(start.u, 6).tobytes()
         if self._late() or key in self._known:
             return
         self._known.add(key)
         self.tried += 1
-        found = local_optimum(self.problem, start, sequence)
+        found = local_optimum(self.problem, start, sequence, prices)
         if found is not None and (self.best is None or _better(found, self.best)):
             self.best = found
 
