@@ -65,7 +65,8 @@ def _selections(
         for t in np.flatnonzero(at_zero):
             columns, missing = ((slopes[1:, t] - slopes[0, t]) / scale).T, (required[t] - slopes[0, t]) / scale
             selection[t] = nearest_in_ball(columns, missing)
-            pull = dynamics.pull_of_norm(one, trajectory, int(t), int(sequence[t]), multipliers.eta[t])
+            here = np.append(trajectory.x[t], trajectory.u[t])
+            pull = dynamics.pull_of_norm(one, here, int(sequence[t]), multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), text_of(one, labels), tuple(float(part) for part in selection[t]), rate))
     return found, tuple(kinks)

@@ -26,10 +26,10 @@ from lin_freq_ocp.problem.formulas import (
     kinks,
     listed_formulas,
     rebuilt,
+    values_of,
 )
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.trajectory import Trajectory
 
 MOST_MODES = 64
 """Combinations of the arguments of maxima and minima that are told apart."""
@@ -274,13 +274,12 @@ class PiecewiseSmoothDynamics:
             found[one] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
         return found
 
-    def pull_of_norm(self, one: Formula, trajectory: Trajectory, t: int, mode: int, eta: Array) -> float:
-        """Return the derivative of <eta, f_mode> by a norm at (x_t, u_t), the norm taken for a variable of its own."""
-        y = np.append(trajectory.x[t], trajectory.u[t])
-        n, k = self.state_dim, len(y)
+    def pull_of_norm(self, one: Formula, y: Array, mode: int, eta: Array) -> float:
+        """Return the derivative of <eta, f_mode> by a norm at y = (x, u), the norm taken for a variable of its own."""
+        k = len(y)
         variables = _with_one_more(self.modes[mode].f, one)
-        found = jets(variables, np.append(y, 0.0)[None])
-        return float(eta @ found.slopes[0, :n, k])
+        found = jets(variables, np.append(y, values_of([one], y[None])[0])[None])
+        return float(eta @ found.slopes[0, :, k])
 
     def along(self, sequence: Indices, x: Array, u: Array) -> LinearDynamics:
         """Return the linearisation along a trajectory, that of a mode sequence (T,)."""
