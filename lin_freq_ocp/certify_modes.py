@@ -1,4 +1,4 @@
-"""certify() for piecewise-affine dynamics: multipliers are looked for where modes meet, and flips that improve."""
+"""certify() for dynamics with modes: multipliers are looked for where modes meet, and flips that improve."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multiplie
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MOST_FLIPS = 16
@@ -23,13 +24,14 @@ MOST_FLIPS = 16
 
 
 def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate:
-    """Judge a trajectory of piecewise-affine dynamics with the best multipliers that are found.
+    """Judge a trajectory of dynamics with modes with the best multipliers that are found.
 
     The best are those with which the maximum principle is satisfied, of these those that are flip-stationary; else
     those that fit wherever only one mode holds, with the fewest flips. A flip that they name is tried: a direction of
     descent is looked for in the mode sequence with the flip, and the judge checks it.
     """
     best, _ = best_multipliers(problem, trajectory)
+    problem = _affine(problem, trajectory)
     if not best.failed and _facts(best).flip_stationary:
         return best
     facts, descent = _verified(problem, trajectory, _facts(best))
@@ -65,9 +67,15 @@ def best_multipliers(
     return best
 
 
+def _affine(problem: OptimalControlProblem, trajectory: Trajectory) -> OptimalControlProblem:
+    """Return the problem with affine modes: itself, or its linearisation, which is the same to first order."""
+    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
+    return problem.affine_at(trajectory) if smooth else problem
+
+
 def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
     try:
-        yield from candidates(problem, trajectory)
+        yield from candidates(_affine(problem, trajectory), trajectory)
     except NumericalError:
         if not optional:
             raise

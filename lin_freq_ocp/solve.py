@@ -31,11 +31,14 @@ from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem, simulate
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve_modes import MODE_METHODS, solve_modes
+from lin_freq_ocp.solve_smooth import SMOOTH_METHODS, solve_smooth
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
@@ -49,7 +52,7 @@ DIVERGED = 1e6
 EXPLAIN_SECONDS = 5.0
 """Time for saying why a problem has no solution, unless a time limit leaves less."""
 
-METHODS = ("auto", "convex", "spectral", *MODE_METHODS)
+METHODS = ("auto", "convex", "spectral", *MODE_METHODS, *SMOOTH_METHODS)
 
 ERRORS: dict[str, type[SolveError]] = {
     "infeasible": InfeasibleError,
@@ -75,11 +78,12 @@ def solve(
     Parameters
     ----------
     problem : OptimalControlProblem
-    method : {"auto", "convex", "spectral", "branch_and_bound", "enumerate", "miqp"}
+    method : {"auto", "convex", "spectral", "branch_and_bound", "enumerate", "miqp", "nonsmooth"}
         Linear dynamics: "spectral", our Fourier-domain method, for time-invariant ones; "convex", one sparse quadratic
         program; "auto", spectral where it applies and its answer is proven, else convex, or convex if a backend is
         named. Piecewise-affine dynamics: "branch_and_bound" over mode sequences, also "auto"; "enumerate", all of them;
-        "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves.
+        "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves. Piecewise-smooth
+        dynamics: "nonsmooth", local optima of mode sequences, the best polished by a semismooth Newton method.
     backend : str
         Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
         "daqp".
@@ -115,6 +119,8 @@ def solve(
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
         result = solve_modes(problem, method, backend, limits, progress, executor)
+    elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
+        result = solve_smooth(problem, method, backend, time_limit or np.inf)
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
@@ -154,7 +160,7 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     problem.require(trajectory)
     if multipliers is not None:
         return judge(problem, trajectory, multipliers)
-    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+    if not isinstance(problem.dynamics, LinearDynamics):
         return certify_modes(problem, trajectory)
     fit = fit_multipliers(problem, trajectory)
     normal = judge(problem, trajectory, fit.multipliers)
@@ -170,8 +176,8 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
 def _linear(
     problem: OptimalControlProblem, method: str, backend: str, tolerance: float | None, time_limit: float | None
 ) -> Result:
-    if method in MODE_METHODS:
-        raise UnsupportedError(f"method: got {method!r}, which searches over modes; these dynamics have none.")
+    if method in (*MODE_METHODS, *SMOOTH_METHODS):
+        raise UnsupportedError(f"method: got {method!r}, which is for dynamics with modes; these have none.")
     started, result = time.perf_counter(), None
     if method == "spectral" or (method == "auto" and backend == "auto"):
         result = _spectral(problem, method == "spectral", tolerance, time_limit)

@@ -24,6 +24,10 @@ REPLAY_LIMIT = 1e-3
 WEIGHTY = 0.1
 """A component with less than this part of a row's largest coefficient is not what the row's limit is about."""
 
+NO_GAIN = 1e-14
+"""Entries of a row of [A, B] below this part of its largest one are rounding, as in a linearisation where a state is
+zero up to rounding: no size follows from them."""
+
 
 @dataclass(frozen=True)
 class Measures:
@@ -203,6 +207,7 @@ def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
     n, m = problem.state_dim, problem.control_dim
     A, B, d = problem.dynamics.gains()
     gain = problem.horizon * np.hstack([A, B])
+    gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)
     needed = np.divide(known[:n, None], gain, out=np.full(gain.shape, np.inf), where=useful).min(0)

@@ -1,0 +1,92 @@
+"""solve() for piecewise-smooth dynamics: search local optima, polish the best by Newton's method, judge, and bound."""
+
+from __future__ import annotations
+
+import time
+
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certify_modes import best_multipliers
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.convex import require_convex
+from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
+from lin_freq_ocp.methods.nonsmooth.newton import newton
+from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.result import Result
+
+SMOOTH_METHODS = ("nonsmooth",)
+
+LOCAL = "a local optimum: no global bound"
+"""What the message of a result without a bound begins with."""
+
+Judged = tuple[Trajectory, Multipliers, Certificate]
+
+
+def solve_smooth(problem: OptimalControlProblem, method: str, backend: str, seconds: float) -> Result:
+    """Return the best local optimum that is found, judged.
+
+    Raises
+    ------
+    UnsupportedError
+        If the method or backend is not for piecewise-smooth dynamics, or the cost is not convex.
+    """
+    require_convex(problem)
+    if method not in ("auto", *SMOOTH_METHODS):
+        known = ", ".join(map(repr, SMOOTH_METHODS))
+        raise UnsupportedError(f"method: got {method!r}; with piecewise-smooth dynamics, expected 'auto' or {known}.")
+    if backend != "auto":
+        raise UnsupportedError(f"backend: got {backend!r}; the method 'nonsmooth' needs none: leave it 'auto'.")
+    started = time.perf_counter()
+    search = LocalSearch(problem, seconds).run()
+    solved = time.perf_counter()
+    best = search.best
+    found = None if best is None or not best.feasible else _polished(problem, best)
+    status, message = _status(search, found)
+    trajectory, multipliers, certificate = (None, None, None) if found is None else found
+    return Result(
+        problem=problem,
+        status=status,
+        method="nonsmooth",
+        backend=None,
+        seconds={"setup": 0.0, "solve": solved - started, "certify": time.perf_counter() - solved},
+        trajectory=trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=message,
+        interrupted=search.interrupted,
+        sequence=None if trajectory is None else _modes(problem, trajectory),
+    )
+
+
+def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
+    """Return a local optimum with the multipliers that fit best, by Newton's method if that makes both better."""
+    affine = problem.affine_at(local.trajectory)
+    first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
+    certificate, multipliers = best_multipliers(problem, local.trajectory, first)
+    found = local.trajectory, multipliers, certificate
+    try:
+        run = newton(problem, local.trajectory, multipliers, local.sequence)
+    except UnsupportedError:
+        return found
+    after = judge(problem, run.trajectory, run.multipliers)
+    better = (len(after.failed), after.worst.relative) < (len(certificate.failed), certificate.worst.relative)
+    return (run.trajectory, run.multipliers, after) if better else found
+
+
+def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
+    return problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u)
+
+
+def _status(search: LocalSearch, found: Judged | None) -> tuple[str, str]:
+    """Return the status of the result, and in words what is missing."""
+    if search.words and (found is None or search.interrupted):
+        return "limit", search.words
+    if found is None:
+        nearest = "" if search.best is None else f"; the nearest violates dynamics by {search.best.violation:.1e}"
+        return "numerical_error", f"no trajectory was found from {search.tried} starts{nearest}"
+    if found[2].pmp != "satisfied":
+        return "numerical_error", f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
+    return "optimal", LOCAL
