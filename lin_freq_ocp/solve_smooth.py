@@ -19,7 +19,7 @@ from lin_freq_ocp.result import Result
 
 SMOOTH_METHODS = ("nonsmooth",)
 
-LOCAL = "a local optimum: no global bound"
+LOCAL = "locally; no global bound was found"
 """What the message of a result without a bound begins with."""
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
