@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
@@ -39,16 +40,20 @@ NEAR_KINK = 1e-3
 CONVERGED = 1e-12
 """|Phi| of equations of order 1 at which nothing is left to gain."""
 
-SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-20
-"""Of the decrease that the slope promises, what a step must reach; the shortest step that is tried."""
+SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14
+"""Of the decrease that the slope promises, what a step must reach; the shortest step that is tried with one damping."""
+
+SMALL_NORMALS = 1e-2
+"""Weight at which multipliers of bounds are kept small where multipliers are fitted: others explain what they can."""
 
 SINGULAR = 1e-13
 """Reciprocal condition number of the linearised equations below which a step is damped."""
 
-DAMPING = 1e-8
-"""Of the damping term, relative to |J|^2 |Phi|: it vanishes with the residual, so that convergence stays fast."""
+DAMPINGS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
+"""Of the damping term, relative to |J|^2 |Phi|, one after the other until a step is found: it vanishes with the
+residual, so that convergence stays fast."""
 
-MOST_STEPS = 50
+MOST_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +78,7 @@ class NewtonRun:
 def newton(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
-    multipliers: Multipliers,
+    multipliers: Multipliers | None,
     sequence: Indices,
     near: float = NEAR_KINK,
     most_steps: int = MOST_STEPS,
@@ -82,8 +87,9 @@ def newton(
 
     Parameters
     ----------
-    multipliers : Multipliers
-        eta, rho_u and rho_x are looked at, and weights if there are any.
+    multipliers : Multipliers or None
+        eta, rho_u and rho_x are looked at, and weights if there are any. None: those that fit best, with normals to
+        the bounds that are nearer than ``near``.
     sequence : (T,)
         The first mode at every time.
     near : float
@@ -97,23 +103,43 @@ def newton(
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
     system = _System.of(problem, trajectory, sequence, near)
-    v = system.start(trajectory, multipliers)
+    runs: list[NewtonRun] = []
+    for weights in ("of the side", "one half"):
+        runs.append(_run(system, system.start(trajectory, multipliers, near, weights == "one half"), most_steps))
+        if runs[-1].converged or multipliers is not None or not system.borders:
+            break
+    return min(runs, key=lambda run: run.residuals[-1])
+
+
+def _run(system: _System, v: Array, most_steps: int) -> NewtonRun:
     state = system.at(v)
     residuals = [float(np.linalg.norm(state.phi))]
     while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
-        step, slope = _direction(state)
-        length = 1.0
+        stepped = _stepped(system, v, state)
+        if stepped is None:
+            break
+        v, state = stepped
+        residuals.append(float(np.linalg.norm(state.phi)))
+    found, multipliers = system.answer(v, state)
+    return NewtonRun(found, multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
+
+
+def _stepped(system: _System, v: Array, state: _State) -> tuple[Array, _State] | None:
+    """Return where a step leads with which |Phi|^2 falls, damped as little as possible; None: nowhere."""
+    U, sizes, V = np.linalg.svd(state.slopes)
+    gradient, along = state.slopes.T @ state.phi, U.T @ state.phi
+    for damping in DAMPINGS:
+        if not damping and sizes[-1] <= SINGULAR * sizes[0]:
+            continue
+        weight = damping * sizes[0] ** 2 * min(1.0, float(np.linalg.norm(state.phi)))
+        step = -V.T @ (sizes / (sizes**2 + weight) * along)
+        slope, length = float(gradient @ step), 1.0
         while length >= SHORTEST:
             after = system.at(v + length * step)
             if after.phi @ after.phi <= state.phi @ state.phi + 2 * SLOPE_SHARE * length * slope:
-                break
+                return v + length * step, after
             length /= 2
-        else:
-            break
-        v, state = v + length * step, after
-        residuals.append(float(np.linalg.norm(state.phi)))
-    trajectory, multipliers = system.answer(v, state)
-    return NewtonRun(trajectory, multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,21 +147,6 @@ class _State:
     phi: Array
     slopes: Array
     F: Array
-
-
-def _direction(state: _State) -> tuple[Array, float]:
-    """Return a step and the slope of |Phi|^2/2 along it."""
-    J, phi = state.slopes, state.phi
-    gradient = J.T @ phi
-    U, sizes, V = np.linalg.svd(J)
-    if sizes[-1] > SINGULAR * sizes[0]:
-        step = -V.T @ ((U.T @ phi) / sizes)
-        slope = float(gradient @ step)
-        if slope < 0:
-            return step, slope
-    damping = DAMPING * sizes[0] ** 2 * min(1.0, float(np.linalg.norm(phi)))
-    step = -V.T @ (sizes / (sizes**2 + damping) * (U.T @ phi))
-    return step, float(gradient @ step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +215,14 @@ class _System:
         parts = x, u, eta, places[3], places[4], borders, places[5], norms, places[6:]
         return cls(problem, sequence, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
 
-    def start(self, trajectory: Trajectory, multipliers: Multipliers) -> Array:
+    def start(self, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool) -> Array:
         """Return the unknowns, in natural units."""
         v = np.zeros(len(self.units))
-        v[self.x], v[self.u], v[self.eta] = trajectory.x, trajectory.u, multipliers.eta
+        v[self.x], v[self.u] = trajectory.x, trajectory.u
+        if multipliers is None:
+            v[self.alpha] = 0.5 if halved else self._sides(trajectory)
+            return self._fitted(v / self.units, near)
+        v[self.eta] = multipliers.eta
         for place, rows, signal in (
             (self.rho_x, self.rows_x, time_signal(multipliers.rho_x, len(trajectory.x))),
             (self.rho_u, self.rows_u, time_signal(multipliers.rho_u, len(trajectory.u))),
@@ -217,6 +232,33 @@ class _System:
         for k, (t, second, _) in enumerate(self.borders):
             v[self.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
         return v / self.units
+
+    def _sides(self, trajectory: Trajectory) -> Array:
+        """Return 1 where a border is crossed, else 0."""
+        T = self.problem.horizon
+        found = self.problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        crossed = [found.regions[self.sequence[t]].values[t, row] > 0 for t, _, row in self.borders]
+        return np.array(crossed, dtype=float)
+
+    def _fitted(self, v: Array, near: float) -> Array:
+        """Return the unknowns with the multipliers of least squares."""
+        F, J = self._equations(v * self.units)
+        signals = np.concatenate([self.x.ravel(), self.u.ravel()])
+        signals = signals[self.lower[signals] < self.upper[signals]]
+        at_lower, at_upper = v[signals] <= self.lower[signals] + near, v[signals] >= self.upper[signals] - near
+        pressed = np.flatnonzero(at_lower | at_upper)
+        found = np.concatenate([self.eta.ravel(), self.rho_x, self.rho_u])
+        slopes = self.scales[signals, None] * J[np.ix_(signals, found)] * self.units[found]
+        normals = np.zeros((len(signals), len(pressed)))
+        normals[pressed, np.arange(len(pressed))] = 1.0
+        small = np.hstack([np.zeros((len(pressed), len(found))), SMALL_NORMALS * np.eye(len(pressed))])
+        wanted = np.concatenate([-self.scales[signals] * F[signals], np.zeros(len(pressed))])
+        free = np.full(len(found), np.inf)
+        above = np.where(at_upper[pressed], np.inf, 0.0)
+        below = np.where(at_lower[pressed], -np.inf, 0.0)
+        bounds = np.append(-free, below), np.append(free, above)
+        v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), wanted, bounds).x[: len(found)]
+        return v
 
     def at(self, v: Array) -> _State:
         """Return Phi and an element of its generalised derivative."""
@@ -259,6 +301,7 @@ class _System:
         times = np.arange(T)
         first = _of(found, times, self.sequence)
         values, slopes, curvatures = first
+        active = slopes.copy()
         F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
         for k, (t, second, row) in enumerate(self.borders):
             other = _of(found, np.array([t]), np.array([second]))
@@ -269,7 +312,7 @@ class _System:
             J[self.alpha[k], at[t]] = -gradient
             J[at[t], self.alpha[k]] -= kink.T @ eta[t]
             if switch > 0:
-                values[t] = other[0][0]
+                values[t], active[t] = other[0][0], other[1][0]
             slopes[t] = slopes[t] + alpha[k] * kink
             curvatures[t] = curvatures[t] + alpha[k] * (other[2][0] - curvatures[t])
         cost_x, cost_u = problem.quadratic.gradient(x, u)
@@ -282,7 +325,7 @@ class _System:
         for t in range(T):
             J[np.ix_(at[t], at[t])] += bent[t]
             J[np.ix_(at[t], self.eta[t])] -= slopes[t].T
-            J[np.ix_(self.eta[t], at[t])] -= slopes[t]
+            J[np.ix_(self.eta[t], at[t])] -= active[t]
             J[self.eta[t], self.x[t + 1]] += 1.0
             J[self.x[t + 1], self.eta[t]] += 1.0
         J[np.ix_(self.x[T], self.x[T])] += problem.quadratic.P

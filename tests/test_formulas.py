@@ -1,0 +1,111 @@
+"""Formulas: values and derivatives against differences, what is refused, and modes from maxima and minima."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.formulas import Formula, in_order, jets, text_of, values_of
+
+N, M = 2, 1
+X, U = lfo.signals(N, M)
+
+UNARY = [
+    lambda a: a**2,
+    lambda a: a**3,
+    lambda a: np.exp(0.3 * a),
+    lambda a: np.log(a * a + 1.5),
+    lambda a: np.sqrt(a * a + 0.5),
+    lambda a: np.sin(a),
+    lambda a: np.cos(a),
+    lambda a: 2 - a / 3,
+    lambda a: 1 / (a * a + 1),
+    lambda a: lfo.norm([a, a + 1.0]),
+]
+BINARY = [lambda a, b: a + b, lambda a, b: a - 2 * b, lambda a, b: a * b, lambda a, b: a / (b * b + 1)]
+
+
+def random_formula(rng: np.random.Generator, size: int, leaves: list) -> object:
+    """Return a smooth formula of some operations, or the same with numbers for leaves."""
+    stack = list(leaves)
+    for _ in range(size):
+        a = stack[rng.integers(len(stack))]
+        if rng.random() < 0.5:
+            stack.append(UNARY[rng.integers(len(UNARY) - 1)](a))
+        else:
+            stack.append(BINARY[rng.integers(len(BINARY))](a, stack[rng.integers(len(stack))]))
+    return stack[-1]
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 8))
+def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, size):
+    formula = random_formula(np.random.default_rng(seed), size, [*X, *U])
+    y = np.random.default_rng(seed + 1).uniform(-1, 1, (3, N + M))
+    numbers = random_formula(np.random.default_rng(seed), size, list(y.T))
+    found = jets([formula], y)
+    np.testing.assert_allclose(found.values[:, 0], numbers, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(values_of([formula], y), found.values, rtol=1e-14, atol=1e-16)
+    h = 1e-5
+    scale = 1 + np.abs(found.curvatures).max() + np.abs(found.slopes).max()
+    for j in range(N + M):
+        shift = h * np.eye(N + M)[j]
+        above, below = jets([formula], y + shift), jets([formula], y - shift)
+        slopes, curvatures = ((one - other) / (2 * h) for one, other in zip(_parts(above), _parts(below), strict=True))
+        assert np.abs(slopes - found.slopes[..., j]).max() <= 1e-6 * scale**2
+        assert np.abs(curvatures - found.curvatures[..., j]).max() <= 1e-6 * scale**3
+
+
+def _parts(found):
+    return found.values, found.slopes
+
+
+def test_norms_have_the_derivative_that_is_selected():
+    q = lfo.norm([X[0], 2 * X[1]])
+    y = np.array([[0.0, 0.0, 1.0], [3.0, 2.0, 1.0]])
+    plain = jets([q], y)
+    assert plain.values[:, 0].tolist() == [0.0, 5.0]
+    np.testing.assert_allclose(plain.slopes[1, 0], [0.6, 1.6, 0.0])
+    assert not plain.slopes[0].any()
+    chosen = jets([q], y, {q: np.array([[0.3, -0.4], [np.nan, np.nan]])})
+    np.testing.assert_allclose(chosen.slopes[0, 0], [0.3, -0.8, 0.0])
+    np.testing.assert_allclose(chosen.slopes[1], plain.slopes[1])
+    assert not chosen.curvatures[0].any()
+
+
+def test_arrays_and_functions_of_numpy_make_formulas():
+    A = np.array([[1.0, 2.0], [3.0, 4.0]])
+    made = A @ X + np.array([5.0, 6.0]) * U[0]
+    np.testing.assert_allclose(values_of(list(made), np.array([[1.0, 10.0, 100.0]])), [[521.0, 643.0]])
+    assert (np.float64(2) * X[0] + X[0] - 3 * X[0] + 0.5).constant == 0.5
+    assert isinstance(np.exp(X[0]), Formula)
+    assert text_of(np.exp(X[0]) / (1 + U[0] ** 2), ["a", "b", "c"]) == "(exp(a)) / (1 (c)^2 + 1)"
+
+
+def test_a_formula_that_occurs_twice_is_one_node():
+    common = X[0] * U[0]
+    assert len(in_order([common + common * X[1], np.sin(common)])) == 3 + 4
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: X[0] < 1, "lfo.maximum or lfo.minimum"),
+        (lambda: X[0] ** 0.5, "a whole number from 2 to 16"),
+        (lambda: X[0] ** X[1], "a whole number from 2 to 16"),
+        (lambda: X[0] / 0, "a quotient by 0"),
+        (lambda: X[0] + "a", "formula"),
+        (lambda: X[0] * True, "a number or a formula"),
+        (lambda: X[0] + lfo.signals(3, 1)[0][0], "the same signals"),
+        (lambda: lfo.norm([1.0, 2.0]), "lfo.signals"),
+        (lambda: lfo.maximum(X[0]), "two arguments or more"),
+        (lambda: lfo.maximum(X[0], 1.0, names=["a"]), "2 names"),
+        (lambda: lfo.signals(0, 1), "states"),
+    ],
+)
+def test_bad_formulas_are_refused(make, words):
+    with pytest.raises(lfo.ProblemError, match=words):
+        make()
