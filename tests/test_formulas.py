@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.formulas import Formula, in_order, jets, text_of, values_of
+from lin_freq_ocp.problem.formula_text import formula_from_text, source_of, text_of
+from lin_freq_ocp.problem.formulas import Formula, in_order, jets, values_of
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)
@@ -47,6 +48,8 @@ def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, 
     y = np.random.default_rng(seed + 1).uniform(-1, 1, (3, N + M))
     numbers = random_formula(np.random.default_rng(seed), size, list(y.T))
     found = jets([formula], y)
+    again = formula_from_text("f", source_of(formula), (N, M))
+    np.testing.assert_array_equal(values_of([again], y), values_of([formula], y))
     np.testing.assert_allclose(found.values[:, 0], numbers, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(values_of([formula], y), found.values, rtol=1e-14, atol=1e-16)
     h = 1e-5
@@ -82,7 +85,7 @@ def test_arrays_and_functions_of_numpy_make_formulas():
     np.testing.assert_allclose(values_of(list(made), np.array([[1.0, 10.0, 100.0]])), [[521.0, 643.0]])
     assert (np.float64(2) * X[0] + X[0] - 3 * X[0] + 0.5).constant == 0.5
     assert isinstance(np.exp(X[0]), Formula)
-    assert text_of(np.exp(X[0]) / (1 + U[0] ** 2), ["a", "b", "c"]) == "(exp(a)) / (1 (c)^2 + 1)"
+    assert text_of(np.exp(X[0]) / (1 + U[0] ** 2), ["a", "b", "c"]) == "exp(a) / ((c)**2 + 1)"
 
 
 def test_a_formula_that_occurs_twice_is_one_node():
@@ -109,3 +112,31 @@ def test_a_formula_that_occurs_twice_is_one_node():
 def test_bad_formulas_are_refused(make, words):
     with pytest.raises(lfo.ProblemError, match=words):
         make()
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("norm(x_0, x_1) * u_0", 5 * 0.5),
+        ("-x_0 + 2 * x_1 - 1e-1", -3 + 8 - 0.1),
+        ("min(x_0, -u_0) / x_1 ** 2", None),
+        ("exp(0) + sqrt(4)", 3.0),
+        ("(x_0 - x_1)**2 - abs(-2)", -1.0),
+    ],
+)
+def test_texts_are_formulas(text, value):
+    formula = formula_from_text("f", text, (N, M))
+    if value is not None:
+        assert values_of([formula], np.array([[3.0, 4.0, 0.5]]))[0, 0] == pytest.approx(value)
+    assert source_of(formula_from_text("f", source_of(formula), (N, M))) == source_of(formula)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x_2", "x_0 +", "__import__('os')", "x_0.real", "x_0 if u_0 else 1", "max(x_0)", "norm()", "1 / 0", "x_0 ** u_0",
+     "", "tan(x_0)", "x_0 < 1", "[x_0]", "exp(x=1)", "'a'", "True", "x_0 + " * 3000 + "1"],
+)  # fmt: skip
+def test_texts_that_say_anything_else_are_refused(text):
+    with pytest.raises(lfo.ProblemError) as caught:
+        formula_from_text("f[0]", text, (N, M))
+    assert caught.value.field in ("f[0]", "formula")

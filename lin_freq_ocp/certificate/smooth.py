@@ -20,7 +20,8 @@ from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, 
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.formulas import Formula, text_of
+from lin_freq_ocp.problem.formula_text import text_of
+from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

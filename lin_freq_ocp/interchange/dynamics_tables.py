@@ -1,4 +1,4 @@
-"""Dynamics as tables: A and B of a linear model, or one table for each mode of a piecewise-affine one."""
+"""Dynamics as tables: A and B of a linear model, one table for each mode of a piecewise one, or formulas."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.formula_text import source_of
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 
 NAME_KEYS = ("state_names", "control_names")
 
@@ -25,23 +27,74 @@ MODE_KEYS = ("offset", "G", "H", "h", "name")
 """Of a mode, beside A and B."""
 
 
-def dynamics_from_table(table: Any) -> LinearDynamics | PiecewiseAffineDynamics:
-    """Return the dynamics of a table: piecewise affine ones if it has modes."""
-    piecewise = isinstance(table, Mapping) and "modes" in table
+SMOOTH_MODE_KEYS = ("region", "domain", "name")
+"""Of a mode of piecewise-smooth dynamics, beside f."""
+
+Dynamics = LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics
+
+
+def dynamics_from_table(table: Any) -> Dynamics:
+    """Return the dynamics of a table: piecewise ones if it has modes, of formulas if it has f or its modes have."""
+    piecewise, formulas = (isinstance(table, Mapping) and key in table for key in ("modes", "f"))
+    if formulas or (piecewise and _has_formulas(table["modes"])):
+        return _smooth(table)
     required, optional = (("modes",), PIECEWISE_KEYS) if piecewise else (("A", "B"), DYNAMICS_KEYS)
     require_keys("dynamics", table, required, optional)
-    for key in NAME_KEYS:
-        if key in table and not isinstance(table[key], list):
-            raise ProblemError(f"dynamics.{key}", brief(table[key]), "a list of names")
+    _require_names(table)
     return _piecewise(table) if piecewise else _linear(table)
 
 
-def table_from_dynamics(dynamics: LinearDynamics | PiecewiseAffineDynamics) -> dict[str, Any]:
+def _require_names(table: Mapping[str, Any]) -> None:
+    for key in NAME_KEYS:
+        if key in table and not isinstance(table[key], list):
+            raise ProblemError(f"dynamics.{key}", brief(table[key]), "a list of names")
+
+
+def _has_formulas(modes: Any) -> bool:
+    return isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes)
+
+
+def _smooth(table: Mapping[str, Any]) -> PiecewiseSmoothDynamics:
+    """Return piecewise-smooth dynamics, whose number of states is that of the formulas."""
+    whole = "f" in table
+    required = ("f", "control_dim") if whole else ("modes", "control_dim")
+    require_keys("dynamics", table, required, (*PIECEWISE_KEYS, *(("domain",) if whole else ())))
+    _require_names(table)
+    named = {key: table[key] for key in PIECEWISE_KEYS if key in table}
+    with placed("dynamics"):
+        if whole:
+            f = table["f"]
+            return PiecewiseSmoothDynamics.from_formulas(
+                f, _count(f), table["control_dim"], domain=table.get("domain", ()), **named
+            )
+        modes: list[SmoothMode] = []
+        for i, one in enumerate(table["modes"]):
+            require_keys(f"dynamics.modes[{i}]", one, ("f",), SMOOTH_MODE_KEYS)
+            modes.append(SmoothMode(**one))
+        return PiecewiseSmoothDynamics(modes, _count(modes[0].f), table["control_dim"], **named)
+
+
+def _count(formulas: Any) -> int:
+    return max(len(formulas), 1) if isinstance(formulas, list) else 1
+
+
+def _table_of_smooth_mode(mode: SmoothMode) -> dict[str, Any]:
+    table: dict[str, Any] = {"name": mode.name} if mode.name else {}
+    for key in ("f", "region", "domain"):
+        if getattr(mode, key):
+            table[key] = [source_of(one) for one in getattr(mode, key)]
+    return table
+
+
+def table_from_dynamics(dynamics: Dynamics) -> dict[str, Any]:
     """Return the table from which ``dynamics_from_table`` makes the same dynamics."""
     named: dict[str, Any] = {} if dynamics.sampling_time is None else {"sampling_time": dynamics.sampling_time}
     named |= {"state_names": list(dynamics.state_names), "control_names": list(dynamics.control_names)}
     if isinstance(dynamics, LinearDynamics):
         return _table_of_map(dynamics) | named
+    if isinstance(dynamics, PiecewiseSmoothDynamics):
+        modes = [_table_of_smooth_mode(mode) for mode in dynamics.modes]
+        return {"control_dim": dynamics.control_dim} | named | {"modes": modes}
     return named | {"modes": [_table_of_mode(mode) for mode in dynamics.modes]}
 
 

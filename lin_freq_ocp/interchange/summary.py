@@ -144,6 +144,7 @@ def _borders(facts: BorderFacts | None) -> dict[str, Any] | None:
         "flips": [flip._asdict() for flip in facts.flips],
         "jumping": jumping and {"modes": [jumping.first, jumping.second], "jump": jumping.jump, "time": jumping.time},
         "conditions": [{**asdict(one), "passed": one.passed} for one in facts.conditions],
+        "norms": [kink._asdict() for kink in facts.norms],
     }
 
 

@@ -26,6 +26,7 @@ from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
@@ -160,6 +161,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     UnsupportedError
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
+    if isinstance(problem.dynamics, PiecewiseSmoothDynamics):
+        problem = problem.affine_at(trajectory)
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)

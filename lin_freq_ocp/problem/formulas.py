@@ -125,6 +125,8 @@ class Formula:
         return Formula(self.dimensions, "cos", (self,))
 
     def __repr__(self) -> str:
+        from lin_freq_ocp.problem.formula_text import text_of
+
         return f"Formula({text_of(self)})"
 
 
@@ -351,7 +353,7 @@ def _norm(arguments: Sequence[_Jet], selection: Array | None) -> _Jet:
 
 
 def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
-    """Return formulas and numbers, or what a function of (x, u) makes of signals, as formulas.
+    """Return formulas, texts and numbers, or what a function of (x, u) makes of signals, as formulas.
 
     Raises
     ------
@@ -361,36 +363,22 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
     if callable(given):
         x, u = signals(*dimensions)
         given = given(x, u)
-    if isinstance(given, Formula):
+    if isinstance(given, (Formula, str)):
         given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)) or isinstance(given, str):
+    if not isinstance(given, (Sequence, np.ndarray)):
         raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
     made: list[Formula] = []
     for i, one in enumerate(given):
+        if isinstance(one, str):
+            from lin_freq_ocp.problem.formula_text import formula_from_text
+
+            one = formula_from_text(f"{field}[{i}]", one, dimensions)
         formula = one if isinstance(one, Formula) else _sum(dimensions, {}, _number(f"{field}[{i}]", one))
         if formula.dimensions != dimensions:
             expected = f"{dimensions[0]} states and {dimensions[1]} controls"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         made.append(formula)
     return tuple(made)
-
-
-def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
-    """Return a formula in words."""
-    n = one.dimensions[0]
-    if one.kind == VARIABLE:
-        i = int(one.data[0])
-        return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
-    parts = [text_of(argument, labels) for argument in one.arguments]
-    if one.kind == SUM:
-        terms = [f"{factor:.4g} {part}" for factor, part in zip(one.data[:-1], parts, strict=True)]
-        terms += [f"{one.data[-1]:.4g}"] if one.data[-1] or not terms else []
-        return " + ".join(terms).replace("+ -", "- ").replace("-1 ", "-")
-    if one.kind in (PRODUCT, QUOTIENT):
-        return f"({parts[0]}) {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
-    if one.kind == POWER:
-        return f"({parts[0]})^{one.data[0]:g}"
-    return f"{one.kind}({', '.join(parts)})"
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

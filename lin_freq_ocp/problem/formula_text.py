@@ -1,0 +1,155 @@
+"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+
+import numpy as np
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.formulas import (
+    MAXIMUM,
+    MINIMUM,
+    NORM,
+    POWER,
+    PRODUCT,
+    QUOTIENT,
+    SMOOTH,
+    SUM,
+    VARIABLE,
+    Formula,
+    extreme,
+    norm,
+    signals,
+)
+
+LONGEST = 10_000
+"""Characters of one formula: deeper nesting than Python's parser takes does not fit in."""
+
+EXPECTED = (
+    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, as in "
+    "'norm(x_0, x_1) * u_0'"
+)
+
+
+def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> Formula:
+    """Return the formula that a text says.
+
+    Parameters
+    ----------
+    field : str
+        What errors call it.
+    text : str
+        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos.
+    dimensions : (n, m)
+
+    Raises
+    ------
+    ProblemError
+        If it says anything else.
+    """
+    if len(text) > LONGEST:
+        raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ProblemError(field, repr(text), EXPECTED) from None
+    x, u = signals(*dimensions)
+    known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+    made = _Reader(field, text, known).read(tree.body)
+    return made if isinstance(made, Formula) else x[0] * 0.0 + made
+
+
+class _Reader:
+    """Reads one text."""
+
+    def __init__(self, field: str, text: str, known: dict[str, Formula]):
+        self._field, self._text, self._known = field, text, known
+
+    def read(self, node: ast.expr) -> Formula | float:
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            return float(node.value)
+        if isinstance(node, ast.Name):
+            if node.id in self._known:
+                return self._known[node.id]
+            raise ProblemError(self._field, repr(node.id), f"one of {', '.join(self._known)}")
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
+            operand = self.read(node.operand)
+            return -operand if isinstance(node.op, ast.USub) else operand
+        if isinstance(node, ast.BinOp):
+            return self._operation(node.op, self.read(node.left), self.read(node.right))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            return self._call(node.func.id, [self.read(one) for one in node.args])
+        raise ProblemError(self._field, repr(self._text), EXPECTED)
+
+    def _operation(self, operator: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
+        if isinstance(operator, ast.Add):
+            return left + right
+        if isinstance(operator, ast.Sub):
+            return left - right
+        if isinstance(operator, ast.Mult):
+            return left * right
+        if isinstance(operator, ast.Div) and (isinstance(right, Formula) or right):
+            return left / right
+        if isinstance(operator, ast.Pow) and isinstance(right, float):
+            return left ** (int(right) if right == int(right) else right)
+        raise ProblemError(self._field, repr(self._text), EXPECTED)
+
+    def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
+        formulas = [one for one in arguments if isinstance(one, Formula)]
+        if name in ("max", "min") and len(arguments) > 1 and formulas:
+            return extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
+        if name == "norm" and formulas:
+            return norm(list(arguments))
+        if len(arguments) == 1 and formulas and name in ("abs", *SMOOTH):
+            (one,) = formulas
+            return abs(one) if name == "abs" else getattr(one, name)()
+        if len(arguments) == 1 and name in ("abs", *SMOOTH):
+            value = abs(arguments[0]) if name == "abs" else getattr(np, name)(arguments[0])
+            return float(value)  # type: ignore[arg-type]
+        raise ProblemError(self._field, repr(self._text), EXPECTED)
+
+
+def source_of(one: Formula) -> str:
+    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit."""
+    return _text(one, None, repr)
+
+
+def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
+    """Return a formula for people, with rounded numbers and the given names of states and controls."""
+    return _text(one, labels, lambda value: f"{value:.4g}")
+
+
+def _text(one: Formula, labels: Sequence[str] | None, number: object) -> str:
+    shown = number if callable(number) else repr
+    n = one.dimensions[0]
+    if one.kind == VARIABLE:
+        i = int(one.data[0])
+        return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
+    parts = [_text(argument, labels, number) for argument in one.arguments]
+    if one.kind == SUM:
+        return _sum(one, parts, shown)
+    if one.kind in (PRODUCT, QUOTIENT):
+        return f"{_bracketed(one.arguments[0], parts[0])} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
+    if one.kind == POWER:
+        return f"({parts[0]})**{one.data[0]:g}"
+    name = {MAXIMUM: "max", MINIMUM: "min", NORM: "norm"}.get(one.kind, one.kind)
+    return f"{name}({', '.join(parts)})"
+
+
+def _sum(one: Formula, parts: Sequence[str], shown: object) -> str:
+    number = shown if callable(shown) else repr
+    text = ""
+    for factor, argument, part in zip(one.data[:-1], one.arguments, parts, strict=True):
+        size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "
+        sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
+        text += sign + size + (_bracketed(argument, part) if factor != 1 else part)
+    if one.data[-1] or not text:
+        value = one.data[-1]
+        text += f" {'-' if value < 0 else '+'} {number(abs(value))}" if text else number(value)
+    return text
+
+
+def _bracketed(one: Formula, text: str) -> str:
+    return f"({text})" if one.kind in (SUM, PRODUCT, QUOTIENT) else text
