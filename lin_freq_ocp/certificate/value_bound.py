@@ -46,7 +46,10 @@ SIDES = ((-0.9,), (0.9,))
 SPREAD = 5
 """Cells on both sides together that count as reached where samples reach one."""
 
-SAMPLES = 512
+CLOSER = 25
+"""Controls around the best sample, twice, each time closer."""
+
+SAMPLES = 256
 """Controls at which slopes and reachable values are estimated; nothing is proven by them."""
 
 MOST_SPANNED = 12
@@ -214,7 +217,9 @@ def _arrivals(problem: OptimalControlProblem, costs: StageCosts, grids: list[Gri
             inside &= np.isfinite(y).all(axis=1)
             places = after.flat(after.places(np.where(inside[:, None], y, 0.0)))
             np.minimum.at(spent[t + 1], places, np.where(inside, total, np.inf))
-        spent[t + 1] = minimum_filter(spent[t + 1].reshape(tuple(after.shape)), 3 + cells_of(after) // 40, mode="nearest").ravel()
+        spent[t + 1] = minimum_filter(
+            spent[t + 1].reshape(tuple(after.shape)), 3 + cells_of(after) // 40, mode="nearest"
+        ).ravel()
     return spent
 
 
@@ -340,36 +345,31 @@ class _Backward:
 
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
         """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
-        u = _controls(self._problem, self._t, SAMPLES)
-        pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-        costs = _stage(self._costs, self._t, pairs)
-        best, at = np.full(len(x), np.inf), np.tile(pairs[0], (len(x), 1))
-        chosen = np.zeros(len(x), dtype=np.intp)
-        for i, mode in enumerate(self._modes):
-            y = values_of(mode.f, pairs)
-            ok = _holds(mode, pairs) & np.isfinite(y).all(axis=1)
-            total = costs + self._value_at(np.where(ok[:, None], y, 0.0))
-            total = np.where(ok, total, np.inf).reshape(len(x), -1)
-            place = total.argmin(axis=1)
-            found = total[np.arange(len(x)), place]
-            better = found < best
-            best[better], chosen[better] = found[better], i
-            at[better] = pairs.reshape(len(x), len(u), -1)[better, place[better]]
-        slopes = np.zeros((len(x), self._n))
-        box = self._problem.control_tube
-        edge = 1.5 * (box.upper - box.lower)[self._t] / max(1, round(SAMPLES ** (1 / box.lower.shape[1])))
+        box, m, t = self._problem.control_tube, self._problem.control_dim, self._t
+        u = _controls(self._problem, t, SAMPLES)
+        best, at, chosen = self._best_of(x, np.broadcast_to(u, (len(x), *u.shape)))
+        each = max(3, round(CLOSER ** (1 / m)))
+        offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, each)] * m, indexing="ij"), axis=-1).reshape(-1, m)
+        spacing = (box.upper[t] - box.lower[t]) / max(1, round(SAMPLES ** (1 / m)) - 1)
+        for _ in range(2):
+            near = np.clip(at[:, None, self._n :] + offsets * spacing, box.lower[t], box.upper[t])
+            better, place, mode = self._best_of(x, near)
+            closer = better < best
+            best, at = np.where(closer, better, best), np.where(closer[:, None], place, at)
+            chosen, spacing = np.where(closer, mode, chosen), 2 * spacing / (each - 1)
+        free = np.full((2, self._n), [[-np.inf], [np.inf]])
         lowest, highest = (
-            np.concatenate([np.full(self._n, -np.inf), box.lower[self._t] + edge]),
-            np.concatenate([np.full(self._n, np.inf), box.upper[self._t] - edge]),
+            np.concatenate([free[0], box.lower[t] + 1.5 * spacing]),
+            np.concatenate([free[1], box.upper[t] - 1.5 * spacing]),
         )
+        slopes = np.zeros((len(x), self._n))
         for i, mode in enumerate(self._modes):
             here = (chosen == i) & np.isfinite(best)
             if here.any():
                 jets = interval_jets(mode.f, at[here], at[here])
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ self._hessian + self._costs.linear[self._t]
-                cell = self._after.flat(self._after.places(y))
-                sigma = self._after.piece_at(cell, y)
+                gradient = at[here] @ self._hessian + self._costs.linear[t]
+                sigma = self._after.piece_at(self._after.flat(self._after.places(y)), y)
                 inside = (at[here] > lowest) & (at[here] < highest)
                 weights = np.where(inside | self._pole.any(), self._control_weights, 0.0)
                 sigma = sigma + _freed(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
@@ -378,6 +378,25 @@ class _Backward:
         finite = np.isfinite(best)
         usual = MOST_SLOPE * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
+
+    def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
+        """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
+        count = u.shape[1]
+        pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
+        costs = _stage(self._costs, self._t, pairs)
+        best, at = np.full(len(x), np.inf), pairs[::count].copy()
+        chosen = np.zeros(len(x), dtype=np.intp)
+        for i, mode in enumerate(self._modes):
+            y = values_of(mode.f, pairs)
+            ok = _holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            total = costs + self._value_at(np.where(ok[:, None], y, 0.0))
+            total = np.where(ok, total, np.inf).reshape(len(x), count)
+            place = total.argmin(axis=1)
+            found = total[np.arange(len(x)), place]
+            better = found < best
+            best[better], chosen[better] = found[better], i
+            at[better] = pairs.reshape(len(x), count, -1)[better, place[better]]
+        return best, at, chosen
 
     @property
     def _control_weights(self) -> Array:
