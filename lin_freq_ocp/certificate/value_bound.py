@@ -34,14 +34,15 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 MOST_STATES = 2
 """Cells are as many as a power of this: three states need minutes."""
 
-ROUNDS = 14
+ROUNDS = 17
 """Bisections of a box of (x, u), at most."""
 
 FIRST_BOXES = 16
 """Boxes of the controls of a cell to begin with, for one control; the root of it for each of two."""
 
-SIDES = ((-0.9,), (0.9,))
-"""Where in a cell the slopes of its pieces are estimated, from the centre, as parts of half its width."""
+SIDES = {1: (-0.9, 0.9), 2: (0.0,)}
+"""Where in a cell the slopes of its pieces are estimated, from the centre, as parts of half its width: one state may
+have a kink in every cell; of two, cells with several pieces take too long."""
 
 SPREAD = 5
 """Cells on both sides together that count as reached where samples reach one."""
@@ -58,7 +59,7 @@ MOST_SPANNED = 12
 MOST_PAIRS = 400_000
 """Boxes and cells bounded at once: some hundred megabytes."""
 
-MOST_SLOPE = 20.0
+MOST_SLOPE = {1: 20.0, 2: 4.0}
 """Slopes are cut at this multiple of their median: next to states from which nothing goes on they are not to be trusted."""
 
 CUT_MARGIN = 5e-2
@@ -336,7 +337,7 @@ class _Backward:
     def _sampled(self) -> tuple[Array, Array]:
         """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
         grid = self._grid
-        sides = np.array(SIDES if grid.width.any() else SIDES[:1]) * grid.width / 2
+        sides = np.outer(SIDES[self._n] if grid.width.any() else (0.0,), grid.width / 2)
         found = [self._sampled_at(grid.centres + side) for side in sides]
         slopes = np.stack([slope for _, slope in found], axis=1)
         values = np.stack([value for value, _ in found], axis=1)
@@ -376,7 +377,7 @@ class _Backward:
                 slope = gradient + np.einsum("pj,pji->pi", sigma, J)
                 slopes[here] = np.nan_to_num(slope[:, : self._n], posinf=0.0, neginf=0.0)
         finite = np.isfinite(best)
-        usual = MOST_SLOPE * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
+        usual = MOST_SLOPE[self._n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
 
     def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
