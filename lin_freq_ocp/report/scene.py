@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.measures import amplification
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.report.entries import state_bounds
+from lin_freq_ocp.report.modes import Span, spans
 from lin_freq_ocp.report.numbers import listed, quantity, rough
 from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.style import Note, Trace
@@ -86,6 +87,16 @@ class Scene:
     def state_bounds(self) -> Box:
         """Return the state set of each time, without the ends."""
         return state_bounds(self.problem)
+
+    @property
+    def host(self) -> Trace:
+        """Return the trajectory that the picture is about: the last that is no guest."""
+        return [trace for trace in self.traces if not trace.guest][-1]
+
+    @cached_property
+    def modes(self) -> tuple[Span, ...]:
+        """Return the modes of the host; nothing where there are not at least two."""
+        return () if self.host.sequence is None else spans(self.host.sequence)
 
     def control(self, j: int) -> Component:
         """Return control j."""

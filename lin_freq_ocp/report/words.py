@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
+from lin_freq_ocp.report.mode_words import border_sentences
 from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
 from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
@@ -111,7 +112,7 @@ def verdict(certificate: Certificate) -> list[str]:
     else:
         sentences.append("The maximum principle was not judged: there are no multipliers.")
     if certificate.borders is not None:
-        sentences.append(f"Borders of modes: {certificate.borders}.")
+        sentences += border_sentences(certificate.borders)
     return [*sentences, *_global_bound(certificate)]
 
 
