@@ -12,12 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FuncFormatter
 
+from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.report.entries import CLASSICAL, CONSTRAINED, OPTIMAL, entries
 from lin_freq_ocp.report.modes import NO_MODE, Kink, Span, mode_names, mode_sequence, sequence_of, spans
-from lin_freq_ocp.report.numbers import split_unit
+from lin_freq_ocp.report.numbers import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.scene import MARGIN, Scene
 from lin_freq_ocp.report.style import (
     COMPONENTS,
@@ -33,6 +35,7 @@ from lin_freq_ocp.report.style import (
     TICK_SIZE,
     TINTS,
     WIDTH,
+    Note,
     dress,
     new_figure,
     plain,
@@ -48,8 +51,11 @@ LONGEST_NAME = 32
 STRIP_HEIGHT = 0.3
 """Inches: height of a strip, and the room between strips."""
 
-BAR = 0.09
-"""Width of the bar of an interval in steps, or less where there are many."""
+BAR = 0.02
+"""Width of the bar of an interval, relative to the time axis."""
+
+MARKED = 60
+"""Up to so many values are points on their line."""
 
 
 def shade_modes(ax: Axes, scene: Scene) -> None:
@@ -66,10 +72,10 @@ def mode_legend(figure: Figure, scene: Scene) -> None:
     if not used:
         return
     names = _short_names(mode_names(scene.problem))
-    opening = "mode" if len(scene.traces) == 1 else f"mode of the {scene.host.label} trajectory"
-    labels = [f"{opening}:", *(names[mode] for mode in used)]
+    whose = "mode" if len(scene.traces) == 1 else f"mode of the {scene.host.label} trajectory"
+    labels = [names[mode] for mode in used]
     legend = figure.legend(
-        handles=[Patch(alpha=0), *(Patch(**_look(mode)) for mode in used)],
+        handles=[Patch(**_look(mode)) for mode in used],
         labels=["mode"] * len(labels),
         loc="outside lower left",
         ncols=_columns(labels),
@@ -79,6 +85,7 @@ def mode_legend(figure: Figure, scene: Scene) -> None:
         handlelength=1.8,
         columnspacing=1.6,
     )
+    labels[-1] += f"   ({whose})"
     for text, label in zip(legend.get_texts(), labels, strict=True):
         text.set_text(label)  # a label that begins with an underscore would be left out
 
@@ -89,7 +96,7 @@ def legend_height(scene: Scene) -> float:
     if not used:
         return 0.0
     names = _short_names(mode_names(scene.problem))
-    return 0.24 * ceil((len(used) + 1) / _columns([names[mode] for mode in used])) + 0.08
+    return 0.24 * ceil(len(used) / _columns([names[mode] for mode in used])) + 0.08
 
 
 def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
@@ -122,8 +129,14 @@ def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> F
     return figure
 
 
-def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink]) -> Figure:
-    """Return each component of eta_t, (T, n), in time, with what the modes make of it where they meet."""
+def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink], least: float) -> Figure:
+    """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
+
+    Parameters
+    ----------
+    least : float
+        What is smaller is zero up to the tolerance of the adjoint equation.
+    """
     names = scene.problem.state_names
     columns = min(len(names), 2)
     rows = ceil(len(names) / columns)
@@ -132,36 +145,50 @@ def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink]) -> Figure:
         ax = figure.add_subplot(rows, columns, i + 1)
         shade_modes(ax, scene)
         times = scene.time.factor * np.arange(len(eta))
-        marker = {"marker": "o", "markersize": 3.2} if len(eta) <= 60 else {}
+        marker: dict[str, Any] = {"marker": "o", "markersize": 3.2} if len(eta) <= MARKED else {}
         ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, **marker)
         for kink in found:
             _draw_kink(ax, scene, kink, i)
-        shown = np.concatenate([eta[:, i], *([one.lower[i], one.upper[i], one.required[i]] for one in found)])
-        low, high = float(shown.min()), float(shown.max())
-        margin = 1.5 * MARGIN * (high - low or abs(high) or 1.0)
-        ax.set_ylim(low - margin, high + margin)
-        ax.set_xlim(np.array([-0.015, 1.015]) * scene.time.factor * scene.problem.horizon)
+        end = scene.time.factor * scene.problem.horizon
+        ax.set_xlim(-BAR * end, (1 + BAR) * end)
+        notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
         short, unit = split_unit(name)
-        dress(ax, f"Adjoint of {short}", scene.time.label, f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]")
+        label = f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]"
+        dress(ax, f"Adjoint of {short}", scene.time.label, label, notes)
     _adjoint_legend(figure, bool(found))
     mode_legend(figure, scene)
     return figure
 
 
+def smallest_adjoint(certificate: Certificate) -> float:
+    """Return the size below which the judge cannot tell eta from zero."""
+    scales = [one.scale * one.tolerance for one in certificate.conditions if one.name == "adjoint equation"]
+    return max(scales, default=0.0)
+
+
+def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
+    """Let the axis reach over all values, but not magnify what is nothing but rounding; say so."""
+    low, high = float(shown.min()), float(shown.max())
+    if max(-low, high) <= least:
+        ax.set_ylim(-1, 1)
+        return [Note("zero, within the tolerance of the adjoint equation")]
+    margin = 1.5 * MARGIN * (high - low if high - low > least else max(-low, high))
+    ax.set_ylim(low - margin, high + margin)
+    if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
+    return []
+
+
 def _draw_kink(ax: Axes, scene: Scene, kink: Kink, i: int) -> None:
     """Draw the interval as a bar with caps, and beside it what the adjoint equation requires."""
-    factor, horizon = scene.time.factor, scene.problem.horizon
-    at, half = factor * kink.time, 0.5 * factor * _bar_width(horizon)
+    factor = scene.time.factor
+    at, half = factor * kink.time, 0.5 * factor * BAR * scene.problem.horizon
     low, high = float(kink.lower[i]), float(kink.upper[i])
     bar = Rectangle((at - half, low), 2 * half, high - low)
     bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
     ax.add_patch(bar)
-    ax.hlines([low, high], at - 1.6 * half, at + 1.6 * half, color=FILTERED, linewidth=1.8, zorder=6)
+    ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
     ax.plot(at, kink.required[i], "D", **_required(), zorder=8)
-
-
-def _bar_width(horizon: int) -> float:
-    return max(BAR, 0.012 * horizon)
 
 
 def _required() -> dict[str, Any]:
@@ -170,10 +197,16 @@ def _required() -> dict[str, Any]:
 
 def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
     eta = "\N{GREEK SMALL LETTER ETA}"
-    handles: list[Artist] = [Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=eta)]
+    handles: list[Artist] = [
+        Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {eta}")
+    ]
     if with_kinks:
-        handles.append(Patch(facecolor=FILTERED, alpha=0.4, label=f"what D\N{SUBSCRIPT ONE} can be there"))
-        handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label="what the equation requires"))
+        within, required = (
+            f"$D_x$ <{eta}, f> over all derivatives at a kink",
+            "what the adjoint equation requires of it",
+        )
+        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
+        handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label=required))
     figure.legend(
         handles=handles,
         loc="outside upper left",

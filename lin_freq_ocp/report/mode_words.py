@@ -19,7 +19,7 @@ from lin_freq_ocp.result import Result
 NAMED_TIMES = 4
 """Times of which a text names what is special to each before it only counts the others."""
 
-ETA, XI, ALPHA, ELEMENT = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}", "i"
+ETA, XI, ALPHA = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}"
 
 
 def dynamics_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
@@ -31,7 +31,7 @@ def dynamics_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
         kind = "a smooth map in each, where its switching functions are at most zero"
     else:
         return []
-    facts = [("modes", f"{len(names)}: {listed(names)}; {kind}")] if len(names) > 1 else []
+    facts = [("modes", f"{len(names)}: {listed([_quoted(name) for name in names])}; {kind}")] if len(names) > 1 else []
     if isinstance(dynamics, PiecewiseSmoothDynamics) and dynamics.norms:
         labels = [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)]
         shown = listed(list(dict.fromkeys(text_of(one, labels) for one in dynamics.norms)))
@@ -43,10 +43,10 @@ def border_sentences(borders: BorderFacts) -> list[str]:
     """Return what the judge found where the dynamics have no single derivative."""
     sentences = list[str]()
     if borders.jumping is not None:
-        first, second = (borders.mode_names[i] for i in (borders.jumping.first, borders.jumping.second))
+        first, second = (_quoted(borders.mode_names[i]) for i in (borders.jumping.first, borders.jumping.second))
         sentences.append(
-            f"The map jumps at the border between {first} and {second}, so the maximum principle makes no statement there; "
-            "what follows was looked at all the same."
+            f"The map jumps at the border between {first} and {second}, so the maximum principle makes no statement "
+            "there; what follows was looked at all the same."
         )
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
@@ -78,11 +78,10 @@ def search_sentences(result: Result) -> list[str]:
     ]
 
 
-def modes_caption(rows: Sequence[tuple[str, Indices | None]]) -> str:
-    """Say what the strips show."""
-    text = "The mode at t holds from t to t + 1. The last row is the tint behind the panels in time."
-    if len(rows) == 1:
-        text = "The mode at t holds from t to t + 1. These are the tints behind the panels in time."
+def modes_caption(rows: Sequence[tuple[str, Indices | None]], host: str) -> str:
+    """Say what the strips show; ``host`` is the trajectory whose modes are behind the panels."""
+    whose = "these" if len(rows) == 1 else f"those of the {host} trajectory"
+    text = f"The mode at t holds from t to t + 1. The tints behind the panels in time are {whose}."
     if any(sequence is not None and (sequence == NO_MODE).any() for _, sequence in rows):
         text += " Dashed: outside the regions of all modes."
     return text
@@ -90,17 +89,25 @@ def modes_caption(rows: Sequence[tuple[str, Indices | None]]) -> str:
 
 def adjoint_caption(borders: BorderFacts) -> str:
     """Say what the bars are, with the weights or selections of each."""
-    text = f"{ETA}_t, drawn at t, is the price of x_{{t+1}}: what the cost falls by if the dynamics push it up by one unit."
-    text = text.replace("_{t+1}", " at t + 1")
+    text = (
+        f"{ETA} at t is the price of the state at t + 1: by how much, to first order, the cost falls per unit that "
+        "something pushes it up there."
+    )
     if not borders.times and not borders.norms:
         return text
     text += (
-        f" Bars: where modes meet, all values that this component of D_x <{ETA}_t, f> takes over the modes that meet "
-        f"(at the zero of a norm, over all {XI} with |{XI}| \N{LESS-THAN OR EQUAL TO} 1). Diamonds: the value that the "
-        "adjoint equation requires. It must lie within the bar, and for all components of x and u with the same "
-        f"{_choice(borders)}."
+        f" Bars: all values that this component of D_x <{ETA}, f> takes {_range(borders)}. Diamonds: the value that "
+        "the adjoint equation requires. It must lie within the bar, and for all components of x and u by the same "
+        f"{_choice(borders)}: {'; '.join(_choices(borders))}."
     )
-    return f"{text} {'; '.join(_choices(borders))}.".replace(". at", ". At")
+    return text
+
+
+def _range(borders: BorderFacts) -> str:
+    ball = f"|{XI}| \N{LESS-THAN OR EQUAL TO} 1"
+    of_norms = f"over all {XI} with {ball} where a norm of some q is zero, whose slope is {XI}' Dq"
+    parts = (["over the modes that meet"] if borders.times else []) + ([of_norms] if borders.norms else [])
+    return " and ".join(parts)
 
 
 def _choice(borders: BorderFacts) -> str:
@@ -133,40 +140,45 @@ def _joint(borders: BorderFacts) -> str:
     chosen = "; ".join(_choices(borders))
     if borders.joint:
         return (
-            "The necessary condition holds (joint inclusion, Clarke's rule): with one choice of the derivative for states "
-            f"and controls alike, the adjoint equation and stationarity in u are satisfied, {chosen}."
+            "The necessary condition holds (joint inclusion, Clarke's rule): with one choice of the derivative for "
+            f"states and controls alike, the adjoint equation and stationarity in u are satisfied, {chosen}."
         )
     return (
-        "The necessary condition fails (joint inclusion, Clarke's rule): no one choice of the derivative that was found "
-        f"satisfies every condition; the nearest is, {chosen}."
+        "The necessary condition fails with these multipliers (joint inclusion, Clarke's rule): no one choice of the "
+        f"derivative satisfies every condition. The nearest is, {chosen}."
     )
 
 
 def _flips(borders: BorderFacts) -> str:
     if borders.flip_stationary:
         return (
-            "The trajectory is flip-stationary: to first order, nothing is gained by passing to any other mode that meets "
-            "there, or by leaving the kink."
+            "The trajectory is flip-stationary: to first order, nothing is gained by passing to any other mode that "
+            "meets there, or by leaving the kink."
         )
     rising = [one for one in borders.norms if one.rate > 0]
     flips = borders.flips if borders.elsewhere else tuple(flip for flip in borders.flips if flip.improves)
     if not flips and not rising:
         return "Whether another mode at a border would be better was not established (not flip-stationary)."
     parts = [_flip(flip, borders) for flip in flips[:NAMED_TIMES]]
-    parts += [f"leaving {one.norm} = 0 at t = {one.time} (rate {number(one.rate, 2)})" for one in rising[:NAMED_TIMES]]
+    parts += [
+        f"away from {one.norm} = 0 at t = {one.time} (rate {number(one.rate, 2)})" for one in rising[:NAMED_TIMES]
+    ]
     hidden = max(len(flips) - NAMED_TIMES, 0) + max(len(rising) - NAMED_TIMES, 0)
     more = f", and {hidden} more" if hidden else ""
-    return f"It is not flip-stationary: with these multipliers the cost falls to first order by {', '.join(parts)}{more}."
+    text = f"It is not flip-stationary: with these multipliers the Hamiltonian rises {', '.join(parts)}{more}."
+    if not any(flip.improves for flip in flips):
+        text += " This alone does not prove that the cost can fall: there may be other multipliers."
+    return text
 
 
 def _flip(flip: Flip, borders: BorderFacts) -> str:
     known = {
-        True: ", verified",
-        False: ", refuted: that sequence has other multipliers",
-        None: ", not tried",
+        True: ", and the cost does fall there, which was verified",
+        False: ", where the cost does not fall: that sequence has other multipliers",
+        None: "",
     }
-    mode = borders.mode_names[flip.mode]
-    return f"passing to {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
+    mode = _quoted(borders.mode_names[flip.mode])
+    return f"towards {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
 
 
 def _printed(borders: BorderFacts) -> str:
@@ -174,13 +186,20 @@ def _printed(borders: BorderFacts) -> str:
     holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
     regular = "is" if borders.regular else "is not"
     return (
-        f"The form that the paper prints, with one inclusion for the states and one for the controls, {holds}; it is meant "
-        f"for {function} regular in Clarke's sense, which it {regular} here."
+        f"The form that the paper prints, with one inclusion for the states and one for the controls, {holds}; it is "
+        f"meant for {function} regular in Clarke's sense, which it {regular} here."
     )
 
 
 def _weights(alpha: Array, names: Sequence[str]) -> str:
-    return listed([f"{number(float(alpha[i]), 3)} {names[i]}" for i in np.flatnonzero(alpha)] or ["0"])
+    """Return the weights that are not zero, with the modes they belong to."""
+    used = [int(i) for i in np.flatnonzero(alpha)]
+    return listed([f"{number(float(alpha[i]), 3)} {_quoted(names[i])}" for i in used] or ["0"])
+
+
+def _quoted(name: str) -> str:
+    """Return a mode's name in quotation marks: it may have commas."""
+    return f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}"
 
 
 def _vector(parts: Sequence[float]) -> str:

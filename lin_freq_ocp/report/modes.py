@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,6 +52,10 @@ class Kink:
     upper: Array
     required: Array
 
+    def of(self, i: int) -> Array:
+        """Return what is drawn of component i, (3,)."""
+        return np.array([self.lower[i], self.upper[i], self.required[i]])
+
 
 def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
     """Return the names of the modes, none for linear dynamics."""
@@ -79,7 +83,7 @@ def sequence_of(result: Result) -> Indices | None:
 def spans(sequence: Indices) -> tuple[Span, ...]:
     """Return the runs of equal modes of a sequence, which cover it without overlap."""
     edges = [0, *(int(t) + 1 for t in np.flatnonzero(np.diff(sequence))), len(sequence)]
-    return tuple(Span(start, end, int(sequence[start])) for start, end in zip(edges, edges[1:], strict=False))
+    return tuple(Span(start, end, int(sequence[start])) for start, end in pairwise(edges))
 
 
 def kinks(
@@ -97,13 +101,15 @@ def kinks(
     required = required_slopes(lifted)[:, :n]
     centre, radius = _pulled(affine, multipliers), 0.0
     for one, selection in (selections or {}).items():
-        zero = np.where(np.isfinite(selection), 0.0, np.nan)
-        base = _slopes(problem, trajectory, multipliers, {**(selections or {}), one: zero})
-        units = np.stack([zero + row for row in np.eye(selection.shape[1])])
-        columns = [_slopes(problem, trajectory, multipliers, {**(selections or {}), one: unit}) - base for unit in units]
-        chosen = np.nan_to_num(selection)
-        centre = centre - np.einsum("jtki,tj->tki", np.stack(columns), chosen)
-        radius = radius + np.linalg.norm(np.stack(columns), axis=0)
+        at_zero = np.where(np.isfinite(selection), 0.0, np.nan)
+
+        def slopes(chosen: Array, one: Formula = one) -> Array:
+            changed = {**(selections or {}), one: chosen}
+            return _pulled(problem.affine_at(trajectory, changed), multipliers)
+
+        columns = np.stack([slopes(at_zero + unit) for unit in np.eye(selection.shape[1])]) - slopes(at_zero)
+        centre = centre - np.einsum("jtki,tj->tki", columns, np.nan_to_num(selection))
+        radius = radius + np.linalg.norm(columns, axis=0)  # the largest of columns @ xi, |xi| <= 1
     lower, upper = centre - radius, centre + radius
     meeting = arrays.meeting(x, u)
     return tuple(
@@ -129,15 +135,6 @@ def _selections(
             selection[t] = judged.get((text_of(one, labels), int(t)), 0.0)
         found[one] = selection
     return found
-
-
-def _slopes(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    selections: Mapping[Formula, Array],
-) -> Array:
-    return _pulled(problem.affine_at(trajectory, selections), multipliers)
 
 
 def _pulled(affine: OptimalControlProblem, multipliers: Multipliers) -> Array:

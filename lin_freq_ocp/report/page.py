@@ -22,7 +22,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.report import figures, words
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.facts import problem_facts
-from lin_freq_ocp.report.mode_panels import adjoint_figure, strip_rows, strips_figure
+from lin_freq_ocp.report.mode_panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.mode_words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.modes import kinks, mode_names
 from lin_freq_ocp.report.numbers import number, rough
@@ -97,7 +97,8 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
         filtering=words.FILTERING,
         not_meaningful=NOT_MEANINGFUL,
         meaning=words.stop_band_meaning(comparison),
-        verdict=[] if certificate is None else [*words.verdict(certificate), *search_sentences(comparison.constrained)],
+        verdict=[] if certificate is None else words.verdict(certificate, problem),
+        search=search_sentences(comparison.constrained),
         has_modes=bool(mode_names(problem)),
         conditions=() if certificate is None else certificate_rows(problem, certificate),
         result=comparison.constrained,
@@ -159,7 +160,7 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
     if scene.modes:
         rows = strip_rows(comparison)
-        yield "modes", "Modes", modes_caption(rows), strips_figure(scene, rows)
+        yield "modes", "Modes", modes_caption(rows, scene.host.label), strips_figure(scene, rows)
     yield "states", "Every state in time", "", figures.states_figure(scene)
     if scene.host.trajectory is result.trajectory and mode_names(comparison.problem):
         yield from _adjoint(scene, result)
@@ -181,8 +182,8 @@ def _adjoint(scene: Scene, result: Result) -> Iterator[tuple[str, str, str, Figu
     if certificate is None or certificate.borders is None or multipliers is None or trajectory is None:
         return
     found = kinks(result.problem, trajectory, multipliers, certificate.borders)
-    caption = adjoint_caption(certificate.borders)
-    yield "adjoint", "Adjoint, and where it has a choice", caption, adjoint_figure(scene, multipliers.eta, found)
+    figure = adjoint_figure(scene.of_host(), multipliers.eta, found, smallest_adjoint(certificate))
+    yield "adjoint", "Adjoint, and its choice at kinks", adjoint_caption(certificate.borders), figure
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:

@@ -93,6 +93,10 @@ class Scene:
         """Return the trajectory that the picture is about: the last that is no guest."""
         return [trace for trace in self.traces if not trace.guest][-1]
 
+    def of_host(self) -> Scene:
+        """Return the scene of the host alone."""
+        return Scene(self.problem, (self.host,))
+
     @cached_property
     def modes(self) -> tuple[Span, ...]:
         """Return the modes of the host; nothing where there are not at least two."""

@@ -12,6 +12,7 @@ from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
 from lin_freq_ocp.report.mode_words import border_sentences
 from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
@@ -96,8 +97,8 @@ def not_replayed(amplification: float) -> str:
     )
 
 
-def verdict(certificate: Certificate) -> list[str]:
-    """Return what a certificate proves: the maximum principle and the global bound, which are two facts."""
+def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
+    """Return what a certificate, of that problem, proves: the maximum principle and the bound, which are two facts."""
     sentences = list[str]()
     if certificate.pmp == "satisfied":
         kind = "normal (\N{GREEK SMALL LETTER ETA}_C = 1)" if certificate.normal else "abnormal (no cost enters)"
@@ -113,6 +114,9 @@ def verdict(certificate: Certificate) -> list[str]:
         sentences.append("The maximum principle was not judged: there are no multipliers.")
     if certificate.borders is not None:
         sentences += border_sentences(certificate.borders)
+    smooth = problem is not None and isinstance(problem.dynamics, PiecewiseSmoothDynamics)
+    if smooth and certificate.bound is None:
+        return [*sentences, "There is no global lower bound: of dynamics that are not affine, none is looked for."]
     return [*sentences, *_global_bound(certificate)]
 
 
