@@ -22,7 +22,7 @@ from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
-from lin_freq_ocp.report.mode_panels import legend_height, mode_legend
+from lin_freq_ocp.report.mode_panels import mode_legend
 from lin_freq_ocp.report.modes import mode_sequence, sequence_of
 from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.panels import (
@@ -128,7 +128,7 @@ def four_panels(scene: Scene) -> Figure:
     """Return each control in time beside its spectrum, and two views of the states below."""
     problem = scene.problem
     controls = problem.control_dim
-    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT + legend_height(scene))
+    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT + mode_legend(scene).height)
     grid = figure.add_gridspec(controls + 1, 2)
     letters = cycle(ascii_lowercase)
     for j, name in enumerate(problem.control_names):
@@ -143,7 +143,7 @@ def four_panels(scene: Scene) -> Figure:
     for column, title in zip(range(2), letters, strict=False):
         _draw_states(figure, grid, scene, column, f"({title})")
     _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_band.any()))
-    mode_legend(figure, scene)
+    mode_legend(scene).draw(figure)
     return figure
 
 
@@ -170,11 +170,11 @@ def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, lett
 def states_figure(scene: Scene) -> Figure:
     """Return every state in time, within its bounds."""
     names = scene.problem.state_names
-    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT, legend_height(scene))
+    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT, mode_legend(scene).height)
     for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
         state_panel(ax, scene, i, _capital(name))
     _legend(figure, scene, with_ends=False, with_band=False)
-    mode_legend(figure, scene)
+    mode_legend(scene).draw(figure)
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
@@ -45,6 +46,9 @@ from lin_freq_ocp.report.style import (
 CHARACTER = 0.52 * NOTE_SIZE / 72
 """Inches: about the width of a character of a note."""
 
+LEGEND_WIDTH, LEGEND_CHARACTER = WIDTH - 0.3, 1.12 * CHARACTER
+"""Inches: what a legend may take, and about the width of one of its characters."""
+
 LONGEST_NAME = 32
 """Characters of a mode's name in a picture."""
 
@@ -66,37 +70,68 @@ def shade_modes(ax: Axes, scene: Scene) -> None:
             ax.axvspan(start, end, **_look(span.mode), zorder=0)
 
 
-def mode_legend(figure: Figure, scene: Scene) -> None:
-    """Explain the tints below the panels, where there are any."""
-    used = sorted({span.mode for span in scene.modes} - {NO_MODE})
-    if not used:
-        return
-    names = _short_names(mode_names(scene.problem))
+@dataclass(frozen=True)
+class ModeLegend:
+    """The tints of some modes with their names, and whose modes they are; empty without any."""
+
+    modes: tuple[int, ...]
+    names: tuple[str, ...]
+    whose: str
+
+    @property
+    def columns(self) -> int:
+        """Return how many names fit side by side."""
+        return max(1, int(LEGEND_WIDTH / self._entry)) if self.modes else 1
+
+    @property
+    def in_one_row(self) -> bool:
+        """Whether all fit into one row, with whose modes they are."""
+        return len(self.modes) * self._entry + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH
+
+    @property
+    def height(self) -> float:
+        """Return the inches that it takes."""
+        rows = 0 if not self.modes else 1 if self.in_one_row else 1 + ceil(len(self.modes) / self.columns)
+        return 0.24 * rows + (0.08 if rows else 0.0)
+
+    @property
+    def _entry(self) -> float:
+        return LEGEND_CHARACTER * max(map(len, self.names), default=0) + 0.55
+
+    def draw(self, figure: Figure) -> None:
+        """Put it below the panels."""
+        if not self.modes:
+            return
+        legend = figure.legend(
+            handles=[Patch(**_look(mode)) for mode in self.modes],
+            labels=["mode"] * len(self.modes),
+            title=None if self.in_one_row else plain(self.whose[:1].upper() + self.whose[1:]),
+            title_fontsize=LABEL_SIZE + 0.5,
+            alignment="left",
+            loc="outside lower left",
+            ncols=len(self.modes) if self.in_one_row else self.columns,
+            frameon=False,
+            fontsize=LABEL_SIZE + 0.5,
+            labelcolor=INK,
+            handlelength=1.8,
+            columnspacing=1.6,
+        )
+        legend.get_title().set_color(INK)
+        labels = list(self.names)
+        labels[-1] += f"   ({self.whose})" if self.in_one_row else ""
+        for text, label in zip(legend.get_texts(), labels, strict=True):
+            text.set_text(label)  # a label that begins with an underscore would be left out
+
+
+def mode_legend(scene: Scene) -> ModeLegend:
+    """Return the explanation of the tints behind the panels of a scene."""
     whose = "mode" if len(scene.traces) == 1 else f"mode of the {scene.host.label} trajectory"
-    labels = [names[mode] for mode in used]
-    legend = figure.legend(
-        handles=[Patch(**_look(mode)) for mode in used],
-        labels=["mode"] * len(labels),
-        loc="outside lower left",
-        ncols=_columns(labels),
-        frameon=False,
-        fontsize=LABEL_SIZE + 0.5,
-        labelcolor=INK,
-        handlelength=1.8,
-        columnspacing=1.6,
-    )
-    labels[-1] += f"   ({whose})"
-    for text, label in zip(legend.get_texts(), labels, strict=True):
-        text.set_text(label)  # a label that begins with an underscore would be left out
+    return _legend_of(scene, {span.mode for span in scene.modes}, whose)
 
 
-def legend_height(scene: Scene) -> float:
-    """Return the inches that the legend of the tints takes."""
-    used = {span.mode for span in scene.modes} - {NO_MODE}
-    if not used:
-        return 0.0
-    names = _short_names(mode_names(scene.problem))
-    return 0.24 * ceil(len(used) / _columns([names[mode] for mode in used])) + 0.08
+def _legend_of(scene: Scene, modes: set[int], whose: str) -> ModeLegend:
+    used, names = sorted(modes - {NO_MODE}), _short_names(mode_names(scene.problem))
+    return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
 
 
 def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
@@ -111,13 +146,16 @@ def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
 
 def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
     """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
-    figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75)
-    ax = figure.add_subplot()
     names, factor, horizon = _short_names(mode_names(scene.problem)), scene.time.factor, scene.problem.horizon
-    for row, (_, sequence) in enumerate(rows):
-        for span in () if sequence is None else spans(sequence):
-            _draw_strip(ax, span, row, factor, horizon, names)
-        if sequence is None:
+    drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
+    unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
+    legend = _legend_of(scene, {span.mode for _, span in drawn} if unnamed else set(), "mode")
+    figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
+    ax = figure.add_subplot()
+    for row, span in drawn:
+        _draw_strip(ax, span, row, factor, horizon, names)
+    for row, (_, modes) in enumerate(rows):
+        if modes is None:
             ax.text(0.5 * factor * horizon, row, "not replayed", **_word(MUTED))
     dress(ax, "Modes", scene.time.label, "")
     ax.grid(False)
@@ -126,6 +164,7 @@ def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> F
     ax.set_yticks(range(len(rows)), [plain(label) for label, _ in rows], fontsize=LABEL_SIZE, color=INK)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
+    legend.draw(figure)
     return figure
 
 
@@ -140,7 +179,7 @@ def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink], least: float
     names = scene.problem.state_names
     columns = min(len(names), 2)
     rows = ceil(len(names) / columns)
-    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + legend_height(scene))
+    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(scene).height)
     for i, name in enumerate(names):
         ax = figure.add_subplot(rows, columns, i + 1)
         shade_modes(ax, scene)
@@ -156,7 +195,7 @@ def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink], least: float
         label = f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]"
         dress(ax, f"Adjoint of {short}", scene.time.label, label, notes)
     _adjoint_legend(figure, bool(found))
-    mode_legend(figure, scene)
+    mode_legend(scene).draw(figure)
     return figure
 
 
@@ -227,8 +266,12 @@ def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, nam
     ax.add_patch(box)
     ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
     name = "outside" if outside else names[span.mode]
-    if (0.82 * WIDTH * (span.end - span.start) / horizon) > CHARACTER * (len(name) + 1):
+    if _has_room(span, name, horizon):
         ax.text(0.5 * factor * (span.start + span.end), row, name, **_word(MUTED if outside else INK))
+
+
+def _has_room(span: Span, name: str, horizon: int) -> bool:
+    return 0.82 * WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
 
 
 def _word(color: str) -> dict[str, Any]:
@@ -245,8 +288,3 @@ def _short_names(names: Sequence[str]) -> list[str]:
     """Return names as pictures show them, ready to be drawn."""
     end = "\N{HORIZONTAL ELLIPSIS}"
     return [plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]
-
-
-def _columns(labels: Sequence[str]) -> int:
-    """Return how many entries of a legend fit side by side."""
-    return max(1, int((WIDTH - 0.3) / (1.12 * CHARACTER * max(map(len, labels)) + 0.55)))
