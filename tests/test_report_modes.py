@@ -382,3 +382,27 @@ def test_long_and_odd_mode_names_are_drawn_as_they_are():
 
 def test_span_is_plain_data():
     assert spans(np.array([2])) == (Span(0, 1, 2),)
+
+
+def test_a_replay_that_leaves_all_regions_is_said_to():
+    problem = replace(
+        closed_off(),
+        horizon=8,
+        cost=lfo.QuadraticCost(R=0.01, q=[-3.0]),
+        control_spectrum=lfo.stop_band(bins=[1, 2, 3, 4]),
+        initial_state=[0.0],
+    )
+    comparison = compare(problem, filters=["brickwall", "clipped"])
+    first = comparison.filtered[0].replay
+    assert (first.meaningful, first.measures.cost, first.measures.state_violation) == (False, None, None)
+    assert first.stopped.startswith("No mode of the dynamics holds at t = ")
+    with pytest.raises(lfo.NumericalError, match="No mode"):
+        lfo.simulate(problem, first.trajectory.u)
+    rows = dict(strip_rows(comparison))
+    assert rows["brickwall"] is None
+    assert list(rows["constrained"]) == list(comparison.constrained.sequence)
+    assert "its states leave the regions of all modes, so that" in str(words.finding(comparison))
+    notes = [note.text for note in comparison_scene(comparison).notes([comparison_scene(comparison).state(0)])]
+    assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
+    html = render(comparison, tuple(drawings("wall").values()))
+    assert "regions of all modes\n  (brickwall" in html

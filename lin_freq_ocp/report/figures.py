@@ -111,7 +111,8 @@ def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> 
     if one is not None:
         detail, shown = one.name.replace("_", " "), one.replay.meaningful
         modes = mode_sequence(problem, one.replay.trajectory) if shown else None
-        traces.append(Trace("filtered", one.replay.trajectory, STYLES["filtered"], detail, shown, True, modes))
+        stopped = bool(one.replay.stopped)
+        traces.append(Trace("filtered", one.replay.trajectory, STYLES["filtered"], detail, shown, True, modes, stopped))
     if constrained.trajectory is not None:
         traces.append(_solved("constrained", constrained))
     return Scene(problem, tuple(traces))

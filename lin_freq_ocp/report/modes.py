@@ -20,6 +20,9 @@ from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
+STOPPED = "leave the regions of all modes"
+"""What the states of a replay do that came to no end."""
+
 NO_MODE = -1
 """Stands in a mode sequence where a trajectory is in no region."""
 

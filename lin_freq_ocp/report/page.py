@@ -105,6 +105,7 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
         conflict=words.conflict_in_words(comparison.constrained),
         amplification=rough(comparison.classical_measures.amplification),
         replay_is_meaningful=comparison.replay_is_meaningful,
+        stopped=[one.name.replace("_", " ") for one in comparison.filtered if one.replay.stopped],
         facts=problem_facts(problem),
         filters=[(one.name.replace("_", " "), one.description) for one in comparison.filtered],
         has_stop_band=has_stop_band(problem),

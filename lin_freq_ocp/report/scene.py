@@ -13,7 +13,7 @@ from lin_freq_ocp.problem.measures import amplification
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.report.entries import state_bounds
-from lin_freq_ocp.report.modes import Span, spans
+from lin_freq_ocp.report.modes import STOPPED, Span, spans
 from lin_freq_ocp.report.numbers import listed, quantity, rough
 from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.style import Note, Trace
@@ -129,7 +129,9 @@ class Scene:
         notes = list[Note]()
         for trace in self.traces:
             words = ""
-            if not trace.states_shown:
+            if trace.stopped:
+                words = f"not replayed; its states {STOPPED}"
+            elif not trace.states_shown:
                 growth = amplification(self.problem.dynamics_along(trace.trajectory), self.problem.horizon)
                 words = f"not replayed; rounding errors would grow {rough(growth)}-fold"
             elif trace.guest and outside:

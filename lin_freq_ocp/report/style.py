@@ -95,6 +95,8 @@ class Trace:
         Whether the axes may leave it outside: what a filter does must not squeeze the rest.
     sequence : (T,) integers, optional
         With modes: the mode at every time, NO_MODE outside all regions.
+    stopped : bool
+        Whether there is no replay because no mode holds any more.
     """
 
     label: str
@@ -104,6 +106,7 @@ class Trace:
     states_shown: bool = True
     guest: bool = False
     sequence: Indices | None = None
+    stopped: bool = False
 
 
 @dataclass(frozen=True)

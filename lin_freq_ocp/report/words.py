@@ -15,6 +15,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
 from lin_freq_ocp.report.mode_words import border_sentences
+from lin_freq_ocp.report.modes import STOPPED
 from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
 from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
@@ -68,7 +69,8 @@ def finding(comparison: Comparison) -> Finding:
             or f"breaks no constraint{'' if entry.replayed else ' on the controls'}"
         )
         if not entry.replayed:
-            filtering += f"; {not_replayed(comparison.classical_measures.amplification)}"
+            growth = comparison.classical_measures.amplification
+            filtering += f"; {stopped_replay() if one.replay.stopped else not_replayed(growth)}"
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
@@ -95,6 +97,11 @@ def not_replayed(amplification: float) -> str:
         "what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
         f"{rough(amplification)}-fold"
     )
+
+
+def stopped_replay() -> str:
+    """Say why a replay came to no end."""
+    return f"its states {STOPPED}, so that they cannot be replayed to the end"
 
 
 def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
