@@ -123,7 +123,7 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         sentences += border_sentences(certificate.borders)
     smooth = problem is not None and isinstance(problem.dynamics, PiecewiseSmoothDynamics)
     if smooth and certificate.bound is None:
-        return [*sentences, "There is no global lower bound: of dynamics that are not affine, none is looked for."]
+        return [*sentences, "There is no global lower bound: the dynamics are not affine, and none was found."]
     return [*sentences, *_global_bound(certificate)]
 
 
