@@ -112,7 +112,7 @@ def _judged(
         proof = tree_bound(problem, outcome.tree)
     status, message = _status(outcome, candidate, certificate, proof, needed)
     if certificate is not None and np.isfinite(proof.value):
-        words = f"a search tree of {proof.leaves} leaves, each checked"
+        words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
         certificate = replace(certificate, bound=Bound(proof.value, "rigorous", sets=words))
     return Result(
         problem=problem,

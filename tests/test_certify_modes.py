@@ -182,12 +182,16 @@ def test_words_tell_what_holds_at_borders():
     good, bad = (lfo.certify(kinks.peak(), [[1.0], [4.0]]), lfo.certify(kinks.valley(), [[-1.0], [4.0]]))
     assert "modes meet at t = 1; joint inclusion holds; flip-stationary; printed form holds" in str(good.borders)
     assert "not flip-stationary; flip t = 1 to rising (rate 50, verified)" in str(bad.borders)
-    assert "Borders of modes: modes meet at t = 1" in " ".join(verdict(good))
+    assert "Modes meet at t = 1. There the dynamics have no single derivative." in verdict(good)
+    assert "towards “rising” at t = 1 (rate 50, and the cost does fall there, which was verified)" in " ".join(
+        verdict(bad)
+    )
     assert "a search over their sequences" in " ".join(verdict(good))
     jumping = lfo.certify(kinks.rotation(), np.zeros((5, 1)))
     assert "does not apply" in " ".join(verdict(jumping))
     refused = lfo.certify(kinks.inner_absolute_value(), [[0.0], [0.5]])
     assert "which does not improve: it has other multipliers" in str(refused.borders)
+    assert "where the cost does not fall: that sequence has other multipliers" in " ".join(verdict(refused))
 
 
 def invoke(monkeypatch, tmp_path, problem, trajectory, multipliers=None, *options):

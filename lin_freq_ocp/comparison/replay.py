@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.measures import Measures, amplification, measure, one_step_residual, replay_is_meaningful
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -26,21 +28,30 @@ class Replay:
         Without a replay, all that depends on the states is None.
     one_step_residual : (n,)
         Largest |x_{t+1} - f_t(x_t, u_t)| over time, per state: how far the control misses the planned states each step.
+    stopped : str
+        Why the replay came to no end, where the dynamics have modes and none holds any more; else empty.
     """
 
     trajectory: Trajectory
     meaningful: bool
     measures: Measures
     one_step_residual: Array
+    stopped: str = ""
 
 
 def replay(problem: OptimalControlProblem, u: Array, planned: Trajectory) -> Replay:
     """Replay u, shape (T, m), from the first state of the planned trajectory."""
     with_plan = Trajectory(planned.x, u)
     residual = np.abs(one_step_residual(problem, with_plan)).max(0)
+    stopped = ""
     if replay_is_meaningful(amplification(problem.dynamics_along(planned), problem.horizon)):
-        trajectory = simulate(problem, u, planned.x[0])
-        return Replay(trajectory, True, measure(problem, trajectory), residual)
+        try:
+            trajectory = simulate(problem, u, planned.x[0])
+            return Replay(trajectory, True, measure(problem, trajectory), residual)
+        except NumericalError as error:
+            if isinstance(problem.dynamics, LinearDynamics):
+                raise
+            stopped = str(error)
     unknown = {"cost": None, "state_violation": None, "stage_violation": None, "terminal_error": None}
     of_states = {"terminal_errors": None, "state_stopband_energy": None, "state_stopband_peak": None}
-    return Replay(with_plan, False, replace(measure(problem, with_plan), **unknown, **of_states), residual)
+    return Replay(with_plan, False, replace(measure(problem, with_plan), **unknown, **of_states), residual, stopped)

@@ -7,6 +7,7 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import state_bounds
+from lin_freq_ocp.report.mode_words import dynamics_facts
 from lin_freq_ocp.report.numbers import listed, number, plural
 
 
@@ -17,6 +18,7 @@ def problem_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
     if step is not None:
         horizon += f" of {number(step)} s ({number(step * problem.horizon)} s)"
     facts = [("horizon", horizon), ("minimise", cost_in_words(problem))]
+    facts += dynamics_facts(problem)
     bounds, tube = state_bounds(problem), problem.control_tube
     for i, name in enumerate(problem.control_names):
         facts.append((f"control: {name}", _interval(tube.lower[:, i], tube.upper[:, i])))

@@ -22,6 +22,8 @@ from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
+from lin_freq_ocp.report.mode_panels import mode_legend
+from lin_freq_ocp.report.modes import mode_sequence, sequence_of
 from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.panels import (
     control_panel,
@@ -94,7 +96,7 @@ def result_scene(result: Result) -> Scene:
     if result.trajectory is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
     label = "optimal" if result.status == "optimal" else "best point"
-    return Scene(result.problem, (Trace(label, result.trajectory, STYLES["constrained"]),))
+    return Scene(result.problem, (_solved(label, result),))
 
 
 def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> Scene:
@@ -105,20 +107,29 @@ def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> 
         return result_scene(constrained)
     traces = list[Trace]()
     if comparison.classical.trajectory is not None:
-        traces.append(Trace("classical", comparison.classical.trajectory, STYLES["classical"]))
+        traces.append(_solved("classical", comparison.classical))
     if one is not None:
         detail, shown = one.name.replace("_", " "), one.replay.meaningful
-        traces.append(Trace("filtered", one.replay.trajectory, STYLES["filtered"], detail, shown, guest=True))
+        modes = mode_sequence(problem, one.replay.trajectory) if shown else None
+        stopped = bool(one.replay.stopped)
+        traces.append(Trace("filtered", one.replay.trajectory, STYLES["filtered"], detail, shown, True, modes, stopped))
     if constrained.trajectory is not None:
-        traces.append(Trace("constrained", constrained.trajectory, STYLES["constrained"]))
+        traces.append(_solved("constrained", constrained))
     return Scene(problem, tuple(traces))
+
+
+def _solved(label: str, result: Result) -> Trace:
+    """Return a solution, which has a trajectory, as a trace."""
+    assert result.trajectory is not None
+    style = STYLES["classical" if label == "classical" else "constrained"]
+    return Trace(label, result.trajectory, style, sequence=sequence_of(result))
 
 
 def four_panels(scene: Scene) -> Figure:
     """Return each control in time beside its spectrum, and two views of the states below."""
     problem = scene.problem
     controls = problem.control_dim
-    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT)
+    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT + mode_legend(scene).height)
     grid = figure.add_gridspec(controls + 1, 2)
     letters = cycle(ascii_lowercase)
     for j, name in enumerate(problem.control_names):
@@ -133,6 +144,7 @@ def four_panels(scene: Scene) -> Figure:
     for column, title in zip(range(2), letters, strict=False):
         _draw_states(figure, grid, scene, column, f"({title})")
     _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_band.any()))
+    mode_legend(scene).draw(figure)
     return figure
 
 
@@ -159,10 +171,11 @@ def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, lett
 def states_figure(scene: Scene) -> Figure:
     """Return every state in time, within its bounds."""
     names = scene.problem.state_names
-    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT)
+    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT, mode_legend(scene).height)
     for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
         state_panel(ax, scene, i, _capital(name))
     _legend(figure, scene, with_ends=False, with_band=False)
+    mode_legend(scene).draw(figure)
     return figure
 
 
@@ -268,10 +281,10 @@ def _draw_prices(ax: Axes, component: Component, frequency: np.ndarray, price: n
     )
 
 
-def _two_columns(count: int, height: float) -> tuple[Figure, list[Axes]]:
+def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:
     """Return a figure and so many panels in two columns; a single one takes both."""
     rows = ceil(count / 2)
-    figure = new_figure(height * rows + LEGEND_HEIGHT)
+    figure = new_figure(height * rows + LEGEND_HEIGHT + below)
     columns = min(count, 2)
     return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
 

@@ -22,8 +22,12 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.report import figures, words
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.facts import problem_facts
+from lin_freq_ocp.report.mode_panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
+from lin_freq_ocp.report.mode_words import adjoint_caption, modes_caption, search_sentences
+from lin_freq_ocp.report.modes import kinks, mode_names
 from lin_freq_ocp.report.numbers import number, rough
-from lin_freq_ocp.report.style import THEMED
+from lin_freq_ocp.report.scene import Scene
+from lin_freq_ocp.report.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.result import Result
 
@@ -93,12 +97,15 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
         filtering=words.FILTERING,
         not_meaningful=NOT_MEANINGFUL,
         meaning=words.stop_band_meaning(comparison),
-        verdict=[] if certificate is None else words.verdict(certificate),
+        verdict=[] if certificate is None else words.verdict(certificate, problem),
+        search=search_sentences(comparison.constrained),
+        has_modes=bool(mode_names(problem)),
         conditions=() if certificate is None else certificate_rows(problem, certificate),
         result=comparison.constrained,
         conflict=words.conflict_in_words(comparison.constrained),
         amplification=rough(comparison.classical_measures.amplification),
         replay_is_meaningful=comparison.replay_is_meaningful,
+        stopped=[one.name.replace("_", " ") for one in comparison.filtered if one.replay.stopped],
         facts=problem_facts(problem),
         filters=[(one.name.replace("_", " "), one.description) for one in comparison.filtered],
         has_stop_band=has_stop_band(problem),
@@ -116,7 +123,10 @@ def tiles(comparison: Comparison) -> list[tuple[str, str, str]]:
         shown = []
     if certificate is None:
         return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
-    shown.append(("cost with the constraint" if shown else "optimal cost", number(result.cost), ""))
+    cost, remark = "optimal cost", ""
+    if certificate.borders is not None and certificate.bound is None:
+        cost, remark = "cost found", "no global bound"
+    shown.append(("cost with the constraint" if shown else cost, number(result.cost), remark))
     kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
     shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
     if certificate.gap is not None and certificate.bound is not None:
@@ -130,7 +140,7 @@ def inline_svg(svg: str, name: str, title: str) -> Markup:
     view_box = re.search(r'viewBox="[^"]*"', body)
     content = body[body.index(">") + 1 :].replace("xlink:href", "href")
     content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", content)
-    for color, variable in THEMED.items():
+    for color, variable in (THEMED | THEMED_TINTS).items():
         content = content.replace(color, f"var(--{variable})")
     opening = Markup('<svg role="img" aria-label="{}" {}>').format(title, Markup(view_box[0] if view_box else ""))
     return opening + Markup(content)
@@ -149,7 +159,12 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
     if comparison.problem.state_band.any():
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
+    if scene.modes:
+        rows = strip_rows(comparison)
+        yield "modes", "Modes", modes_caption(rows, scene.host.label), strips_figure(scene, rows)
     yield "states", "Every state in time", "", figures.states_figure(scene)
+    if scene.host.trajectory is result.trajectory and mode_names(comparison.problem):
+        yield from _adjoint(scene, result)
     if result.certificate is not None and result.multipliers is not None:
         gap = figures.gap_figure(scene, result.certificate)
         if gap is not None:
@@ -160,6 +175,16 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
                 "(its mirror image with it): the magnitude of its multiplier."
             )
             yield "price", "Price of each removed bin", text, figures.price_figure(scene, result.multipliers)
+
+
+def _adjoint(scene: Scene, result: Result) -> Iterator[tuple[str, str, str, Figure]]:
+    """Yield the adjoint of a solution of a problem with modes, if it was judged."""
+    certificate, multipliers, trajectory = result.certificate, result.multipliers, result.trajectory
+    if certificate is None or certificate.borders is None or multipliers is None or trajectory is None:
+        return
+    found = kinks(result.problem, trajectory, multipliers, certificate.borders)
+    figure = adjoint_figure(scene.of_host(), multipliers.eta, found, smallest_adjoint(certificate))
+    yield "adjoint", "Adjoint, and its choice at kinks", adjoint_caption(certificate.borders), figure
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:

@@ -13,6 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
+from lin_freq_ocp.report.mode_panels import shade_modes
 from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.scene import Component, Scene, View
 from lin_freq_ocp.report.style import BAND, BOUND, INK, PAPER, Note, Trace, dress, thinned
@@ -104,7 +105,8 @@ def frequency_axis(ax: Axes, scene: Scene) -> None:
 
 
 def _draw_in_time(ax: Axes, scene: Scene, component: Component) -> None:
-    """Draw a component of all traces, and its bounds."""
+    """Draw a component of all traces, and its bounds, before the modes of the host."""
+    shade_modes(ax, scene)
     held = not component.is_state
     drawing = "steps-post" if held else "default"
     for bound in component.bounds:

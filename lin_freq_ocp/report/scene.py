@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.measures import amplification
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.report.entries import state_bounds
+from lin_freq_ocp.report.modes import STOPPED, Span, spans
 from lin_freq_ocp.report.numbers import listed, quantity, rough
 from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.style import Note, Trace
@@ -87,6 +88,20 @@ class Scene:
         """Return the state set of each time, without the ends."""
         return state_bounds(self.problem)
 
+    @property
+    def host(self) -> Trace:
+        """Return the trajectory that the picture is about: the last that is no guest."""
+        return [trace for trace in self.traces if not trace.guest][-1]
+
+    def of_host(self) -> Scene:
+        """Return the scene of the host alone."""
+        return Scene(self.problem, (self.host,))
+
+    @cached_property
+    def modes(self) -> tuple[Span, ...]:
+        """Return the modes of the host; nothing where there are not at least two."""
+        return () if self.host.sequence is None else spans(self.host.sequence)
+
     def control(self, j: int) -> Component:
         """Return control j."""
         return Component(self.problem, j, is_state=False)
@@ -114,7 +129,9 @@ class Scene:
         notes = list[Note]()
         for trace in self.traces:
             words = ""
-            if not trace.states_shown:
+            if trace.stopped:
+                words = f"not replayed; its states {STOPPED}"
+            elif not trace.states_shown:
                 growth = amplification(self.problem.dynamics_along(trace.trajectory), self.problem.horizon)
                 words = f"not replayed; rounding errors would grow {rough(growth)}-fold"
             elif trace.guest and outside:

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
+from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 Numbers = NDArray[np.floating[Any]]
@@ -36,6 +37,16 @@ THEMED = {
     CONSTRAINED: "constrained",
 }
 """Colours that the page replaces by its own variables, so that figures follow its light and dark scheme."""
+
+TINTS = ("#eceff3", "#cfdcf2", "#e6bfd6", "#cdebd6", "#d8cba0", "#b4b8c4")
+"""Behind what happens in a mode, by its number: light enough for the lines, and neighbours differ in lightness or in
+blue against yellow, which all readers see."""
+
+HATCHES = ("", "////", "....", "xxxx")
+"""Of the first as many modes as there are tints, of the next as many, and so on."""
+
+THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}
+"""Likewise for the tints, which only pages of problems with modes have."""
 
 COMPONENTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -82,6 +93,10 @@ class Trace:
         Whether its states mean anything.
     guest : bool
         Whether the axes may leave it outside: what a filter does must not squeeze the rest.
+    sequence : (T,) integers, optional
+        With modes: the mode at every time, NO_MODE outside all regions.
+    stopped : bool
+        Whether there is no replay because no mode holds any more.
     """
 
     label: str
@@ -90,6 +105,8 @@ class Trace:
     detail: str = ""
     states_shown: bool = True
     guest: bool = False
+    sequence: Indices | None = None
+    stopped: bool = False
 
 
 @dataclass(frozen=True)

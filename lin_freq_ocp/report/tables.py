@@ -17,6 +17,7 @@ from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, entries
+from lin_freq_ocp.report.modes import mode_names
 from lin_freq_ocp.report.numbers import NOTHING, aligned, number, plural, split_unit
 
 NOT_MEANINGFUL = "not meaningful"
@@ -294,7 +295,7 @@ def _place(problem: OptimalControlProblem, condition: Condition) -> str:
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
     if condition.label in OF_MODES and condition.component is not None:
-        return f"t = {condition.time}, {problem.piecewise.mode_names[condition.component]}"
+        return f"t = {condition.time}, {mode_names(problem)[condition.component]}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:

@@ -12,7 +12,10 @@ from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
+from lin_freq_ocp.report.mode_words import border_sentences
+from lin_freq_ocp.report.modes import STOPPED
 from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
 from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
@@ -66,7 +69,8 @@ def finding(comparison: Comparison) -> Finding:
             or f"breaks no constraint{'' if entry.replayed else ' on the controls'}"
         )
         if not entry.replayed:
-            filtering += f"; {not_replayed(comparison.classical_measures.amplification)}"
+            growth = comparison.classical_measures.amplification
+            filtering += f"; {stopped_replay() if one.replay.stopped else not_replayed(growth)}"
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
@@ -95,8 +99,13 @@ def not_replayed(amplification: float) -> str:
     )
 
 
-def verdict(certificate: Certificate) -> list[str]:
-    """Return what a certificate proves: the maximum principle and the global bound, which are two facts."""
+def stopped_replay() -> str:
+    """Say why a replay came to no end."""
+    return f"its states {STOPPED}, so that they cannot be replayed to the end"
+
+
+def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
+    """Return what a certificate, of that problem, proves: the maximum principle and the bound, which are two facts."""
     sentences = list[str]()
     if certificate.pmp == "satisfied":
         kind = "normal (\N{GREEK SMALL LETTER ETA}_C = 1)" if certificate.normal else "abnormal (no cost enters)"
@@ -111,7 +120,10 @@ def verdict(certificate: Certificate) -> list[str]:
     else:
         sentences.append("The maximum principle was not judged: there are no multipliers.")
     if certificate.borders is not None:
-        sentences.append(f"Borders of modes: {certificate.borders}.")
+        sentences += border_sentences(certificate.borders)
+    smooth = problem is not None and isinstance(problem.dynamics, PiecewiseSmoothDynamics)
+    if smooth and certificate.bound is None:
+        return [*sentences, "There is no global lower bound: the dynamics are not affine, and none was found."]
     return [*sentences, *_global_bound(certificate)]
 
 
