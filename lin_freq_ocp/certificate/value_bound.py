@@ -20,11 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scipy.ndimage import minimum_filter
-
+from lin_freq_ocp.certificate.value_grid import ROUNDING, Grid, RangeMinima
+from lin_freq_ocp.certificate.value_samples import Samples, arrivals, freed_slopes, stage_cost
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.formulas import values_of
 from lin_freq_ocp.problem.interval_jets import interval_jets, mean_value
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
@@ -34,24 +33,11 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 MOST_STATES = 2
 """Cells are as many as a power of this: three states need minutes."""
 
-ROUNDS = 17
-"""Bisections of a box of (x, u), at most."""
+ROUNDS = {1: 17, 2: 13}
+"""Bisections of a box of (x, u) at most, by the number of states."""
 
 FIRST_BOXES = 16
 """Boxes of the controls of a cell to begin with, for one control; the root of it for each of two."""
-
-SIDES = {1: (-0.9, 0.9), 2: (0.0,)}
-"""Where in a cell the slopes of its pieces are estimated, from the centre, as parts of half its width: one state may
-have a kink in every cell; of two, cells with several pieces take too long."""
-
-SPREAD = 5
-"""Cells on both sides together that count as reached where samples reach one."""
-
-CLOSER = 25
-"""Controls around the best sample, twice, each time closer."""
-
-SAMPLES = 256
-"""Controls at which slopes and reachable values are estimated; nothing is proven by them."""
 
 MOST_SPANNED = 12
 """Boxes whose image meets more cells along a state are bisected before they are bounded by each of them."""
@@ -59,71 +45,12 @@ MOST_SPANNED = 12
 MOST_PAIRS = 400_000
 """Boxes and cells bounded at once: some hundred megabytes."""
 
-MOST_SLOPE = {1: 20.0, 2: 4.0}
-"""Slopes are cut at this multiple of their median: next to states from which nothing goes on they are not to be trusted."""
-
 CUT_MARGIN = 5e-2
 """Part of the cost by which what it costs to come to a cell may be overestimated."""
 
-ROUNDING = 64 * float(np.finfo(np.float64).eps)
-"""Of the sum of absolute terms that a bound is made of, what is subtracted from it."""
 
-
-DEBUG = False
-
-
-class OutOfTime(Exception):
+class OutOfTimeError(Exception):
     """The time is over; no bound was found."""
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """The cells of the states at one time, and an affine function on each.
-
-    Attributes
-    ----------
-    lower, width : (n,)
-        Of all cells together, and of one; width 0 where the state is fixed.
-    shape : (n,) integers
-    values, slopes : (cells, pieces), (cells, pieces, n)
-        V is the largest of values + slopes (x - centre).
-    first, last : (cells, n)
-        Bounds of the states of a cell from which trajectories go on.
-    """
-
-    lower: Array
-    width: Array
-    shape: Indices
-    values: Array
-    slopes: Array
-    first: Array
-    last: Array
-
-    @property
-    def centres(self) -> Array:
-        """Return the centres of all cells, (cells, n)."""
-        places = np.stack(np.unravel_index(np.arange(int(self.shape.prod())), tuple(self.shape)), axis=1)
-        return self.lower + (places + 0.5) * self.width
-
-    def piece_at(self, cell: Indices, x: Array) -> Array:
-        """Return the slopes of V at points in cells, (points, n)."""
-        value = self.values[cell] + np.einsum("psn,pn->ps", self.slopes[cell], x - self.centres[cell])
-        return self.slopes[cell, value.argmax(axis=1)]
-
-    @property
-    def least(self) -> Array:
-        """Return a lower bound of V on every cell, (cells,)."""
-        return (self.values - (np.abs(self.slopes) * self.width / 2).sum(axis=2)).max(axis=1)
-
-    def places(self, x: Array, towards: int = 0) -> Indices:
-        """Return the cells of points along each state, (..., n); towards -1 or 1, those that rounding may hide, too."""
-        width = np.where(self.width > 0, self.width, 1.0)
-        share = (x - self.lower) / width + towards * ROUNDING * (1 + np.abs(x / width))
-        return np.clip(np.floor(np.nan_to_num(share)), 0, self.shape - 1).astype(np.intp)
-
-    def flat(self, places: Indices) -> Indices:
-        """Return numbers of cells from their places along each state."""
-        return np.ravel_multi_index(tuple(np.moveaxis(places, -1, 0)), tuple(self.shape))
 
 
 def value_bound(
@@ -148,7 +75,7 @@ def value_bound(
     tolerance : float
         What each step may lose.
     deadline : float
-        Of ``time.perf_counter``, at which OutOfTime is raised.
+        Of ``time.perf_counter``, at which OutOfTimeError is raised.
     progress : callable, optional
         Called with the time that is done.
 
@@ -159,7 +86,7 @@ def value_bound(
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
     grids = _grids(problem, cells)
-    spent = _arrivals(problem, costs, grids)
+    spent = arrivals(problem, costs, grids)
     after = _last(costs, grids[T])
     for t in range(T - 1, -1, -1):
         here = _Backward(problem, costs, t, grids[t], after, deadline)
@@ -205,47 +132,6 @@ def _last(costs: StageCosts, grid: Grid) -> Grid:
     return Grid(grid.lower, grid.width, grid.shape, values[:, None], slopes[:, None], -everything, everything)
 
 
-def _arrivals(problem: OptimalControlProblem, costs: StageCosts, grids: list[Grid]) -> list[Array]:
-    """Return an estimate of what it costs at least to come to every cell, (cells,) per time."""
-    spent = [np.full(int(grid.shape.prod()), np.inf) for grid in grids]
-    spent[0][:] = 0.0
-    for t, (grid, after) in enumerate(zip(grids, grids[1:], strict=False)):
-        x, u = grid.centres, _controls(problem, t, SAMPLES * (1 if len(grid.centres) > 1 else SPREAD))
-        pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-        total = np.repeat(spent[t], len(u)) + _stage(costs, t, pairs)
-        for mode in problem.smooth_pieces.modes:
-            y, inside = values_of(mode.f, pairs), _holds(mode, pairs)
-            inside &= np.isfinite(y).all(axis=1)
-            places = after.flat(after.places(np.where(inside[:, None], y, 0.0)))
-            np.minimum.at(spent[t + 1], places, np.where(inside, total, np.inf))
-        spent[t + 1] = minimum_filter(
-            spent[t + 1].reshape(tuple(after.shape)), 3 + cells_of(after) // 40, mode="nearest"
-        ).ravel()
-    return spent
-
-
-def _holds(mode: SmoothMode, pairs: Array) -> Mask:
-    """Where a mode holds, or does so nearly; at samples, which prove nothing."""
-    inside = np.ones(len(pairs), dtype=bool)
-    if mode.region:
-        inside &= (values_of(mode.region, pairs) <= 0).all(axis=1)
-    if mode.domain:
-        inside &= (values_of(mode.domain, pairs) > 0).all(axis=1)
-    return inside
-
-
-def _controls(problem: OptimalControlProblem, t: int, points: int) -> Array:
-    """Return a grid of about so many controls, (points, m)."""
-    box, m = problem.control_tube, problem.control_dim
-    each = max(2, round(points ** (1 / m)))
-    axes = [np.linspace(low, high, each) for low, high in zip(box.lower[t], box.upper[t], strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, m)
-
-
-def _stage(costs: StageCosts, t: int, y: Array) -> Array:
-    return 0.5 * np.einsum("pi,ij,pj->p", y, costs.hessians[t], y) + y @ costs.linear[t]
-
-
 @dataclass(frozen=True, eq=False)
 class _Boxes:
     """Boxes of (x, u) in a cell and a mode each, for one piece of V_t: centres and radii (boxes, n + m)."""
@@ -286,21 +172,21 @@ class _Backward:
         self._modes, self._n, self._t = problem.smooth_pieces.modes, problem.state_dim, t
         self._problem, self._costs, self._grid, self._after, self._deadline = problem, costs, grid, after, deadline
         self._pole = after.width == 0
-        self._ranges = _RangeMinima(after)
+        self._ranges = RangeMinima(after)
         self._hessian = costs.hessians[t]
 
     def values(self, target: Array, tolerance: float) -> Grid:
         """Return the cells with values: at least ``target``, or near to what samples reach, if boxes show it."""
         grid, n = self._grid, self._n
-        slopes, reached = self._sampled()
+        slopes, reached = Samples(self._problem, self._costs, self._t, grid, self._after).slopes()
         pieces = slopes.shape[1]
         needed = np.minimum(reached - tolerance, target[:, None] + (np.abs(slopes) * grid.width / 2).sum(axis=2))
         lowest = np.full(reached.shape, np.inf)
         first, last = np.full(slopes.shape, np.inf), np.full(slopes.shape, -np.inf)
         boxes = self._first_boxes(pieces)
-        for final in (*[False] * ROUNDS, True):
+        for final in (*[False] * ROUNDS[n], True):
             if time.perf_counter() > self._deadline:
-                raise OutOfTime
+                raise OutOfTimeError
             bounds, steep = self._bounded(boxes, slopes)
             place = boxes.cell, boxes.piece
             weak = (bounds < needed[place]) & (not final)
@@ -334,93 +220,6 @@ class _Backward:
             np.tile(radius, (modes * pieces * count, 1)),
         )
 
-    def _sampled(self) -> tuple[Array, Array]:
-        """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
-        grid = self._grid
-        sides = np.outer(SIDES[self._n] if grid.width.any() else (0.0,), grid.width / 2)
-        found = [self._sampled_at(grid.centres + side) for side in sides]
-        slopes = np.stack([slope for _, slope in found], axis=1)
-        values = np.stack([value for value, _ in found], axis=1)
-        allowed = values[:, None] - np.einsum("cpn,sn->cps", slopes, sides)
-        return slopes, allowed.min(axis=2)
-
-    def _sampled_at(self, x: Array) -> tuple[Array, Array]:
-        """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
-        box, m, t = self._problem.control_tube, self._problem.control_dim, self._t
-        u = _controls(self._problem, t, SAMPLES)
-        best, at, chosen = self._best_of(x, np.broadcast_to(u, (len(x), *u.shape)))
-        each = max(3, round(CLOSER ** (1 / m)))
-        offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, each)] * m, indexing="ij"), axis=-1).reshape(-1, m)
-        spacing = (box.upper[t] - box.lower[t]) / max(1, round(SAMPLES ** (1 / m)) - 1)
-        for _ in range(2):
-            near = np.clip(at[:, None, self._n :] + offsets * spacing, box.lower[t], box.upper[t])
-            better, place, mode = self._best_of(x, near)
-            closer = better < best
-            best, at = np.where(closer, better, best), np.where(closer[:, None], place, at)
-            chosen, spacing = np.where(closer, mode, chosen), 2 * spacing / (each - 1)
-        free = np.full((2, self._n), [[-np.inf], [np.inf]])
-        lowest, highest = (
-            np.concatenate([free[0], box.lower[t] + 1.5 * spacing]),
-            np.concatenate([free[1], box.upper[t] - 1.5 * spacing]),
-        )
-        slopes = np.zeros((len(x), self._n))
-        for i, mode in enumerate(self._modes):
-            here = (chosen == i) & np.isfinite(best)
-            if here.any():
-                jets = interval_jets(mode.f, at[here], at[here])
-                y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ self._hessian + self._costs.linear[t]
-                sigma = self._after.piece_at(self._after.flat(self._after.places(y)), y)
-                inside = (at[here] > lowest) & (at[here] < highest)
-                weights = np.where(inside | self._pole.any(), self._control_weights, 0.0)
-                sigma = sigma + _freed(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
-                slope = gradient + np.einsum("pj,pji->pi", sigma, J)
-                slopes[here] = np.nan_to_num(slope[:, : self._n], posinf=0.0, neginf=0.0)
-        finite = np.isfinite(best)
-        usual = MOST_SLOPE[self._n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
-        return best, np.clip(slopes, -usual, usual)
-
-    def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
-        """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
-        count = u.shape[1]
-        pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
-        costs = _stage(self._costs, self._t, pairs)
-        best, at = np.full(len(x), np.inf), pairs[::count].copy()
-        chosen = np.zeros(len(x), dtype=np.intp)
-        for i, mode in enumerate(self._modes):
-            y = values_of(mode.f, pairs)
-            ok = _holds(mode, pairs) & np.isfinite(y).all(axis=1)
-            total = costs + self._value_at(np.where(ok[:, None], y, 0.0))
-            total = np.where(ok, total, np.inf).reshape(len(x), count)
-            place = total.argmin(axis=1)
-            found = total[np.arange(len(x)), place]
-            better = found < best
-            best[better], chosen[better] = found[better], i
-            at[better] = pairs.reshape(len(x), count, -1)[better, place[better]]
-        return best, at, chosen
-
-    @property
-    def _control_weights(self) -> Array:
-        box = self._problem.control_tube
-        return np.concatenate([np.zeros(self._n), (box.upper - box.lower)[self._t]])
-
-    def _value_at(self, y: Array) -> Array:
-        """Return V_{t+1}, with the distance to where it is fixed at the steepest slope of the stage."""
-        after = self._after
-        cell = after.flat(after.places(y))
-        inside = (y >= after.lower) & (y <= after.lower + after.width * after.shape)
-        far = np.where(self._pole, np.abs(y - after.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
-        near = np.where(self._pole, 0.0, y - after.centres[cell])
-        value = (after.values[cell] + np.einsum("psn,pn->ps", after.slopes[cell], near)).max(axis=1)
-        return value + self._end_price * far
-
-    @property
-    def _end_price(self) -> float:
-        tube = self._problem.control_tube
-        ends = np.stack([tube.lower[self._t], tube.upper[self._t]])
-        y = np.hstack([np.tile(self._grid.centres[:1], (2, 1)), ends])
-        return 10 * float(np.abs(y @ self._hessian + self._costs.linear[self._t]).max() + 1)
-
     def _bounded(self, boxes: _Boxes, slopes: Array) -> tuple[Array, Array]:
         """Return bounds of boxes, inf where nothing in them holds, and how much is lost along each direction."""
         bounds, steep = np.full(len(boxes.cell), np.inf), boxes.radius.copy()
@@ -446,7 +245,7 @@ class _Backward:
         gradient = y @ self._hessian + self._costs.linear[self._t]
         own = slopes[boxes.cell, boxes.piece]
         gradient[:, :n] -= own
-        offset = _stage(self._costs, self._t, y) - (own * (y[:, :n] - self._grid.centres[boxes.cell])).sum(axis=1)
+        offset = stage_cost(self._costs, self._t, y) - (own * (y[:, :n] - self._grid.centres[boxes.cell])).sum(axis=1)
         change = np.abs(gradient) + r @ np.abs(self._hessian)
         bounds = np.where(possible, offset - (change * r).sum(axis=1) + self._ranges.least(first, final), np.inf)
         steep = np.where(
@@ -474,7 +273,7 @@ class _Backward:
         found = np.full(len(pair), -np.inf)
         for piece in range(after.slopes.shape[1]):
             slopes, value = after.slopes[cell, piece], after.values[cell, piece]
-            freed = _freed(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r[pair])
+            freed = freed_slopes(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r[pair])
             for change in (freed, np.where(self._pole, freed, 0.0)):
                 less = np.where(self._pole, 0.0, np.fmax(change * low, change * high)).sum(axis=1)
                 more = self._with_slopes(pair, cell, slopes + change, value - less, r, gradient, offset, centre, whole)
@@ -518,13 +317,6 @@ class _Backward:
         return np.where(nothing, np.inf, value + best - ROUNDING * terms)
 
 
-def _freed(gradient: Array, J: Array, weights: Array) -> Array:
-    """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
-    columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
-    wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
-    return -np.einsum("pji,pi->pj", np.linalg.pinv(columns), wanted)
-
-
 def _scaled(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
     ends = factor * low, factor * high
     return np.fmin(*ends), np.fmax(*ends)
@@ -561,50 +353,3 @@ def _pairs(rows: Indices, first: Indices, final: Indices, after: Grid) -> tuple[
     for j in range(sizes.shape[1] - 1, -1, -1):
         local, places[:, j] = np.divmod(local, repeated[:, j])
     return pair, after.flat(np.repeat(first[rows], counts, axis=0) + places)
-
-
-class _RangeMinima:
-    """The least of V over ranges of cells, by doubling."""
-
-    def __init__(self, grid: Grid):
-        least = grid.least
-        self._tables: dict[tuple[int, ...], Array] = {}
-        self._shape = tuple(int(size) for size in grid.shape)
-        finite = np.isfinite(grid.values)
-        self.steepest = float(np.abs(grid.slopes[finite]).max(initial=0.0))
-        levels = [max(1, int(np.log2(size)) + 1) for size in self._shape]
-        for level in np.ndindex(*levels):
-            table = least.reshape(self._shape)
-            for axis, doubled in enumerate(level):
-                for k in range(doubled):
-                    table = np.minimum(table, _shifted(table, axis, 2**k))
-            self._tables[level] = table
-
-    def least(self, first: Indices, final: Indices) -> Array:
-        """Return the least of V over the cells first .. final along each state."""
-        levels = np.log2(final - first + 1).astype(int)
-        found = np.full(len(first), np.inf)
-        for level, table in self._tables.items():
-            rows = np.flatnonzero((levels == level).all(axis=1))
-            for corner in np.ndindex(*[2] * first.shape[1]):
-                at = [
-                    first[rows, j] if not side else final[rows, j] - 2 ** level[j] + 1 for j, side in enumerate(corner)
-                ]
-                found[rows] = np.minimum(found[rows], table[tuple(at)])
-        return found
-
-
-def _shifted(table: Array, axis: int, by: int) -> Array:
-    """Return the table moved so that an entry is that of ``by`` cells later; inf where there is none."""
-    moved = np.full_like(table, np.inf)
-    size = table.shape[axis]
-    if by < size:
-        source = [slice(None)] * table.ndim
-        place = [slice(None)] * table.ndim
-        source[axis], place[axis] = slice(by, size), slice(0, size - by)
-        moved[tuple(place)] = table[tuple(source)]
-    return moved
-
-
-def cells_of(grid: Grid) -> int:
-    return int(grid.shape.max())
