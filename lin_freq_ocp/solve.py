@@ -83,7 +83,8 @@ def solve(
         program; "auto", spectral where it applies and its answer is proven, else convex, or convex if a backend is
         named. Piecewise-affine dynamics: "branch_and_bound" over mode sequences, also "auto"; "enumerate", all of them;
         "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves. Piecewise-smooth
-        dynamics: "nonsmooth", local optima of mode sequences, the best polished by a semismooth Newton method.
+        dynamics: "nonsmooth", local optima of mode sequences, the best polished by a semismooth Newton method; "auto",
+        the same and, with one or two states, a global bound, on which it spends 10 s or what the time limit leaves.
     backend : str
         Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
         "daqp".
@@ -91,7 +92,8 @@ def solve(
         Seconds for the solver.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
-        bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default.
+        bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default; 1e-4 with
+        piecewise-smooth dynamics.
     throw : bool
         Whether to raise if the status is not "optimal"; the error holds the result.
     node_limit : int, optional
@@ -120,7 +122,7 @@ def solve(
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
         result = solve_modes(problem, method, backend, limits, progress, executor)
     elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        result = solve_smooth(problem, method, backend, time_limit or np.inf)
+        result = solve_smooth(problem, method, backend, time_limit or np.inf, tolerance)
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
+from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.value_bound import OutOfTimeError, value_bound
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.certify_modes import best_multipliers
 from lin_freq_ocp.errors import UnsupportedError
@@ -19,14 +22,28 @@ from lin_freq_ocp.result import Result
 
 SMOOTH_METHODS = ("nonsmooth",)
 
-LOCAL = "locally; no global bound was found"
-"""What the message of a result without a bound begins with."""
+LOCAL = "locally; no global bound was asked for"
+"""The message of a result without a bound."""
+
+GLOBAL_GAP = 1e-4
+"""Relative gap to prove, unless another is asked for: with cells of half the width, a bound takes twice as long."""
+
+GLOBAL_SECONDS = 10.0
+"""For the bound, unless there is a time limit: enough for a few steps, and not too long to wait for."""
+
+FIRST_CELLS = {1: 64, 2: 8}
+"""Cells of each state to begin with, by the number of states; then twice as many as long as there is time."""
+
+TOLERANCE_SHARE = 0.1
+"""Part of the gap that the steps together may lose in the search for the least; cells lose the rest."""
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
 
-def solve_smooth(problem: OptimalControlProblem, method: str, backend: str, seconds: float) -> Result:
-    """Return the best local optimum that is found, judged.
+def solve_smooth(
+    problem: OptimalControlProblem, method: str, backend: str, seconds: float, gap: float | None = None
+) -> Result:
+    """Return the best local optimum that is found, judged; with the method "auto", and a global bound.
 
     Raises
     ------
@@ -45,6 +62,10 @@ def solve_smooth(problem: OptimalControlProblem, method: str, backend: str, seco
     best = search.best
     found = None if best is None or not best.feasible else _polished(problem, best)
     status, message = _status(search, found)
+    if status == "optimal" and method == "auto" and found is not None:
+        left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
+        found, message, stopped = _bounded(problem, found, gap or GLOBAL_GAP, left)
+        search.interrupted |= stopped
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
         problem=problem,
@@ -74,6 +95,33 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     after = judge(problem, run.trajectory, run.multipliers)
     better = (len(after.failed), after.worst.relative) < (len(certificate.failed), certificate.worst.relative)
     return (run.trajectory, run.multipliers, after) if better else found
+
+
+def _bounded(problem: OptimalControlProblem, found: Judged, gap: float, seconds: float) -> tuple[Judged, str, bool]:
+    """Return the answer with the best bound of the time, what is to be said of it, and whether it was interrupted."""
+    trajectory, multipliers, certificate = found
+    cost, deadline, cells = certificate.cost, time.perf_counter() + seconds, FIRST_CELLS.get(problem.state_dim, 0)
+    best, size, interrupted = -float("inf"), max(1.0, abs(certificate.cost)), False
+    try:
+        while cost - best > gap * size:
+            tolerance = TOLERANCE_SHARE * max(gap, GLOBAL_GAP) * size / problem.horizon
+            value = value_bound(problem, multipliers, cost, cells, tolerance, deadline)
+            if value > best:
+                sets = f"dynamic programming over {cells} cells of each state, with intervals"
+                best, certificate = value, replace(certificate, bound=Bound(value, "rigorous", sets=sets))
+            cells *= 2
+    except UnsupportedError as error:
+        return found, f"locally; {error}", False
+    except OutOfTimeError:
+        pass
+    except KeyboardInterrupt:
+        interrupted = True
+    proven = cost - best <= gap * size
+    if certificate.gap is None:
+        message = "locally; no global bound was found in time"
+    else:
+        message = "" if proven else f"locally; the global bound leaves a gap of {certificate.gap:.1e}"
+    return (trajectory, multipliers, certificate), message, interrupted
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

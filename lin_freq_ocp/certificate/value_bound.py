@@ -185,8 +185,6 @@ class _Backward:
         first, last = np.full(slopes.shape, np.inf), np.full(slopes.shape, -np.inf)
         boxes = self._first_boxes(pieces)
         for final in (*[False] * ROUNDS[n], True):
-            if time.perf_counter() > self._deadline:
-                raise OutOfTimeError
             bounds, steep = self._bounded(boxes, slopes)
             place = boxes.cell, boxes.piece
             weak = (bounds < needed[place]) & (not final)
@@ -226,6 +224,8 @@ class _Backward:
         for i, mode in enumerate(self._modes):
             rows = np.flatnonzero(boxes.mode == i)
             for start in range(0, len(rows), MOST_PAIRS // 8):
+                if time.perf_counter() > self._deadline:
+                    raise OutOfTimeError
                 part = rows[start : start + MOST_PAIRS // 8]
                 bounds[part], steep[part] = self._of_mode(mode, boxes.take(part), slopes)
         return bounds, steep

@@ -1,0 +1,183 @@
+"""Bounds by dynamic programming with intervals: enclosures, validity for any multipliers, and how near they come."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp import library
+from lin_freq_ocp.certificate.value_bound import OutOfTimeError, value_bound
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.problem.formulas import jets, norm, signals
+from lin_freq_ocp.problem.interval_jets import interval_jets
+
+ROUNDING = 1e-9
+
+# --- enclosures -------------------------------------------------------------------------------------------------------
+
+
+def random_formula(rng, variables, depth):
+    if depth == 0:
+        return variables[rng.integers(len(variables))] * rng.normal() + rng.normal()
+    a, b = (random_formula(rng, variables, depth - 1) for _ in range(2))
+    made = [
+        lambda: a * b, lambda: a / (b**2 + 1), lambda: norm([a, b]), lambda: a.sin(), lambda: a.cos(),
+        lambda: a.sin().exp(), lambda: (a**2 + 1).log(), lambda: (a**2 + 0.5).sqrt(),
+        lambda: a ** int(rng.integers(2, 6)), lambda: a + b, lambda: 1 / (b.cos() + 1.5),
+    ]  # fmt: skip
+    return made[rng.integers(len(made))]()
+
+
+@pytest.mark.parametrize("seed", range(80))
+def test_enclosures_contain_values_gradients_and_hessians(seed):
+    rng = np.random.default_rng(seed)
+    x, u = signals(2, 1)
+    formula = random_formula(rng, [*x, *u], 3)
+    centre, radius = rng.normal(size=(5, 3)), rng.random((5, 3)) * 10.0 ** rng.uniform(-4, 0)
+    found = interval_jets([formula], centre - radius, centre + radius)
+    for _ in range(20):
+        point = jets([formula], centre + radius * rng.uniform(-1, 1, size=(5, 3)))
+        for part in ("values", "slopes", "curvatures"):
+            (low, high), exact = getattr(found, part), getattr(point, part)
+            slack = ROUNDING * (1 + np.abs(exact))
+            assert ((low - slack <= exact) & (exact <= high + slack)).all()
+
+
+def test_enclosures_of_a_norm_contain_its_subdifferential_at_zero():
+    x, _ = signals(2, 1)
+    found = interval_jets([norm(x)], np.array([[-0.1, -0.1, 0.0]]), np.array([[0.1, 0.1, 0.0]]))
+    assert (found.slopes[0][0, 0, :2] <= -1).all()
+    assert (found.slopes[1][0, 0, :2] >= 1).all()
+    assert np.isinf(found.curvatures[1][0, 0, 0, 0])
+
+
+def test_logarithms_outside_of_their_domain_have_unbounded_derivatives():
+    x, _ = signals(1, 1)
+    found = interval_jets([x[0].log()], np.array([[-1.0, 0.0]]), np.array([[2.0, 0.0]]))
+    assert found.values[0][0, 0] == -np.inf
+    assert found.values[1][0, 0] >= np.log(2)
+    assert np.isinf(found.slopes[0][0, 0, 0])
+
+
+# --- bounds -----------------------------------------------------------------------------------------------------------
+
+BUCK, NORM = library.buck_converter, library.norm_dynamics
+
+
+def multipliers_of(problem, rng=None):
+    """Return multipliers of zero, or random ones of what frequency constraints there are."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    rho = np.zeros((T // 2 + 1, m), dtype=complex)
+    if rng is not None:
+        rho = np.where(problem.control_stop, rng.standard_normal(rho.shape) + 1j * rng.standard_normal(rho.shape), 0)
+        rho.imag[[0, *([T // 2] if T % 2 == 0 else [])]] = 0.0
+    none = np.zeros(((T + 1) // 2 + 1, n))
+    return lfo.Multipliers(1.0, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho, none)
+
+
+@pytest.mark.parametrize(
+    ("problem", "optimum", "cells", "gap"),
+    [
+        (BUCK(3), 17.345547997984184, 128, 2e-4),
+        (BUCK(4), 22.36493035150289, 256, 3e-4),
+        (BUCK(4, terminal_state=[1.0]), 22.400633302541934, 128, 2e-3),
+        (BUCK(2, initial_state=[0.9351278729299871], terminal_state=None), 11.554464138730564, 64, 1e-4),
+        (BUCK(4, terminal_state=None, terminal_price=-40.0), -17.5993666975, 128, 1e-3),
+        (BUCK(3, diode_resistance=0.2), None, 64, 1e-2),
+        (NORM((1.0, 0.0), 3), 1.959023692803284, 16, 2e-3),
+        (NORM((0.0, 1.0), 2), 1.0, 6, 0.3),
+    ],
+    ids=["buck 3", "buck 4", "border end", "wrong sign", "kink", "losses", "norm", "norm at its kink"],
+)
+def test_the_bound_is_below_the_optimum_and_near_it(problem, optimum, cells, gap):
+    if optimum is None:
+        optimum = lfo.solve(problem, method="nonsmooth").cost
+    bound = value_bound(problem, multipliers_of(problem), optimum, cells, 1e-6)
+    assert bound <= optimum + ROUNDING * abs(optimum)
+    assert optimum - bound <= gap * max(1.0, abs(optimum))
+
+
+@pytest.mark.parametrize("cells", [3, 7, 20])
+def test_coarse_cells_and_wrong_costs_give_a_bound_all_the_same(cells):
+    problem, optimum = BUCK(4), 22.36493035150289
+    for cost in (5.0, optimum, 60.0):
+        assert value_bound(problem, multipliers_of(problem), cost, cells, 1e-3) <= optimum
+
+
+def test_random_trajectories_cost_more():
+    problem, rng = BUCK(5, terminal_state=None), np.random.default_rng(0)
+    bound = value_bound(problem, multipliers_of(problem), 25.0, 64, 1e-4)
+    for _ in range(200):
+        u = 2.2 + 3.8 * rng.random((5, 1)) ** 4
+        try:
+            replay = lfo.simulate(problem, u)
+        except lfo.NumericalError:
+            continue
+        if problem.state_boxes.violation(replay.x).max() == 0:
+            assert problem.value(replay.x, replay.u) >= bound
+
+
+def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are_best():
+    problem = BUCK(4, control_spectrum=[2], terminal_state=None)
+    result = lfo.solve(problem, method="nonsmooth")
+    best = value_bound(problem, result.multipliers, result.cost, 128, 1e-5)
+    assert result.cost - 5e-3 * result.cost <= best <= result.cost
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        assert value_bound(problem, multipliers_of(problem, rng), result.cost, 32, 1e-3) <= result.cost
+
+
+def test_a_free_bin_has_no_multiplier():
+    problem = BUCK(3)
+    nothing = np.zeros((3, 1))
+    wrong = lfo.Multipliers(1.0, nothing, np.zeros((4, 1)), nothing, np.ones((2, 1)), nothing)
+    with pytest.raises(lfo.ProblemError, match="Bin 0 is free"):
+        value_bound(problem, wrong, 20.0, 8, 1e-2)
+
+
+def test_unreachable_ends_have_an_infinite_bound():
+    problem = BUCK(2, terminal_state=[0.1])
+    assert value_bound(problem, multipliers_of(problem), 20.0, 64, 1e-2) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (BUCK(3, v_max=None), r"voltage \[V\] is not bounded"),
+        (
+            lfo.OptimalControlProblem(
+                lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [*(x[:2] + u[0]), abs(x[2])], 3, 1),
+                2,
+                lfo.QuadraticCost(R=1.0),
+                control_set=lfo.Box(-1, 1),
+                initial_state=[0.0, 0.0, 1.0],
+            ),
+            "got 3 states; expected at most 2",
+        ),
+    ],
+)
+def test_what_cannot_be_bounded_is_refused(problem, words):
+    with pytest.raises(UnsupportedError, match=words):
+        value_bound(problem, multipliers_of(problem), 20.0, 8, 1e-2)
+
+
+def test_the_time_is_kept():
+    problem, started = BUCK(8), time.perf_counter()
+    with pytest.raises(OutOfTimeError):
+        value_bound(problem, multipliers_of(problem), 44.7, 512, 1e-6, started + 0.5)
+    assert time.perf_counter() - started < 5
+
+
+def test_solve_adds_the_bound_and_says_what_is_left():
+    result = lfo.solve(BUCK(3))
+    assert (result.status, result.message) == ("optimal", "")
+    assert 0 <= result.gap <= 1e-4
+    assert result.certificate.bound.kind == "rigorous"
+    quick = lfo.solve(BUCK(3), tolerance=1e-7, time_limit=4.0)
+    assert "locally; the global bound leaves a gap of" in quick.message
+    free = lfo.solve(BUCK(4, v_min=None, v_max=None))
+    assert "is not bounded" in free.message
+    assert free.certificate.pmp == "satisfied"
