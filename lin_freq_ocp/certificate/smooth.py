@@ -19,7 +19,7 @@ from lin_freq_ocp.certificate.clarke import BorderFacts, NormKink, required_slop
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, floors
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.formula_text import text_of
 from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -79,7 +79,7 @@ def _slopes(
     multipliers: Multipliers,
     selections: Mapping[Formula, Array],
     one: Formula,
-    at_zero: Array,
+    at_zero: Mask,
     component: int,
 ) -> Array:
     """Return D <eta_t, f_t>, (T, n + m), with the selection of a norm a unit vector, or zero (component -1)."""
@@ -94,7 +94,7 @@ def _slopes(
 
 def nearest_in_ball(columns: Array, wanted: Array) -> Array:
     """Return xi with |xi| <= 1 for which columns @ xi is nearest to what is wanted; the shortest of those."""
-    xi = np.linalg.lstsq(columns, wanted, rcond=1e-12)[0]
+    xi = np.asarray(np.linalg.lstsq(columns, wanted, rcond=1e-12)[0], dtype=np.float64)
     if np.linalg.norm(xi) <= 1:
         return xi
     values, vectors = np.linalg.eigh(columns.T @ columns)
@@ -106,4 +106,4 @@ def nearest_in_ball(columns: Array, wanted: Array) -> Array:
     largest = float(np.linalg.norm(along))  # there the norm is at most 1
     least = 1e-14 * max(float(values[-1]), largest)
     shift = brentq(excess, least, largest) if excess(least) > 0 else least
-    return vectors @ (along / (values + shift))
+    return np.asarray(vectors @ (along / (values + shift)), dtype=np.float64)

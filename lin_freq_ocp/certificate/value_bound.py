@@ -15,7 +15,7 @@ that the bound is best.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from lin_freq_ocp.certificate.value_grid import ROUNDING, Grid, RangeMinima
 from lin_freq_ocp.certificate.value_samples import Samples, arrivals, freed_slopes, stage_cost
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.interval_jets import interval_jets, mean_value
+from lin_freq_ocp.problem.interval_jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
 from lin_freq_ocp.problem.stage_costs import StageCosts, stage_costs
@@ -263,7 +263,15 @@ class _Backward:
         return bounds, steep
 
     def _second_order(
-        self, pair: Indices, cell: Indices, image: tuple[Array, Array], r: Array, gradient, offset, centre, whole
+        self,
+        pair: Indices,
+        cell: Indices,
+        image: tuple[Array, Array],
+        r: Array,
+        gradient: Array,
+        offset: Array,
+        centre: IntervalJets,
+        whole: IntervalJets,
     ) -> Array:
         """Return bounds of c + V(f) - slope x over boxes, with V that of one cell."""
         after, at = self._after, self._after.centres[cell]
@@ -280,7 +288,18 @@ class _Backward:
                 found = np.fmax(found, more)
         return found
 
-    def _with_slopes(self, pair, cell, sigma, given, r, gradient, offset, centre, whole) -> Array:
+    def _with_slopes(
+        self,
+        pair: Indices,
+        cell: Indices,
+        sigma: Array,
+        given: Array,
+        r: Array,
+        gradient: Array,
+        offset: Array,
+        centre: IntervalJets,
+        whole: IntervalJets,
+    ) -> Array:
         """Return bounds with V = given + sigma (x - centre) on the cell."""
         after, r = self._after, r[pair]
         value = offset[pair] + given
@@ -336,7 +355,7 @@ def _possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
     return possible
 
 
-def _batches(rows: Indices, first: Indices, final: Indices):
+def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
     """Yield rows whose pairs are at most MOST_PAIRS together."""
     counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MOST_PAIRS
     for k in np.unique(counts):

@@ -59,7 +59,7 @@ class Grid:
 
     def flat(self, places: Indices) -> Indices:
         """Return numbers of cells from their places along each state."""
-        return np.ravel_multi_index(tuple(np.moveaxis(places, -1, 0)), tuple(self.shape))
+        return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(places, -1, 0)), tuple(self.shape)), dtype=np.intp)
 
 
 class RangeMinima:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.convex_sets import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
@@ -16,6 +17,7 @@ from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import bands_of
@@ -68,9 +70,14 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
 
 
 def _wider_dynamics(
-    plant: LinearDynamics | PiecewiseAffineDynamics, further: FurtherStates
+    plant: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics, further: FurtherStates
 ) -> LinearDynamics | PiecewiseAffineDynamics:
     names = [*plant.state_names, *further.names]
+    if isinstance(plant, PiecewiseSmoothDynamics):
+        raise UnsupportedError(
+            "dynamics: got PiecewiseSmoothDynamics; further states take linear or piecewise-affine dynamics: write the "
+            "former control as a further state in the formulas."
+        )
     if isinstance(plant, LinearDynamics):
         return LinearDynamics(*_wider_map(plant, further), plant.sampling_time, names, plant.control_names)
     modes = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class _Reader:
         self._field, self._text, self._known = field, text, known
 
     def read(self, node: ast.expr) -> Formula | float:
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
             return float(node.value)
         if isinstance(node, ast.Name):
             if node.id in self._known:
@@ -93,7 +93,7 @@ class _Reader:
         if isinstance(operator, ast.Div) and (isinstance(right, Formula) or right):
             return left / right
         if isinstance(operator, ast.Pow) and isinstance(right, float):
-            return left ** (int(right) if right == int(right) else right)
+            return left ** (int(right) if right.is_integer() else right)
         raise ProblemError(self._field, repr(self._text), EXPECTED)
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
@@ -121,15 +121,14 @@ def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     return _text(one, labels, lambda value: f"{value:.4g}")
 
 
-def _text(one: Formula, labels: Sequence[str] | None, number: object) -> str:
-    shown = number if callable(number) else repr
+def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], str]) -> str:
     n = one.dimensions[0]
     if one.kind == VARIABLE:
         i = int(one.data[0])
         return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
     parts = [_text(argument, labels, number) for argument in one.arguments]
     if one.kind == SUM:
-        return _sum(one, parts, shown)
+        return _sum(one, parts, number)
     if one.kind in (PRODUCT, QUOTIENT):
         return f"{_bracketed(one.arguments[0], parts[0])} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
     if one.kind == POWER:
@@ -138,8 +137,7 @@ def _text(one: Formula, labels: Sequence[str] | None, number: object) -> str:
     return f"{name}({', '.join(parts)})"
 
 
-def _sum(one: Formula, parts: Sequence[str], shown: object) -> str:
-    number = shown if callable(shown) else repr
+def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str]) -> str:
     text = ""
     for factor, argument, part in zip(one.data[:-1], one.arguments, parts, strict=True):
         size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "

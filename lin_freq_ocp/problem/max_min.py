@@ -131,11 +131,15 @@ def affine_signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDA
 
 
 @overload
-def maximum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
+def maximum(first: Expression, /, *others: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
 
 
 @overload
-def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+def maximum(first: Formula, /, *others: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+
+
+@overload
+def maximum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
 
 
 def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
@@ -159,11 +163,15 @@ def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
 
 
 @overload
-def minimum(*arguments: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
+def minimum(first: Expression, /, *others: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
 
 
 @overload
-def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+def minimum(first: Formula, /, *others: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
+
+
+@overload
+def minimum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
 
 
 def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Any:

@@ -220,7 +220,7 @@ def _weighing(place: _Place, eta: Array) -> tuple[Program, Array]:
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
     z, sparse = np.append(place.z, np.zeros(len(times))), sp.csc_array(rows)
-    return _extended(_without_regions(place), sparse, sparse @ z, prices=np.ones(len(times))), z
+    return _extended(_without_regions(place), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
 
 
 def _hull(place: _Place) -> tuple[Program, Array]:

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.formulas import Formula, jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import ModeJets
@@ -448,7 +448,7 @@ def _rows(stop: Mask, length: int, units: Array) -> tuple[Array, Array]:
     return np.vstack(parts), np.concatenate(sizes)
 
 
-def _bins(stop: Mask, length: int, rho: Array) -> Array:
+def _bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
     """Return the multipliers of every bin, complex (bins, components)."""
     result, first = np.zeros(stop.shape, dtype=np.complex128), 0
     for j in range(stop.shape[1]):

@@ -329,7 +329,7 @@ def _step(place: _Place, price: float, radius: float) -> tuple[Array, Array, flo
     )
     P = sp.coo_array(program.P + bent)
     widened = Program(
-        P=sp.csc_array((P.data, P.coords), shape=(count + slacks, count + slacks)),
+        P=sp.csc_array((P.data, (P.coords[0], P.coords[1])), shape=(count + slacks, count + slacks)),
         q=np.append(np.asarray(program.q - bent @ place.z), np.full(slacks, price)),
         constant=0.0,
         A=A,
