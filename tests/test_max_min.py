@@ -43,7 +43,7 @@ def values(dynamics, v):
     return np.array([step(0, point[:n], point[n:]) for point in v])
 
 
-@settings(derandomize=True, max_examples=30, deadline=None)
+@settings(derandomize=True, max_examples=12, deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), m=st.integers(1, 2), depth=st.integers(1, 2))
 def test_the_modes_are_the_function_and_continuous(seed, n, m, depth):
     rng = np.random.default_rng(seed)

@@ -78,7 +78,7 @@ def test_the_weight_at_the_concave_kink_is_the_known_one():
     assert (facts.joint, facts.flip_stationary, facts.printed, facts.regular) == (True, True, True, True)
     assert not result.uniqueness.unique
     free = replace(result.problem, state_set=[lfo.Box(0, 1)] * 4 + [lfo.Box(0, 2)])
-    without = lfo.solve(free)
+    without = lfo.solve(free, method="nonsmooth")
     assert without.cost == pytest.approx(result.cost, rel=1e-12)
     assert without.uniqueness.unique
     assert without.certificate.borders.weights[0, 1] == pytest.approx(0.096273, abs=5e-7)
@@ -102,7 +102,7 @@ def test_a_norm_that_pulls_the_cost_down_makes_the_printed_form_fail():
         control_set=lfo.Box(-1, 1),
         initial_state=[0.0],
     )
-    result = lfo.solve(problem)
+    result = lfo.solve(problem, method="nonsmooth")
     assert result.cost == pytest.approx(-0.25)
     facts = result.certificate.borders
     assert (facts.joint, facts.printed, facts.regular, facts.flip_stationary) == (True, False, False, False)
@@ -191,7 +191,7 @@ def test_newton_refuses_what_it_does_not_take():
 
 def test_other_sets_are_solved_without_newton():
     problem = replace(BUCK(horizon=3), control_set=lfo.Intersection([lfo.Box(2.2, 6), lfo.Ball(5.5)]))
-    result = lfo.solve(problem)
+    result = lfo.solve(problem, method="nonsmooth")
     assert result.cost == pytest.approx(17.345547997984184, rel=1e-6)
     assert result.certificate.pmp == "satisfied"
 
@@ -246,6 +246,6 @@ upper = 1.0
 def test_a_file_of_formulas_is_solved(tmp_path):
     path = tmp_path / "kink.toml"
     path.write_text(FILE, encoding="utf-8")
-    status, out, _ = run("solve", str(path), "--json")
+    status, out, _ = run("solve", str(path), "--method", "nonsmooth", "--json")
     assert status == 0
     assert parsed(out)["cost"] == pytest.approx(-0.25)

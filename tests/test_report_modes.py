@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 from test_report import double_integrator, parsed
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import library
+from lin_freq_ocp import library, solve_smooth
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.problem.measures import measure
@@ -61,6 +61,14 @@ def by_hand() -> Result:
     certificate = judge(problem, trajectory, multipliers)
     assert certificate.pmp == "satisfied"
     return Result(problem, "optimal", "by hand", None, {}, trajectory, multipliers, certificate)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_bounds():
+    """Smooth pieces get no global bound here: pages without one are looked at, and it takes its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solve_smooth, "GLOBAL_SECONDS", 0.0)
+        yield
 
 
 CASES = {
