@@ -1,6 +1,6 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About 12 minutes.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes]... [--problems N] [--seed 0]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth]... [--problems N] [--seed 0]
                              [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
@@ -18,7 +18,8 @@ Then random feasible problems of mixed features, against CVXPY on an independent
 
 Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
 
-Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py).
+Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2 and 3
+of the paper from cold starts, with a minute for every global bound (verify_nonsmooth.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
 "explain", 200 for "mixed" and 200 for "flips".
@@ -39,6 +40,7 @@ import verify_explain
 import verify_flips
 import verify_mixed
 import verify_modes
+import verify_nonsmooth
 import verify_spectral
 from rich.console import Console
 from rich.progress import track
@@ -52,7 +54,7 @@ from reference import INSTANCES, PENDULUM, STATED, reference_problem
 PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
 """How many random problems each part solves unless told otherwise."""
 
-PARTS = ["known", *PROBLEMS, "modes"]
+PARTS = ["known", *PROBLEMS, "modes", "nonsmooth"]
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 """Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
@@ -288,6 +290,8 @@ def main() -> int:
         good &= verify_flips.verify(console, seeds["flips"])
     if "modes" in parts:
         good &= verify_modes.verify(console)
+    if "nonsmooth" in parts:
+        good &= verify_nonsmooth.verify(console)
     return 0 if good else 1
 
 
