@@ -81,14 +81,14 @@ def drawn(path: Path, seed: int) -> None:
     """Draw |Phi| against steps of one run for each problem."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7, 4.4), layout="constrained")
     for name, build in PROBLEMS.items():
         problem = build()
         result = lfo.solve(problem, throw=False)
         found, _ = run(problem, result, LEVELS[2], seed)
         axes.semilogy(range(len(found.residuals)), np.maximum(found.residuals, 1e-17), "o-", label=name)
     axes.set(xlabel="step", ylabel="|Φ|, equations of order 1", title="Digits double with every step near the end")
-    axes.legend(frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=150)
 

@@ -1,7 +1,7 @@
-"""Long checks: known optima by three solvers, and random problems solved twice and judged. About 12 minutes.
+"""Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth]... [--problems N] [--seed 0]
-                             [--processes 2]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth]... [--problems N]
+                             [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -18,8 +18,8 @@ Then random feasible problems of mixed features, against CVXPY on an independent
 
 Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
 
-Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2 and 3
-of the paper from cold starts, with a minute for every global bound (verify_nonsmooth.py).
+Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2
+and 3 of the paper from cold starts, with a minute for every global bound (verify_nonsmooth.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
 "explain", 200 for "mixed" and 200 for "flips".

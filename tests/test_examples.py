@@ -15,6 +15,7 @@ SAYS = {
     "certify_somebody_elses": "maximum principle: satisfied",
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",
+    "kinks": "maximum principle satisfied",
     "wall": "cost      95.820020, no trajectory below 95.820019",
 }
 
