@@ -406,8 +406,7 @@ def meeting_point(dynamics, rng):
     return rows[0] * limits[0] / (rows[0] @ rows[0]) + rng.standard_normal() * np.array([-rows[0][1], rows[0][0]])
 
 
-@pytest.mark.parametrize("bounded", [False, True])
-@pytest.mark.parametrize("kind", verify_flips.KINDS)
+@pytest.mark.parametrize(("kind", "bounded"), list(zip(verify_flips.KINDS, [False, True] * 2, strict=True)))
 def test_the_facts_are_those_of_directional_derivatives(kind, bounded):
     """Each fact again: by steps of the map itself along many directions, and the joint one by a linear program."""
     angles = np.linspace(0, 2 * np.pi, 3600, endpoint=False)

@@ -81,13 +81,13 @@ def multipliers_of(problem, rng=None):
 @pytest.mark.parametrize(
     ("problem", "optimum", "cells", "gap"),
     [
-        (BUCK(3), 17.345547997984184, 128, 2e-4),
-        (BUCK(4), 22.36493035150289, 256, 3e-4),
-        (BUCK(4, terminal_state=[1.0]), 22.400633302541934, 128, 2e-3),
+        (BUCK(3), 17.345547997984184, 64, 1e-3),
+        (BUCK(4), 22.36493035150289, 128, 5e-3),
+        (BUCK(4, terminal_state=[1.0]), 22.400633302541934, 64, 1e-2),
         (BUCK(2, initial_state=[0.9351278729299871], terminal_state=None), 11.554464138730564, 64, 1e-4),
-        (BUCK(4, terminal_state=None, terminal_price=-40.0), -17.5993666975, 128, 1e-3),
-        (BUCK(3, diode_resistance=0.2), None, 64, 1e-2),
-        (NORM((1.0, 0.0), 3), 1.959023692803284, 16, 2e-3),
+        (BUCK(4, terminal_state=None, terminal_price=-40.0), -17.5993666975, 64, 1e-2),
+        (BUCK(2, diode_resistance=0.2), None, 64, 1e-2),
+        (NORM((1.0, 0.0), 3), 1.959023692803284, 10, 1e-2),
         (NORM((0.0, 1.0), 2), 1.0, 6, 0.3),
     ],
     ids=["buck 3", "buck 4", "border end", "wrong sign", "kink", "losses", "norm", "norm at its kink"],
@@ -100,7 +100,7 @@ def test_the_bound_is_below_the_optimum_and_near_it(problem, optimum, cells, gap
     assert optimum - bound <= gap * max(1.0, abs(optimum))
 
 
-@pytest.mark.parametrize("cells", [3, 7, 20])
+@pytest.mark.parametrize("cells", [3, 12])
 def test_coarse_cells_and_wrong_costs_give_a_bound_all_the_same(cells):
     problem, optimum = BUCK(4), 22.36493035150289
     for cost in (5.0, optimum, 60.0):
@@ -123,11 +123,11 @@ def test_random_trajectories_cost_more():
 def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are_best():
     problem = BUCK(4, control_spectrum=[2], terminal_state=None)
     result = lfo.solve(problem, method="nonsmooth")
-    best = value_bound(problem, result.multipliers, result.cost, 128, 1e-5)
-    assert result.cost - 5e-3 * result.cost <= best <= result.cost
+    best = value_bound(problem, result.multipliers, result.cost, 64, 1e-4)
+    assert result.cost - 1e-2 * result.cost <= best <= result.cost
     rng = np.random.default_rng(1)
     for _ in range(3):
-        assert value_bound(problem, multipliers_of(problem, rng), result.cost, 32, 1e-3) <= result.cost
+        assert value_bound(problem, multipliers_of(problem, rng), result.cost, 12, 1e-2) <= result.cost
 
 
 def test_a_free_bin_has_no_multiplier():
