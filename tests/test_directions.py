@@ -23,7 +23,7 @@ ALONE = (5, 11)
 LEFT_OUT = (4, 10)
 """No direction is found that is accurate enough (unstable over 106 steps, a cost of 3e8); infeasible."""
 
-SEEDS = pytest.mark.parametrize("seed", range(25))
+SEEDS = pytest.mark.parametrize("seed", range(12))
 
 
 @cache
