@@ -93,7 +93,7 @@ class Result:
     @property
     def dual(self) -> bool:
         """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
-        without = self.status == "infeasible" and self.tree_bound is not None
+        without = self.status == "infeasible" and (self.tree_bound is not None or self.method == "nonsmooth")
         return without or self.ray is not None or self.direction is not None or self.lower_bound is not None
 
     @property

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.value_bound import OutOfTimeError, value_bound
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -33,6 +35,9 @@ GLOBAL_SECONDS = 10.0
 
 FIRST_CELLS = {1: 64, 2: 8}
 """Cells of each state to begin with, by the number of states; then twice as many as long as there is time."""
+
+ANY_COST = 1e200
+"""Above all costs: every cell is looked at until nothing of it is left, or something is."""
 
 TOLERANCE_SHARE = 0.1
 """Part of the gap that the steps together may lose in the search for the least; cells lose the rest."""
@@ -66,6 +71,10 @@ def solve_smooth(
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         found, message, stopped = _bounded(problem, found, gap or GLOBAL_GAP, left)
         search.interrupted |= stopped
+    elif found is None and method == "auto" and not search.words:
+        left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
+        if _excluded(problem, left):
+            status, message = "infeasible", "proven by dynamic programming with intervals: no trajectory exists"
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
         problem=problem,
@@ -122,6 +131,18 @@ def _bounded(problem: OptimalControlProblem, found: Judged, gap: float, seconds:
     else:
         message = "" if proven else f"locally; the global bound leaves a gap of {certificate.gap:.1e}"
     return (trajectory, multipliers, certificate), message, interrupted
+
+
+def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
+    """Whether intervals prove that there is no trajectory, whatever the frequency constraints: D is infinite."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
+    none = Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
+    try:
+        cells, deadline = FIRST_CELLS.get(n, 0), time.perf_counter() + seconds
+        return value_bound(problem, none, ANY_COST, cells, 1.0, deadline) == float("inf")
+    except (UnsupportedError, OutOfTimeError):
+        return False
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

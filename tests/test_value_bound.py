@@ -164,6 +164,14 @@ def test_what_cannot_be_bounded_is_refused(problem, words):
         value_bound(problem, multipliers_of(problem), 20.0, 8, 1e-2)
 
 
+def test_solve_proves_that_an_end_is_out_of_reach():
+    result = lfo.solve(BUCK(1, terminal_state=[0.1]), throw=False)
+    assert (result.status, result.primal, result.dual) == ("infeasible", False, True)
+    assert "proven by dynamic programming" in result.message
+    with pytest.raises(lfo.InfeasibleError, match="No trajectory of buck_converter"):
+        lfo.solve(BUCK(1, terminal_state=[0.1]))
+
+
 def test_the_time_is_kept():
     problem, started = BUCK(8), time.perf_counter()
     with pytest.raises(OutOfTimeError):
