@@ -105,9 +105,9 @@ class _Reader:
         if len(arguments) == 1 and formulas and name in ("abs", *SMOOTH):
             (one,) = formulas
             return abs(one) if name == "abs" else getattr(one, name)()
-        if len(arguments) == 1 and name in ("abs", *SMOOTH):
-            value = abs(arguments[0]) if name == "abs" else getattr(np, name)(arguments[0])
-            return float(value)  # type: ignore[arg-type]
+        numbers = [one for one in arguments if isinstance(one, float)]
+        if len(arguments) == 1 and numbers and name in ("abs", *SMOOTH):
+            return float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0]))
         raise ProblemError(self._field, repr(self._text), EXPECTED)
 
 
