@@ -249,3 +249,9 @@ def test_the_ball_can_be_turned():
         state = STEPS["ball_and_paddle"](state, control)
         np.testing.assert_allclose(state, reached, atol=1e-6)
     np.testing.assert_allclose(state, 0, atol=1e-6)
+
+
+def test_solve_finds_multipliers_at_a_kink_where_the_sequences_own_do_not_fit():
+    certificate = lfo.solve(library.max_min_network(horizon=2)).certificate
+    assert certificate.globally_optimal
+    assert (certificate.pmp, certificate.borders.joint) == ("satisfied", True)
