@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound
-from lin_freq_ocp.certificate.value_bound import OutOfTimeError, value_bound
+from lin_freq_ocp.certificate.value_bound import value_bounds
+from lin_freq_ocp.certificate.value_step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.certify_modes import best_multipliers
 from lin_freq_ocp.errors import UnsupportedError
@@ -28,19 +29,13 @@ LOCAL = "locally; no global bound was asked for"
 """The message of a result without a bound."""
 
 GLOBAL_GAP = 1e-4
-"""Relative gap to prove, unless another is asked for: with cells of half the width, a bound takes twice as long."""
+"""Relative gap to prove, unless another is asked for."""
 
 GLOBAL_SECONDS = 10.0
-"""For the bound, unless there is a time limit: enough for a few steps, and not too long to wait for."""
+"""For the bound, unless there is a time limit: enough for short horizons, and not too long to wait for."""
 
-FIRST_CELLS = {1: 64, 2: 8}
-"""Cells of each state to begin with, by the number of states; then twice as many as long as there is time."""
-
-ANY_COST = 1e200
-"""Above all costs: every cell is looked at until nothing of it is left, or something is."""
-
-TOLERANCE_SHARE = 0.1
-"""Part of the gap that the steps together may lose in the search for the least; cells lose the rest."""
+FEASIBILITY_LOSS = 1.0
+"""Of each step, where no cost is known and only the existence of a trajectory is asked for."""
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -109,23 +104,19 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
 def _bounded(problem: OptimalControlProblem, found: Judged, gap: float, seconds: float) -> tuple[Judged, str, bool]:
     """Return the answer with the best bound of the time, what is to be said of it, and whether it was interrupted."""
     trajectory, multipliers, certificate = found
-    cost, deadline, cells = certificate.cost, time.perf_counter() + seconds, FIRST_CELLS.get(problem.state_dim, 0)
-    best, size, interrupted = -float("inf"), max(1.0, abs(certificate.cost)), False
+    cost, deadline, interrupted = certificate.cost, time.perf_counter() + seconds, False
+    wanted = gap * max(1.0, abs(cost))
     try:
-        while cost - best > gap * size:
-            tolerance = TOLERANCE_SHARE * max(gap, GLOBAL_GAP) * size / problem.horizon
-            value = value_bound(problem, multipliers, cost, cells, tolerance, deadline)
-            if value > best:
-                sets = f"dynamic programming over {cells} cells of each state, with intervals"
-                best, certificate = value, replace(certificate, bound=Bound(value, "rigorous", sets=sets))
-            cells *= 2
+        for value in value_bounds(problem, multipliers, cost, wanted, deadline):
+            bound = Bound(value, "rigorous", sets="dynamic programming over cells of the states, with intervals")
+            certificate = replace(certificate, bound=bound)
     except UnsupportedError as error:
         return found, f"locally; {error}", False
     except OutOfTimeError:
         pass
     except KeyboardInterrupt:
         interrupted = True
-    proven = cost - best <= gap * size
+    proven = certificate.bound is not None and cost - certificate.bound.value <= wanted
     if certificate.gap is None:
         message = "locally; no global bound was found in time"
     else:
@@ -139,8 +130,8 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
     none = Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
     try:
-        cells, deadline = FIRST_CELLS.get(n, 0), time.perf_counter() + seconds
-        return value_bound(problem, none, ANY_COST, cells, 1.0, deadline) == float("inf")
+        deadline = time.perf_counter() + seconds
+        return any(bound == np.inf for bound in value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, deadline))
     except (UnsupportedError, OutOfTimeError):
         return False
 
