@@ -105,7 +105,8 @@ def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float
     clock = time.perf_counter()
     local = polished(problem, claim)
     found = None if local is None or not local.feasible else _polished(problem, local)
-    status, message, bound = _weighed(problem, claim, found, backend)
+    left = GLOBAL_SECONDS if limit is None else min(GLOBAL_SECONDS, limit - sum(claim.seconds.values()))
+    status, message, bound = _weighed(problem, claim, found, backend, left)
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
         problem=problem,
@@ -124,14 +125,14 @@ def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float
 
 
 def _weighed(
-    problem: OptimalControlProblem, claim: GlobalClaim, found: Judged | None, backend: str
+    problem: OptimalControlProblem, claim: GlobalClaim, found: Judged | None, backend: str, left: float
 ) -> tuple[str, str, float | None]:
     """Return the status of the result, in words what the claim is worth, and the bound that is claimed."""
     word = f"by the word of {backend} ('{claim.words}')"
     if claim.excluded:
         return "infeasible", "proven by intervals: the dynamics cannot lead from one end to the other", None
     if claim.status == "infeasible":
-        if _excluded(problem, GLOBAL_SECONDS):
+        if _excluded(problem, left):
             return "infeasible", EXCLUDED, None
         return "infeasible", f"{word}; not proven", float("inf")
     if claim.status == "unbounded":

@@ -122,8 +122,10 @@ class _Stage:
 
     def add(self, possible: Mask, binaries: Sequence[Any]) -> None:
         """Add the modes that are possible."""
-        for i in np.flatnonzero(possible):
-            mode, delta = self.modes[i], binaries[i] if possible.sum() > 1 else None
+        for i, mode in enumerate(self.modes):
+            if not possible[i]:
+                continue
+            delta = binaries[i] if possible.sum() > 1 else None
             for one in mode.domain:
                 low, high = self.ranges[one]
                 self._nonpositive(self._expression(one, i, delta) * -1.0, (-high, -low), delta)
