@@ -1,6 +1,6 @@
 """Examples 2 and 3 of the paper from cold starts: known optima, certificates, and what is proven of them.
 
-The optimal costs were found by dynamic programming, enumeration with a local solver, and a global solver. SCIP, if it is
+The optimal costs were found by dynamic programming, enumeration with a local solver, and a global solver. SCIP, if
 installed, is asked for those of up to eight steps: what it claims, and what its point leads to.
 """
 

@@ -157,6 +157,43 @@ def test_a_piece_binds_nothing_where_it_is_not_defined(kind):
     assert result.certificate.pmp == "satisfied"
 
 
+def test_a_piece_that_is_defined_nowhere_excludes_nothing_else():
+    modes = [
+        lfo.SmoothMode(lambda x, u: [np.sqrt(x[0] - 10) + u[0]], lambda x, u: [3 - x[0]]),
+        lfo.SmoothMode(lambda x, u: [x[0] + u[0]], lambda x, u: [x[0] - 3]),
+    ]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics(modes, 1, 1),
+        3,
+        lfo.QuadraticCost(Q=2.0, R=2.0, P=2.0),
+        control_set=lfo.Box(-2, 2),
+        initial_state=[1.5],
+    )
+    assert not smooth_program(problem).possible[:, 0].any()
+    assert lfo.solve(problem, method="minlp").cost == pytest.approx(3.634615384615385, rel=1e-8)
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+def test_units_do_not_matter(factor):
+    """The current of x+ = sqrt(x^2 + 1)/2 + u x + log(2 + u), in other units."""
+
+    def f(x, u):
+        i = x[0] * (1 / factor)
+        return [factor * (np.sqrt(i**2 + 1) * 0.5 + u[0] * i + np.log(2 + u[0]))]
+
+    def problem(map_of_x, size):
+        return lfo.OptimalControlProblem(
+            lfo.PiecewiseSmoothDynamics.from_formulas(map_of_x, 1, 1),
+            3,
+            lfo.QuadraticCost(Q=2 / size**2, R=2.0, P=2 / size**2),
+            control_set=lfo.Box(-1, 1),
+            initial_state=[0.8 * size],
+        )
+
+    plain = problem(lambda x, u: [np.sqrt(x[0] ** 2 + 1) * 0.5 + u[0] * x[0] + np.log(2 + u[0])], 1.0)
+    assert solve_minlp(problem(f, factor)).cost == pytest.approx(solve_minlp(plain).cost, rel=2e-6)
+
+
 def test_states_and_controls_without_bounds_are_indicators():
     dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [abs(x[0]) + u[0]], 1, 1)
     problem = lfo.OptimalControlProblem(dynamics, 3, lfo.QuadraticCost(Q=2.0, R=2.0, P=2.0), initial_state=[1.5])

@@ -32,6 +32,9 @@ LARGEST_RELAXATION = 1e4
 LARGEST_UNIT = 1e6
 """Enclosures beyond this say little of what a formula takes: its variable keeps this unit."""
 
+SMALLEST_UNIT = 1e-30
+"""Enclosures below this are those of zero, rounded outwards."""
+
 Range = tuple[float, float]
 
 
@@ -223,5 +226,5 @@ def _function(one: Formula, arguments: Sequence[Any]) -> Any:
 
 def _unit(within: Range) -> float:
     """Return a unit in which a range is of order 1, as far as it is known."""
-    sizes = [abs(bound) for bound in within if np.isfinite(bound)]
-    return min(max(sizes), LARGEST_UNIT) if sizes and max(sizes) > 0 else 1.0
+    size = max(abs(within[0]), abs(within[1]))
+    return min(size, LARGEST_UNIT) if SMALLEST_UNIT < size < np.inf else 1.0

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.formulas import Formula, in_order
+from lin_freq_ocp.problem.formulas import QUOTIENT, Formula, in_order
 from lin_freq_ocp.problem.interval_jets import interval_jets
 from lin_freq_ocp.problem.intervals import Interval
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -179,7 +179,8 @@ def _reach(problem: OptimalControlProblem, modes: Sequence[ModeFormulas]) -> tup
             values = np.stack(enclosures(mode.all, low, high))
             rows, domains = values[:, n : n + len(mode.region)], values[:, n + len(mode.region) :]
             image = np.stack([np.maximum(values[0, :n], states[0, t + 1]), np.minimum(values[1, :n], states[1, t + 1])])
-            if (rows[0] <= 0).all() and (domains[1] > 0).all() and (image[0] <= image[1]).all():
+            defined = (domains[1] > 0).all() and not _nowhere(mode, low, high)
+            if defined and (rows[0] <= 0).all() and (image[0] <= image[1]).all():
                 possible[t, i] = True
                 images.append(image)
         if not images:
@@ -190,6 +191,16 @@ def _reach(problem: OptimalControlProblem, modes: Sequence[ModeFormulas]) -> tup
         np.append(states[side].ravel(), bound.ravel()) for side, bound in enumerate((controls.lower, controls.upper))
     )
     return lower, upper, possible
+
+
+def _nowhere(mode: ModeFormulas, lower: Array, upper: Array) -> bool:
+    """Whether something in a mode is defined nowhere in a box."""
+    nodes = [one for one in in_order(mode.all) if one.kind in ("sqrt", "log", QUOTIENT)]
+    low, high = enclosures([one.arguments[-1] for one in nodes], lower, upper)
+    return any(
+        a == b == 0 if one.kind == QUOTIENT else b < 0 or (b == 0 and one.kind == "log")
+        for one, a, b in zip(nodes, low, high, strict=True)
+    )
 
 
 def _hosts(problem: OptimalControlProblem, lower: Array, upper: Array) -> list[LinearTranscription]:
