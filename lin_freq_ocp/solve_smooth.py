@@ -16,6 +16,8 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.convex import require_convex
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
+from lin_freq_ocp.methods.nonsmooth.minlp import DEFAULT_GAP as CLAIMED_GAP
+from lin_freq_ocp.methods.nonsmooth.minlp import GlobalClaim, polished, solve_minlp
 from lin_freq_ocp.methods.nonsmooth.newton import newton
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.arrays import Indices
@@ -23,10 +25,13 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
-SMOOTH_METHODS = ("nonsmooth",)
+SMOOTH_METHODS = ("nonsmooth", "minlp")
 
 LOCAL = "locally; no global bound was asked for"
 """The message of a result without a bound."""
+
+EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
+"""The message of an infeasible result, where our bound proves it."""
 
 GLOBAL_GAP = 1e-4
 """Relative gap to prove, unless another is asked for."""
@@ -54,6 +59,8 @@ def solve_smooth(
     if method not in ("auto", *SMOOTH_METHODS):
         known = ", ".join(map(repr, SMOOTH_METHODS))
         raise UnsupportedError(f"method: got {method!r}; with piecewise-smooth dynamics, expected 'auto' or {known}.")
+    if method == "minlp":
+        return _through_solver(problem, "scip" if backend == "auto" else backend, seconds, gap)
     if backend != "auto":
         raise UnsupportedError(f"backend: got {backend!r}; the method 'nonsmooth' needs none: leave it 'auto'.")
     started = time.perf_counter()
@@ -69,7 +76,7 @@ def solve_smooth(
     elif found is None and method == "auto" and not search.words:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         if _excluded(problem, left):
-            status, message = "infeasible", "proven by dynamic programming with intervals: no trajectory exists"
+            status, message = "infeasible", EXCLUDED
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
         problem=problem,
@@ -84,6 +91,59 @@ def solve_smooth(
         interrupted=search.interrupted,
         sequence=None if trajectory is None else _modes(problem, trajectory),
     )
+
+
+def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float, gap: float | None) -> Result:
+    """Return the trajectory that a global solver's point leads to, judged by us, and what the solver claims."""
+    limit = None if seconds == float("inf") else seconds
+    claim = solve_minlp(problem, backend, limit, gap or CLAIMED_GAP)
+    clock = time.perf_counter()
+    local = polished(problem, claim)
+    found = None if local is None or not local.feasible else _polished(problem, local)
+    left = GLOBAL_SECONDS if limit is None else min(GLOBAL_SECONDS, limit - sum(claim.seconds.values()))
+    status, message, bound = _weighed(problem, claim, found, backend, left)
+    trajectory, multipliers, certificate = (None, None, None) if found is None else found
+    return Result(
+        problem=problem,
+        status=status,
+        method="minlp",
+        backend=backend,
+        seconds={**claim.seconds, "certify": time.perf_counter() - clock},
+        trajectory=trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=message,
+        interrupted=claim.status == "interrupted",
+        sequence=None if trajectory is None else _modes(problem, trajectory),
+        claimed_bound=bound,
+    )
+
+
+def _weighed(
+    problem: OptimalControlProblem, claim: GlobalClaim, found: Judged | None, backend: str, left: float
+) -> tuple[str, str, float | None]:
+    """Return the status of the result, in words what the claim is worth, and the bound that is claimed."""
+    word = f"by the word of {backend} ('{claim.words}')"
+    if claim.excluded:
+        return "infeasible", "proven by intervals: the dynamics cannot lead from one end to the other", None
+    if claim.status == "infeasible":
+        if _excluded(problem, left):
+            return "infeasible", EXCLUDED, None
+        return "infeasible", f"{word}; not proven", float("inf")
+    if claim.status == "unbounded":
+        return "unbounded", f"{word}; not proven", -float("inf")
+    bound = claim.bound
+    told = "no lower bound" if bound is None else f"the lower bound {bound:.9g}"
+    words = f"locally; {told} {word}; not proven"
+    if claim.status in ("limit", "interrupted"):
+        return "limit", words, bound
+    if found is None or claim.status == "failed":
+        return "numerical_error", f"no trajectory was found from the point it found, {word}", bound
+    certificate = found[2]
+    if certificate.pmp != "satisfied":
+        worst = certificate.worst.name
+        return "numerical_error", f"the point found does not satisfy the maximum principle: {worst}; {words}", bound
+    return "optimal", "; ".join([words, *claim.mismatches(certificate.cost)]), bound
 
 
 def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
