@@ -11,9 +11,9 @@ box meets, each bounded by Taylor's formula of second order with enclosures of f
 are bisected where that says too little. Where a cell has no width, as a fixed end, the slope is free: it is chosen so
 that the bound is best.
 
-What a box costs beyond V_t is its reduced cost, and a trajectory costs D and the reduced costs of the boxes that it goes
-through, at least. Boxes that only trajectories above the cost wanted go through are excluded, and what is left is cut
-into halves and bounded again: soon that is a tube around the best trajectories, however fine the lattice.
+What a box costs beyond V_t is its reduced cost, and a trajectory costs D and the reduced costs of the boxes that it
+goes through, at least. Boxes that only trajectories above the cost wanted go through are excluded, and what is left is
+cut into halves and bounded again: soon that is a tube around the best trajectories, however fine the lattice.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ import numpy as np
 
 from lin_freq_ocp.certificate.value_grid import ROUNDING, CostToGo, Lattice
 from lin_freq_ocp.certificate.value_samples import arrivals
+from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.certificate.value_step import Boxes, Step, met_cells
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.interval_jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.stage_costs import StageCosts, stage_costs
@@ -63,7 +64,7 @@ def value_bounds(
     deadline: float = np.inf,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[float]:
-    """Yield D <= J for every feasible trajectory, each closer than the last, until one is cost - gap or cells are enough.
+    """Yield D <= J for every feasible trajectory, each as close as the last or closer, until one is cost - gap.
 
     Parameters
     ----------
@@ -81,23 +82,25 @@ def value_bounds(
     Raises
     ------
     UnsupportedError
-        If there are more than two states, or a state or control is not bounded.
+        If there are more than two states, or a state or control is not bounded, nor by what it may cost.
+    OutOfTimeError
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
-    level = _first_level(problem, costs, cost - costs.constant)
     cut, best = cost - gap / 2 - costs.constant, -np.inf
-    while level is not None:
-        known = best if np.isfinite(best) else cost - FIRST_LOSS * max(1.0, abs(cost))
-        wanted = STEP_SHARE * (max(gap, cost - known) if np.isfinite(cost) else gap) / T
-        done = _backward(problem, costs, level, cut, wanted, deadline, progress)
+    stages = Stages.below(problem, costs, cut)
+    level = _first_level(stages, cost - costs.constant)
+    while level:
+        lost = FIRST_LOSS * max(1.0, abs(cost)) if best == -np.inf else cost - best
+        tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
+        done = _backward(stages, level, tolerance, deadline, progress)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
-        found = float(min(done[0].value.least.min(initial=np.inf), cut) + costs.constant - slack)
-        best = max(best, found)
-        yield best
-        if best >= cost - gap or not np.isfinite(found):
-            return
         level = _next_level(done, cut)
+        least = cut if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cut)
+        best = max(best, least + costs.constant - slack)
+        yield best
+        if best >= cost - gap or least == np.inf:
+            return
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +133,13 @@ class _Done:
     beyond_of_cells: Array
 
 
-def _first_level(problem: OptimalControlProblem, costs: StageCosts, cost: float) -> list[_Task]:
-    lattices = _lattices(problem)
+def _first_level(stages: Stages, cost: float) -> list[_Task]:
+    lattices = _lattices(stages)
     tasks: list[_Task] = []
-    for t, (lattice, spent) in enumerate(zip(lattices, arrivals(problem, costs, lattices), strict=True)):
-        hoped = cost - spent + CUT_MARGIN * max(1.0, abs(cost))
-        tasks.append(_Task(lattice, _first_boxes(problem, min(t, problem.horizon - 1), lattice), _nothing, hoped))
+    for t, (lattice, spent) in enumerate(zip(lattices, arrivals(stages, lattices), strict=True)):
+        hoped = cost - spent + CUT_MARGIN * max(1.0, abs(cost)) if np.isfinite(cost) else np.full(len(spent), np.inf)
+        boxes = _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice)
+        tasks.append(_Task(lattice, boxes, _nothing, hoped))
     return tasks
 
 
@@ -143,35 +147,35 @@ def _nothing(slopes: Array) -> Array:
     return np.full(slopes.shape[:2], np.inf)
 
 
-def _lattices(problem: OptimalControlProblem) -> list[Lattice]:
+def _lattices(stages: Stages) -> list[Lattice]:
     """Return cells over what can be reached at each time."""
-    n = problem.state_dim
-    tube, controls = problem.state_tube, problem.control_tube
+    problem, n = stages.problem, stages.problem.state_dim
     if n > MOST_STATES:
         raise UnsupportedError(f"a global bound: got {n} states; expected at most {MOST_STATES}.")
-    lower, upper, lattices = tube.lower[0], tube.upper[0], list[Lattice]()
+    lower, upper, lattices = stages.lowest[0], stages.highest[0], list[Lattice]()
     for t in range(problem.horizon + 1):
         for j in np.flatnonzero(~np.isfinite(lower) | ~np.isfinite(upper)):
             raise UnsupportedError(f"a global bound: {problem.state_names[j]} is not bounded at t = {t}.")
-        lattices.append(Lattice.full(lower, upper, np.where(upper > lower, FIRST_CELLS[n], 1)))
+        shape = np.where(upper > lower, FIRST_CELLS[n], 1).astype(np.intp)
+        lattices.append(Lattice.full(lower, upper, shape))
         if t == problem.horizon:
             break
-        box = [np.append(part, bound[t])[None] for part, bound in ((lower, controls.lower), (upper, controls.upper))]
+        box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
         for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
             raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
-        images = [interval_jets(mode.f, *box).values for mode in problem.smooth_pieces.modes]
-        lower = np.maximum(np.min([image[0][0] for image in images], axis=0), tube.lower[t + 1])
-        upper = np.minimum(np.max([image[1][0] for image in images], axis=0), tube.upper[t + 1])
+        images = [interval_jets(mode.f, box[0], box[1]).values for mode in problem.smooth_pieces.modes]
+        lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
+        upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
         upper = np.maximum(lower, upper)  # where nothing is left, no image will meet the cell
     return lattices
 
 
-def _first_boxes(problem: OptimalControlProblem, t: int, lattice: Lattice) -> Boxes:
-    box, m = problem.control_tube, problem.control_dim
+def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
+    problem, m = stages.problem, stages.problem.control_dim
     each = max(1, round(FIRST_BOXES ** (1 / m)))
-    width = (box.upper[t] - box.lower[t]) / each
+    width = (stages.upper[t] - stages.lower[t]) / each
     parts = np.stack(np.meshgrid(*[np.arange(each)] * m, indexing="ij"), axis=-1).reshape(-1, m)
-    u, x, modes = box.lower[t] + (parts + 0.5) * width, lattice.centres, len(problem.smooth_pieces.modes)
+    u, x, modes = stages.lower[t] + (parts + 0.5) * width, lattice.centres, len(problem.smooth_pieces.modes)
     centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
     radius = np.concatenate([lattice.width, width]) / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre)
     return Boxes.unbounded(
@@ -184,21 +188,15 @@ def _first_boxes(problem: OptimalControlProblem, t: int, lattice: Lattice) -> Bo
 
 
 def _backward(
-    problem: OptimalControlProblem,
-    costs: StageCosts,
-    level: list[_Task],
-    cut: float,
-    tolerance: float,
-    deadline: float,
-    progress: Callable[[int], None] | None,
+    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[int], None] | None
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
-    last = _last(costs, level[-1].lattice)
+    last = _last(stages.costs, level[-1].lattice)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
-    for t in range(problem.horizon - 1, -1, -1):
+    for t in range(stages.problem.horizon - 1, -1, -1):
         task, after = level[t], done[-1]
-        step = Step(problem, costs, t, task.lattice, after.value, deadline)
+        step = Step(stages, t, task.lattice, after.value, deadline)
         slopes, reached = step.slopes(task.boxes)
         hoped = task.hoped[:, None] + (np.abs(slopes) * task.lattice.width / 2).sum(axis=2)
         value, boxes = step.values(
@@ -227,7 +225,7 @@ def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
 
 
 def _next_level(done: list[_Done], cut: float) -> list[_Task] | None:
-    """Return the halves of the cells that a trajectory below ``cut`` may go through; None if they are too many."""
+    """Return the halves of cells that a trajectory below ``cut`` may go through; none are left, or None: too many."""
     spent = done[0].value.least
     tasks: list[_Task] = []
     for t, (now, following) in enumerate(zip(done, [*done[1:], None], strict=True)):
@@ -237,6 +235,8 @@ def _next_level(done: list[_Done], cut: float) -> list[_Task] | None:
         alive[boxes.cell] = True
         if following is None:
             alive = spent < cut
+        if not alive.any():
+            return []
         lattice, parents = now.value.lattice.halved(alive)
         if lattice.shape.prod() > MOST_PLACES:
             return None
@@ -261,7 +261,7 @@ class _Limit:
 
     value: CostToGo
     lattice: Lattice
-    parents: Array
+    parents: Indices
     left: Array
     first: bool
 

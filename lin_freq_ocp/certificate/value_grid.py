@@ -56,7 +56,7 @@ class Lattice:
         return numbers
 
     def places(self, x: Array, towards: int = 0) -> Indices:
-        """Return the places of points along each state, (..., n); towards -1 or 1, those that rounding may hide, too."""
+        """Return the places of points along each state, (..., n); towards -1 or 1, those that rounding may hide."""
         width = np.where(self.width > 0, self.width, 1.0)
         share = (x - self.lower) / width + towards * ROUNDING * (1 + np.abs(x / width))
         return np.asarray(np.clip(np.floor(np.nan_to_num(share)), 0, self.shape - 1), dtype=np.intp)

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
+from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.formulas import values_of
 from lin_freq_ocp.problem.interval_jets import interval_jets
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
-from lin_freq_ocp.problem.stage_costs import StageCosts
 
 ARRIVING = 256
 """Controls at which what can be reached is estimated."""
@@ -43,15 +42,15 @@ SMALLEST_SQUARE = 1e-12
 """Relative to the squares of all columns: a combination of slopes whose effect is smaller stays as it is."""
 
 
-def arrivals(problem: OptimalControlProblem, costs: StageCosts, lattices: list[Lattice]) -> list[Array]:
+def arrivals(stages: Stages, lattices: list[Lattice]) -> list[Array]:
     """Return an estimate of what it costs at least to come to every cell of full lattices, (cells,) per time."""
     spent = [np.full(len(lattice.cells), np.inf) for lattice in lattices]
     spent[0][:] = 0.0
     for t, (lattice, after) in enumerate(pairwise(lattices)):
-        x, u = lattice.centres, _controls(problem, t, ARRIVING * (1 if len(lattice.cells) > 1 else SPREAD))
+        x, u = lattice.centres, _controls(stages, t, ARRIVING * (1 if len(lattice.cells) > 1 else SPREAD))
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-        total = np.repeat(spent[t], len(u)) + stage_cost(costs, t, pairs)
-        for mode in problem.smooth_pieces.modes:
+        total = np.repeat(spent[t], len(u)) + stages.cost(t, pairs)
+        for mode in stages.problem.smooth_pieces.modes:
             y, inside = values_of(mode.f, pairs), holds(mode, pairs)
             inside &= np.isfinite(y).all(axis=1)
             places = after.numbers(after.places(np.where(inside[:, None], y, 0.0)))
@@ -72,21 +71,16 @@ def holds(mode: SmoothMode, pairs: Array) -> Mask:
     return inside
 
 
-def _controls(problem: OptimalControlProblem, t: int, points: int) -> Array:
+def _controls(stages: Stages, t: int, points: int) -> Array:
     """Return a grid of about so many controls, (points, m)."""
-    box = problem.control_tube
-    return box.lower[t] + (_unit_grid(points, problem.control_dim) + 1) / 2 * (box.upper[t] - box.lower[t])
+    lower, upper = stages.lower[t], stages.upper[t]
+    return lower + (_unit_grid(points, len(lower)) + 1) / 2 * (upper - lower)
 
 
 def _unit_grid(points: int, m: int) -> Array:
     """Return a grid of about so many points over [-1, 1]^m, (points, m)."""
     axis = np.linspace(-1, 1, max(2, round(points ** (1 / m))))
     return np.stack(np.meshgrid(*[axis] * m, indexing="ij"), axis=-1).reshape(-1, m)
-
-
-def stage_cost(costs: StageCosts, t: int, y: Array) -> Array:
-    """Return c_t of pairs (points, n + m)."""
-    return 0.5 * np.einsum("pi,ij,pj->p", y, costs.hessians[t], y) + y @ costs.linear[t]
 
 
 def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
@@ -113,8 +107,7 @@ class Samples:
         At t + 1.
     """
 
-    problem: OptimalControlProblem
-    costs: StageCosts
+    stages: Stages
     t: int
     lattice: Lattice
     lower: Array
@@ -124,7 +117,7 @@ class Samples:
     def slopes(self) -> tuple[Array, Array]:
         """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
         lattice = self.lattice
-        sides = np.outer(SIDES[self.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
+        sides = np.outer(SIDES[self.stages.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
         found = [self._sampled_at(lattice.centres + side) for side in sides]
         slopes = np.stack([slope for _, slope in found], axis=1)
         values = np.stack([value for value, _ in found], axis=1)
@@ -134,17 +127,17 @@ class Samples:
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
         """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
         best, at, chosen, spacing = self._best(x)
-        n, box = self.problem.state_dim, self.problem.control_tube
+        n = self.stages.problem.state_dim
         free = np.full((len(x), n), np.inf)
-        lowest = np.hstack([-free, box.lower[self.t] + 1.5 * spacing])
-        highest = np.hstack([free, box.upper[self.t] - 1.5 * spacing])
+        lowest = np.hstack([-free, self.stages.lower[self.t] + 1.5 * spacing])
+        highest = np.hstack([free, self.stages.upper[self.t] - 1.5 * spacing])
         slopes = np.zeros((len(x), n))
-        for i, mode in enumerate(self.problem.smooth_pieces.modes):
+        for i, mode in enumerate(self.stages.problem.smooth_pieces.modes):
             here = (chosen == i) & np.isfinite(best)
             if here.any():
                 jets = interval_jets(mode.f, at[here], at[here], curved=False)
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ self.costs.hessians[self.t] + self.costs.linear[self.t]
+                gradient = at[here] @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]
                 places = self.after.lattice.numbers(self.after.lattice.places(y))
                 sigma = self.after.piece_at(places, y)
                 inside = (at[here] > lowest[here]) & (at[here] < highest[here])
@@ -159,13 +152,13 @@ class Samples:
 
     def _best(self, x: Array) -> tuple[Array, Array, Indices, Array]:
         """Return the least of c + V(f) that samples reach, where, in which mode, and how far apart samples were."""
-        m = self.problem.control_dim
+        m = self.stages.problem.control_dim
         points, zoom = _unit_grid(SAMPLES, m), _unit_grid(CLOSER, m)
         middle, radius = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
         best, at, chosen = self._best_of(x, middle[:, None] + points * radius[:, None])
         spacing = 2 * radius / (round(len(points) ** (1 / m)) - 1)
         for _ in range(ZOOMS_TO_END if (self.after.lattice.width == 0).any() else ZOOMS):
-            u = at[:, None, self.problem.state_dim :] + zoom * spacing[:, None]
+            u = at[:, None, self.stages.problem.state_dim :] + zoom * spacing[:, None]
             u = np.clip(u, self.lower[:, None], self.upper[:, None])
             better, place, mode = self._best_of(x, u)
             closer = better < best
@@ -178,9 +171,9 @@ class Samples:
         """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
         count = u.shape[1]
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
-        costs = stage_cost(self.costs, self.t, pairs)
+        costs = self.stages.cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
-        for i, mode in enumerate(self.problem.smooth_pieces.modes):
+        for i, mode in enumerate(self.stages.problem.smooth_pieces.modes):
             y = values_of(mode.f, pairs)
             ok = holds(mode, pairs) & np.isfinite(y).all(axis=1)
             total = costs + self._value_at(np.where(ok[:, None], y, 0.0))
@@ -194,8 +187,8 @@ class Samples:
 
     @property
     def _control_weights(self) -> Array:
-        box = self.problem.control_tube
-        return np.concatenate([np.zeros(self.problem.state_dim), (box.upper - box.lower)[self.t]])
+        width = (self.stages.upper - self.stages.lower)[self.t]
+        return np.concatenate([np.zeros(self.stages.problem.state_dim), width])
 
     def _value_at(self, y: Array) -> Array:
         """Return V_{t+1}, with the distance to where it is fixed at the steepest slope of the stage."""
@@ -209,7 +202,6 @@ class Samples:
 
     @property
     def _end_price(self) -> float:
-        tube = self.problem.control_tube
-        ends = np.stack([tube.lower[self.t], tube.upper[self.t]])
+        ends = np.stack([self.stages.lower[self.t], self.stages.upper[self.t]])
         y = np.hstack([np.tile(self.lattice.centres[:1], (2, 1)), ends])
-        return 10 * float(np.abs(y @ self.costs.hessians[self.t] + self.costs.linear[self.t]).max() + 1)
+        return 10 * float(np.abs(y @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]).max() + 1)

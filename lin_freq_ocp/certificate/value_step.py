@@ -9,12 +9,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lin_freq_ocp.certificate.value_grid import ROUNDING, CostToGo, Lattice, Minima
-from lin_freq_ocp.certificate.value_samples import Samples, freed_slopes, holds, stage_cost
+from lin_freq_ocp.certificate.value_samples import Samples, freed_slopes, holds
+from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.interval_jets import IntervalJets, interval_jets, mean_value
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
-from lin_freq_ocp.problem.stage_costs import StageCosts
 
 ROUNDS = 10
 """Times that boxes are cut at one time of a level: what stays weak then is the next level's work."""
@@ -81,12 +80,9 @@ class Boxes:
         shift[rows, along] = radius[rows, along]
         radius[rows, along] *= 1 + ROUNDING
         less[rows, along] /= 2
-        halves = [Boxes(self.cell, self.mode, self.centre + side * shift, radius, *self._image) for side in (-1, 1)]
+        image = self.low, self.high, self.reduced
+        halves = [Boxes(self.cell, self.mode, self.centre + side * shift, radius, *image) for side in (-1, 1)]
         return Boxes.joined(halves), np.tile(less, (2, 1))
-
-    @property
-    def _image(self) -> tuple[Array, Array, Array]:
-        return self.low, self.high, self.reduced
 
 
 def met_cells(boxes: Boxes, after: CostToGo) -> Iterator[tuple[Indices, Indices]]:
@@ -99,32 +95,19 @@ def met_cells(boxes: Boxes, after: CostToGo) -> Iterator[tuple[Indices, Indices]
 
 def _meets(boxes: Boxes, lattice: Lattice) -> Mask:
     beyond = ROUNDING * (np.abs(lattice.lower) + np.abs(lattice.upper))
-    return ((boxes.high >= lattice.lower - beyond) & (boxes.low <= lattice.upper + beyond)).all(axis=1)
+    meets = (boxes.high >= lattice.lower - beyond) & (boxes.low <= lattice.upper + beyond)
+    return np.asarray(meets.all(axis=1))
 
 
 class Step:
     """The step from t to t + 1."""
 
-    def __init__(
-        self,
-        problem: OptimalControlProblem,
-        costs: StageCosts,
-        t: int,
-        lattice: Lattice,
-        after: CostToGo,
-        deadline: float,
-    ):
-        self._modes, self._n, self._t = problem.smooth_pieces.modes, problem.state_dim, t
-        self._problem, self._costs, self._lattice, self._after, self._deadline = (
-            problem,
-            costs,
-            lattice,
-            after,
-            deadline,
-        )
+    def __init__(self, stages: Stages, t: int, lattice: Lattice, after: CostToGo, deadline: float):
+        self._modes, self._n, self._t = stages.problem.smooth_pieces.modes, stages.problem.state_dim, t
+        self._stages, self._lattice, self._after, self._deadline = stages, lattice, after, deadline
         self._pole = after.lattice.width == 0
         self._minima = Minima(after)
-        self._hessian = costs.hessians[t]
+        self._hessian = stages.costs.hessians[t]
 
     def slopes(self, boxes: Boxes) -> tuple[Array, Array]:
         """Return slopes for the pieces of every cell, and the value at its centre that samples of its boxes allow."""
@@ -132,9 +115,9 @@ class Step:
         lower, upper = np.full((cells, boxes.centre.shape[1]), np.inf), np.full((cells, boxes.centre.shape[1]), -np.inf)
         np.minimum.at(lower, boxes.cell, boxes.centre - boxes.radius)
         np.maximum.at(upper, boxes.cell, boxes.centre + boxes.radius)
-        tube = self._problem.control_tube
-        lower, upper = (np.clip(ends[:, n:], tube.lower[self._t], tube.upper[self._t]) for ends in (lower, upper))
-        samples = Samples(self._problem, self._costs, self._t, self._lattice, lower, upper, self._after)
+        ends = self._stages.lower[self._t], self._stages.upper[self._t]
+        lower, upper = (np.clip(bounds[:, n:], *ends) for bounds in (lower, upper))
+        samples = Samples(self._stages, self._t, self._lattice, lower, upper, self._after)
         return samples.slopes()
 
     def values(
@@ -162,9 +145,9 @@ class Step:
             final = round_ == ROUNDS - 1 or total > most
             boxes, bounds, reached, steep = self._bounded(boxes, slopes)
             np.minimum.at(enough, boxes.cell, reached - tolerance)
-            looked_at = (bounds < excluded[boxes.cell]).all(axis=1)
+            looked_at = np.flatnonzero(~(bounds >= excluded[boxes.cell]).any(axis=1))
             boxes, bounds, steep = boxes.take(looked_at), bounds[looked_at], steep[looked_at]
-            weak = (bounds < enough[boxes.cell]).any(axis=1) & (not final)
+            weak = np.asarray((bounds < enough[boxes.cell]).any(axis=1) & (not final))
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
             weak &= (bounds < np.minimum(enough, lowest)[boxes.cell]).any(axis=1)
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
@@ -184,7 +167,7 @@ class Step:
         return CostToGo(lattice, lowest, slopes, first, last), cover
 
     def _bounded(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
-        """Return the boxes in which something holds, with bounds, what centres reach, and what is lost per direction."""
+        """Return the boxes in which something holds, with bounds, what centres reach, and losses per direction."""
         pieces = slopes.shape[1]
         found = [
             (boxes.take(np.zeros(0, dtype=np.intp)), np.zeros((0, pieces)), np.zeros((0, pieces)), boxes.radius[:0])
@@ -210,9 +193,9 @@ class Step:
         first, final = after.places(boxes.low, -1), after.places(boxes.high, 1)
         span = (final - first + 1).max(axis=1)
         own = slopes[boxes.cell]
-        gradient = np.repeat((y @ self._hessian + self._costs.linear[self._t])[:, None], own.shape[1], axis=1)
+        gradient = np.repeat((y @ self._hessian + self._stages.costs.linear[self._t])[:, None], own.shape[1], axis=1)
         gradient[:, :, : self._n] -= own
-        offset = stage_cost(self._costs, self._t, y)[:, None] - np.einsum(
+        offset = self._stages.cost(self._t, y)[:, None] - np.einsum(
             "psn,pn->ps", own, y[:, : self._n] - self._lattice.centres[boxes.cell]
         )
         change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
