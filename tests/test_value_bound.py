@@ -11,7 +11,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.value_bound import OutOfTimeError, value_bound
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.formulas import jets, norm, signals
+from lin_freq_ocp.problem.formula_jets import jets
+from lin_freq_ocp.problem.formulas import norm, signals
 from lin_freq_ocp.problem.interval_jets import interval_jets
 
 ROUNDING = 1e-9

@@ -10,7 +10,7 @@ from scipy.ndimage import minimum_filter
 
 from lin_freq_ocp.certificate.value_grid import Grid
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.formulas import values_of
+from lin_freq_ocp.problem.formula_jets import values_of
 from lin_freq_ocp.problem.interval_jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode

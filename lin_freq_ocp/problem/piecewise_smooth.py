@@ -14,19 +14,17 @@ from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, positive_integer, positive_number
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.formula_jets import Jets, jets, values_of
 from lin_freq_ocp.problem.formulas import (
     MAXIMUM,
     MINIMUM,
     NORM,
     VARIABLE,
     Formula,
-    Jets,
     in_order,
-    jets,
     kinks,
     listed_formulas,
     rebuilt,
-    values_of,
 )
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
