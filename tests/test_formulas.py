@@ -23,6 +23,8 @@ UNARY = [
     lambda a: np.sqrt(a * a + 0.5),
     lambda a: np.sin(a),
     lambda a: np.cos(a),
+    lambda a: np.tanh(a),
+    lambda a: np.arctan(a),
     lambda a: 2 - a / 3,
     lambda a: 1 / (a * a + 1),
     lambda a: lfo.norm([a, a + 1.0]),
@@ -122,6 +124,7 @@ def test_bad_formulas_are_refused(make, words):
         ("-x_0 + 2 * x_1 - 1e-1", -3 + 8 - 0.1),
         ("min(x_0, -u_0) / x_1 ** 2", None),
         ("exp(0) + sqrt(4)", 3.0),
+        ("tanh(x_0 - 3) + arctan(x_1) / arctan(4)", 1.0),
         ("(x_0 - x_1)**2 - abs(-2)", -1.0),
     ],
 )

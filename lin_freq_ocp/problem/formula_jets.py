@@ -120,6 +120,12 @@ def _smooth(one: Formula, value: Array) -> tuple[Array, Array, Array]:
         return np.sin(value), np.cos(value), -np.sin(value)
     if one.kind == "cos":
         return np.cos(value), -np.sin(value), -np.cos(value)
+    if one.kind == "tanh":
+        result, slope = np.tanh(value), np.cosh(value) ** -2.0
+        return result, slope, -2 * result * slope
+    if one.kind == "arctan":
+        slope = 1 / (1 + value**2)
+        return np.arctan(value), slope, -2 * (value * slope) * slope
     raise ProblemError("formula", f"a {one.kind}", "a formula without maxima and minima: a mode of it")
 
 

@@ -28,8 +28,8 @@ LONGEST = 10_000
 """Characters of one formula: deeper nesting than Python's parser takes does not fit in."""
 
 EXPECTED = (
-    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, as in "
-    "'norm(x_0, x_1) * u_0'"
+    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
+    "arctan, as in 'norm(x_0, x_1) * u_0'"
 )
 
 
@@ -41,7 +41,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
     field : str
         What errors call it.
     text : str
-        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos.
+        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh,
+        arctan.
     dimensions : (n, m)
 
     Raises

@@ -1,8 +1,8 @@
 """Formulas of states and controls: written with operators, evaluated with their first and second derivatives.
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
-``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin`` and ``cos`` of formulas are formulas. A Python
-function of (x, u) that is made of these can be traced: it is called once, with signals.
+``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
+formulas. A Python function of (x, u) that is made of these can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LARGEST_POWER = 16
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
 MAXIMUM, MINIMUM, NORM = "maximum", "minimum", "norm"
-SMOOTH = ("exp", "log", "sqrt", "sin", "cos")
+SMOOTH = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,6 +123,14 @@ class Formula:
     def cos(self) -> Formula:
         """Return the cosine."""
         return Formula(self.dimensions, "cos", (self,))
+
+    def tanh(self) -> Formula:
+        """Return the hyperbolic tangent."""
+        return Formula(self.dimensions, "tanh", (self,))
+
+    def arctan(self) -> Formula:
+        """Return the angle whose tangent it is, between -pi/2 and pi/2."""
+        return Formula(self.dimensions, "arctan", (self,))
 
     def __repr__(self) -> str:
         from lin_freq_ocp.problem.formula_text import text_of

@@ -18,8 +18,10 @@ from lin_freq_ocp.problem.formulas import NORM, POWER, PRODUCT, QUOTIENT, SUM, V
 from lin_freq_ocp.problem.intervals import (
     Interval,
     add,
+    arc_tangent,
     cosine,
     exponential,
+    hyperbolic_tangent,
     inverse,
     logarithm,
     meet,
@@ -139,6 +141,10 @@ def _smooth(one: Formula, value: Interval) -> tuple[Interval, Interval, Interval
     if one.kind == "cos":
         result = cosine(value)
         return result, scale(-1.0, sine(value)), scale(-1.0, result)
+    if one.kind == "tanh":
+        return hyperbolic_tangent(value)
+    if one.kind == "arctan":
+        return arc_tangent(value)
     raise ProblemError("formula", f"a {one.kind}", "a formula without maxima and minima: a mode of it")
 
 
