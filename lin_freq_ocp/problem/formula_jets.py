@@ -9,7 +9,18 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.formulas import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
+from lin_freq_ocp.problem.formulas import (
+    EXTERNAL,
+    NORM,
+    POWER,
+    PRODUCT,
+    QUOTIENT,
+    SUM,
+    VARIABLE,
+    External,
+    Formula,
+    in_order,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +51,14 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     """
     points, k = y.shape
     found: dict[Formula, _Jet] = {}
+    called: dict[_Call, _Jet] = {}
     with np.errstate(all="ignore"):
         for one in in_order(formulas):
-            found[one] = _jet(one, [found[argument] for argument in one.arguments], y, (selections or {}).get(one))
+            arguments = [found[argument] for argument in one.arguments]
+            if one.kind == EXTERNAL:
+                found[one] = _external(one, arguments, called)
+            else:
+                found[one] = _jet(one, arguments, y, (selections or {}).get(one))
     shape = (points, len(formulas))
     values, slopes = np.empty(shape), np.empty((*shape, k))
     curvatures = np.empty((*shape, k, k))
@@ -54,9 +70,14 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
 def values_of(formulas: Sequence[Formula], y: Array) -> Array:
     """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
     found: dict[Formula, Array] = {}
+    called: dict[_Call, Array] = {}
     with np.errstate(all="ignore"):
         for one in in_order(formulas):
-            found[one] = _value(one, [found[argument] for argument in one.arguments], y)
+            arguments = [found[argument] for argument in one.arguments]
+            if one.kind == EXTERNAL:
+                found[one] = _external_value(one, arguments, called)
+            else:
+                found[one] = _value(one, arguments, y)
     return np.stack([found[one] for one in formulas], axis=1) if formulas else np.empty((len(y), 0))
 
 
@@ -78,6 +99,33 @@ def _value(one: Formula, arguments: Sequence[Array], y: Array) -> Array:
 
 
 _Jet = tuple[Array, Array, Array]
+_Call = tuple[External, tuple[Formula, ...]]
+"""An external function of some arguments: evaluated once for all its outputs."""
+
+
+def _external_value(one: Formula, arguments: Sequence[Array], called: dict[_Call, Array]) -> Array:
+    assert one.function is not None  # the kind has one
+    output, states = map(int, one.data)
+    key = one.function, one.arguments
+    if key not in called:
+        a = np.stack(arguments, axis=1)
+        called[key] = one.function.values_at(a[:, :states], a[:, states:])
+    return called[key][:, output]
+
+
+def _external(one: Formula, arguments: Sequence[_Jet], called: dict[_Call, _Jet]) -> _Jet:
+    """Return g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'."""
+    assert one.function is not None  # the kind has one
+    output, states = map(int, one.data)
+    key = one.function, one.arguments
+    if key not in called:
+        a, slopes, curvatures = (np.stack([jet[part] for jet in arguments], axis=1) for part in range(3))
+        value, first, second = one.function.derivatives_at(a[:, :states], a[:, states:])
+        bent = np.einsum("poi,pikl->pokl", first, curvatures)
+        bent += np.einsum("poij,pik,pjl->pokl", second, slopes, slopes, optimize=True)
+        called[key] = value, np.einsum("poi,pik->pok", first, slopes), bent
+    value, slope, curvature = called[key]
+    return value[:, output], slope[:, output], curvature[:, output]
 
 
 def _jet(one: Formula, arguments: Sequence[_Jet], y: Array, selection: Array | None) -> _Jet:

@@ -7,21 +7,41 @@ formulas. A Python function of (x, u) that is made of these can be traced: it is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import brief, positive_integer, real_array
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.problem.arrays import Array, brief, positive_integer, real_array
 
 LARGEST_POWER = 16
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
-MAXIMUM, MINIMUM, NORM = "maximum", "minimum", "norm"
+MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
 SMOOTH = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
+
+FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
+"""What to do with a Python function that no formula can be made of."""
+
+
+class External(Protocol):
+    """A smooth function of (x, u) that is no formula, evaluated at points: x (points, n) and u (points, m)."""
+
+    @property
+    def title(self) -> str:
+        """Return its name, or what stands for one."""
+        ...
+
+    def values_at(self, x: Array, u: Array) -> Array:
+        """Return (points, outputs); not a number where it is undefined."""
+        ...
+
+    def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,9 +54,12 @@ class Formula:
     kind : str
     arguments : tuple of Formula
     data : tuple of float
-        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent.
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
+        external function which of its outputs it is, and how many of its arguments are its x.
     names : tuple of str
         Of a maximum or minimum, what to call the modes in which each argument is the one.
+    function : External, optional
+        Of an external function.
     """
 
     dimensions: tuple[int, int]
@@ -44,6 +67,7 @@ class Formula:
     arguments: tuple[Formula, ...] = ()
     data: tuple[float, ...] = ()
     names: tuple[str, ...] = ()
+    function: External | None = None
 
     @property
     def constant(self) -> float | None:
@@ -98,11 +122,20 @@ class Formula:
         return Formula(self.dimensions, MAXIMUM, (self, -self))
 
     def _compare(self, other: Any) -> bool:
-        advice = "Python's max and min, and comparisons, decide here and now."
+        if other is self:
+            return True
+        advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
         raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
 
-    __radd__, __rmul__ = __add__, __mul__
-    __lt__ = __le__ = __gt__ = __ge__ = _compare
+    def __bool__(self) -> bool:
+        raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
+
+    def __float__(self) -> float:
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(SMOOTH)}"
+        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
+
+    __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
+    __eq__ = __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def exp(self) -> Formula:
         """Return the exponential; np.exp of an array of formulas calls it, and so on."""
@@ -212,7 +245,7 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
             continue
         arguments = tuple(made[argument] for argument in one.arguments)
         same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
-        made[one] = one if same else Formula(one.dimensions, one.kind, arguments, one.data, one.names)
+        made[one] = one if same else replace(one, arguments=arguments)
     return [made[one] for one in formulas]
 
 
@@ -222,11 +255,10 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
     Raises
     ------
     ProblemError
-        If they are none, or have other signals.
+        If they are none, or have other signals, or if the function cannot be called with formulas.
     """
     if callable(given):
-        x, u = signals(*dimensions)
-        given = given(x, u)
+        given = _traced(field, given, dimensions)
     if isinstance(given, (Formula, str)):
         given = [given]
     if not isinstance(given, (Sequence, np.ndarray)):
@@ -243,6 +275,20 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         made.append(formula)
     return tuple(made)
+
+
+def _traced(field: str, function: Callable[..., Any], dimensions: tuple[int, int]) -> Any:
+    """Return what a function makes of signals."""
+    x, u = signals(*dimensions)
+    try:
+        return function(x, u)
+    except LinFreqOCPError:
+        raise
+    except Exception as error:  # whatever a function does that was not made for formulas
+        got = f"{first_line(error)}, from the function"
+        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+        raise ProblemError(field, got, expected, advice) from error
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

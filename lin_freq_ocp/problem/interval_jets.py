@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.formulas import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
 from lin_freq_ocp.problem.intervals import (
@@ -55,7 +55,13 @@ _Node = tuple[Interval, Interval, Interval | None]
 
 
 def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array) -> IntervalJets:
-    """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m)."""
+    """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
+
+    Raises
+    ------
+    UnsupportedError
+        If they have functions of which nothing is known over boxes.
+    """
     boxes, k = lower.shape
     found: dict[Formula, _Node] = {}
     with np.errstate(all="ignore"):
@@ -91,6 +97,9 @@ def _node(one: Formula, arguments: Sequence[_Node], box: Interval) -> _Node:
         return _product(over, _chained(under, once, scale(-1.0, twice), scale(2.0, multiply(twice, once))))
     if one.kind == NORM:
         return _norm(arguments)
+    if one.function is not None:
+        name = one.function.title
+        raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
     (argument,) = arguments
     return _chained(argument, *_smooth(one, argument[0]))
 

@@ -343,5 +343,5 @@ def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:
             made[node] = Formula(dimensions, VARIABLE, (), (float(n + m),))
         else:
             arguments = tuple(made[argument] for argument in node.arguments)
-            made[node] = Formula(dimensions, node.kind, arguments, node.data, node.names)
+            made[node] = replace(node, dimensions=dimensions, arguments=arguments)
     return [made[node] for node in formulas]
