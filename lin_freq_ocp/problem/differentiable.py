@@ -104,7 +104,7 @@ class DifferentiableFunction:
         *,
         vectorized: bool = False,
         sizes: ArrayLike = 1.0,
-        check_at: Sequence[tuple[ArrayLike, ArrayLike]] = (),
+        check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
     ):
         for label, given in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
             if not callable(given) and not (label == "hessian" and given is None):
@@ -130,7 +130,7 @@ class DifferentiableFunction:
             translation=None,
             _recent=_Recent(),
         )
-        if len(check_at):
+        if check_at is not None:
             self.check_derivatives(check_at)
 
     @property
