@@ -396,6 +396,8 @@ def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(ca
         (lambda c: lfo.from_casadi(3), "from_casadi: got 3; expected a casadi.Function"),
         (lambda c: lfo.from_casadi(lambda x, u: x), "from_casadi.states"),
         (lambda c: lfo.from_casadi(lambda x, u: [x[7]], 1, 1), "RuntimeError.*expression of casadi.SX"),
+        (lambda c: lfo.from_casadi(c.Function("f", [c.SX.sym("x"), c.SX.sym("u")], [c.SX(1)]), 2, 1),
+         "from_casadi.states: got 2; expected 1, as the function has"),
         (lambda c: lfo.from_casadi(lambda x, u: x.T, 2, 1), "a matrix 1 x 2; expected columns"),
         (lambda c: lfo.from_casadi(c.Function("f", [c.SX.sym("x")], [c.SX(1)])), "1 inputs and 1 outputs"),
         (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x) + c.fmax(u, 0), 1, 1), "got fmax, beside .* smooth=True"),

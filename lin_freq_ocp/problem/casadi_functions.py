@@ -62,7 +62,7 @@ def from_casadi(
         A casadi.Function of columns x and u that returns one column; or a Python function that is called with
         casadi.SX columns x and u and returns an expression, or a list of them.
     states, controls : int
-        n and m; only for a Python function.
+        n and m; a casadi.Function knows them.
     name : str
         As errors and reports show it; default: that of the function.
     smooth : bool
@@ -84,7 +84,7 @@ def from_casadi(
         made = _compiled(casadi, function, n, m)
     else:
         raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
-    _require_columns(made)
+    _require_columns(made, states, controls)
     own = str(made.name() if made is function else getattr(function, "__name__", ""))
     title = name or (own if own.isidentifier() else "")  # a lambda has none
     with_derivatives = _Compiled(made, _serialized(made))
@@ -126,13 +126,16 @@ def _compiled(casadi: Any, function: Callable[..., Any], n: int, m: int) -> Any:
     return casadi.Function("f", [x, u], [column])
 
 
-def _require_columns(made: Any) -> None:
+def _require_columns(made: Any, states: int | None, controls: int | None) -> None:
     if (made.n_in(), made.n_out()) != (2, 1):
         got = f"{made.n_in()} inputs and {made.n_out()} outputs"
         raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
     for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
         if size[1] != 1 or not size[0]:
             raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
+    for place, (label, given) in enumerate((("states", states), ("controls", controls))):
+        if given is not None and given != made.size1_in(place):
+            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(place)}, as the function has")
 
 
 def _serialized(made: Any) -> str:

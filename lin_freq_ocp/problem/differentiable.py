@@ -247,7 +247,7 @@ class DifferentiableFunction:
                 moved = y.copy()
                 moved[:, j] += sign * steps[:, j]
                 jacobian = self._evaluated("jacobian", moved[:, :states], moved[:, states:])
-                defined: Mask = np.isfinite(jacobian).all(axis=(1, 2))
+                defined: Mask = np.asarray(np.isfinite(jacobian).all(axis=(1, 2)))
                 sides.append(np.where(defined[:, None, None], jacobian, slopes))
                 places.append(np.where(defined, moved[:, j], y[:, j]))
             with np.errstate(invalid="ignore"):

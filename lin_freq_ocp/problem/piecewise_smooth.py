@@ -46,7 +46,8 @@ class SmoothMode:
     Parameters
     ----------
     f : sequence of Formula, or function
-        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals.
+        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals;
+        functions that need numbers are wrapped in a ``DifferentiableFunction``, or come ``from_casadi``.
     region : sequence of Formula, or function
         Switching functions: the piece holds where all of them are <= 0. Nothing: everywhere.
     domain : sequence of Formula, or function
@@ -114,7 +115,8 @@ class ModeJets:
 class PiecewiseSmoothDynamics:
     """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
 
-    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact.
+    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact,
+    or those that functions give.
 
     Parameters
     ----------
