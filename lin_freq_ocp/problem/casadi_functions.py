@@ -77,6 +77,8 @@ def from_casadi(
         If it is no such function, or has kinks that would not be seen.
     """
     casadi = _casadi()
+    if not isinstance(smooth, bool):
+        raise ProblemError("from_casadi.smooth", brief(smooth), "true or false")
     if isinstance(function, casadi.Function):
         made = function
     elif callable(function):

@@ -55,8 +55,8 @@ class DifferentiableFunction:
     ----------
     call : function
         Of x (n,) and u (m,), float arrays; returns (outputs,), or one number if there is one output, and always the
-        same for the same arguments. Not a number
-        (nan), or an ArithmeticError, as from 1/0: it is not defined there, and a mode with it does not hold.
+        same for the same arguments. Not a number (nan), or an ArithmeticError, as from 1/0: it is not defined there,
+        and a mode with it does not hold.
     jacobian : function
         Of the same; returns the derivatives by (x, u), (outputs, n + m).
     hessian : function, optional
@@ -76,6 +76,13 @@ class DifferentiableFunction:
         to the argument where that is larger.
     check_at : sequence of (x, u), optional
         Points at which to compare the derivatives with differences, see ``check_derivatives``.
+
+    Attributes
+    ----------
+    dimensions : (n, m) or None
+        The only ones that it can be called with, if that is known.
+    translation : function or None
+        What makes formulas of formulas, where ``from_casadi`` found one.
 
     Raises
     ------

@@ -115,8 +115,8 @@ class ModeJets:
 class PiecewiseSmoothDynamics:
     """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
 
-    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact,
-    or those that functions give.
+    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact, or
+    those that functions give.
 
     Parameters
     ----------
