@@ -39,7 +39,7 @@ class Result:
     method : str
         What was used.
     backend : str or None
-        The solver of the method "convex"; others need none.
+        The solver of the methods "convex", "miqp" and "minlp"; others need none.
     seconds : dict
         Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
@@ -64,6 +64,9 @@ class Result:
         With modes: what the search split and left out, with the multipliers that prove it.
     tree_bound : TreeBound or None
         What the judge finds proven by the tree.
+    claimed_bound : float or None
+        Of the method "minlp": the lower bound by the solver's own word, unproven; infinite where it says that there is
+        no trajectory, minus infinite where it says that the cost is unbounded.
     """
 
     problem: OptimalControlProblem
@@ -84,6 +87,7 @@ class Result:
     sequence: Indices | None = None
     tree: ModeTree | None = field(default=None, repr=False)
     tree_bound: TreeBound | None = field(default=None, repr=False)
+    claimed_bound: float | None = None
 
     @property
     def primal(self) -> bool:
@@ -93,7 +97,8 @@ class Result:
     @property
     def dual(self) -> bool:
         """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
-        without = self.status == "infeasible" and (self.tree_bound is not None or self.method == "nonsmooth")
+        intervals = self.method in ("nonsmooth", "minlp") and self.claimed_bound is None
+        without = self.status == "infeasible" and (self.tree_bound is not None or intervals)
         return without or self.ray is not None or self.direction is not None or self.lower_bound is not None
 
     @property

@@ -78,22 +78,24 @@ def solve(
     Parameters
     ----------
     problem : OptimalControlProblem
-    method : {"auto", "convex", "spectral", "branch_and_bound", "enumerate", "miqp", "nonsmooth"}
+    method : {"auto", "convex", "spectral", "branch_and_bound", "enumerate", "miqp", "nonsmooth", "minlp"}
         Linear dynamics: "spectral", our Fourier-domain method, for time-invariant ones; "convex", one sparse quadratic
         program; "auto", spectral where it applies and its answer is proven, else convex, or convex if a backend is
         named. Piecewise-affine dynamics: "branch_and_bound" over mode sequences, also "auto"; "enumerate", all of them;
         "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves. Piecewise-smooth
         dynamics: "nonsmooth", local optima of mode sequences, the best polished by a semismooth Newton method; "auto",
-        the same and, with one or two states, a global bound, on which it spends 10 s or what the time limit leaves.
+        the same and, with one or two states, a global bound, on which it spends 10 s or what the time limit leaves;
+        "minlp", a second opinion: the trajectory that a global solver's point leads to, judged by us, with the bound
+        that the solver claims in ``claimed_bound``.
     backend : str
         Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
-        "daqp".
+        "daqp". Of "minlp": "auto" or "scip".
     time_limit : float, optional
         Seconds for the solver.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
         bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default; 1e-4 with
-        piecewise-smooth dynamics.
+        piecewise-smooth dynamics. Of "minlp": the relative gap asked of the solver, 1e-6 by default.
     throw : bool
         Whether to raise if the status is not "optimal"; the error holds the result.
     node_limit : int, optional
@@ -340,7 +342,7 @@ def require_options(method: str, backend: str, time_limit: float | None, toleran
         raise UnsupportedError(f"method: got {method!r}; expected {known} or {METHODS[-1]!r}.")
     if method == "spectral" and backend != "auto":
         raise UnsupportedError(f"backend: got {backend!r}; the method 'spectral' needs none: leave it 'auto'.")
-    if backend != "auto" and method != "miqp":
+    if backend != "auto" and method not in ("miqp", "minlp"):
         solver_named(backend)
     _require_positive("time_limit", time_limit)
     _require_positive("tolerance", tolerance)

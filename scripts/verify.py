@@ -19,7 +19,8 @@ Then random feasible problems of mixed features, against CVXPY on an independent
 Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
 
 Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2
-and 3 of the paper from cold starts, with a minute for every global bound (verify_nonsmooth.py).
+and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
+(verify_nonsmooth.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
 "explain", 200 for "mixed" and 200 for "flips".

@@ -8,7 +8,7 @@ quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the o
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -64,7 +64,14 @@ def solve(program: Program, binaries: Indices, time_limit: float | None, gap: fl
     if not rows.consistent:
         return NOTHING
     integer[binaries] = True
-    model, variables = _model(program, rows, integer)
+    model, variables = convex_model(program, rows, integer)
+    set_objective(model, program, variables)
+    solution = optimised(model, variables, time_limit, gap)
+    return solution or undecided(lambda nothing: solve(nothing, binaries, time_limit, gap), program)
+
+
+def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: float) -> MixedSolution | None:
+    """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
         model.setParam("limits/time", time_limit)
@@ -76,12 +83,19 @@ def solve(program: Program, binaries: Indices, time_limit: float | None, gap: fl
             return MixedSolution(Claim.FAILED, None, None, str(error))
     status = str(model.getStatus())
     if status == "inforunbd":
-        return _undecided(program, binaries, time_limit, gap)
+        return None
     bound = float(model.getDualbound())
     z = np.array([model.getVal(variable) for variable in variables]) if model.getNSols() else None
     return MixedSolution(
         CLAIMS.get(status, Claim.FAILED), z, bound if abs(bound) < INFINITE else None, f"{status}, {_nodes(model)}"
     )
+
+
+def undecided(solve_one: Callable[[Program], MixedSolution], program: Program) -> MixedSolution:
+    """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
+    found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
+    claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
+    return MixedSolution(claim, None, None, f"infeasible or unbounded; without its cost: {found.words}")
 
 
 class _Watch(Eventhdlr):
@@ -103,19 +117,12 @@ class _Watch(Eventhdlr):
             self.model.interruptSolve()
 
 
-def _undecided(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
-    """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
-    nothing = replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q))
-    found = solve(nothing, binaries, time_limit, gap)
-    claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
-    return MixedSolution(claim, None, None, f"infeasible or unbounded; without its cost: {found.words}")
-
-
 def _nodes(model: Any) -> str:
     return f"{int(model.getNTotalNodes())} nodes"
 
 
-def _model(program: Program, rows: Bounded, integer: Mask) -> tuple[Any, list[Any]]:
+def convex_model(program: Program, rows: Bounded, integer: Mask) -> tuple[Any, list[Any]]:
+    """Return a model with all rows of a program and no objective, and its variables."""
     model = Model()
     model.hideOutput()
     z = [
@@ -133,7 +140,6 @@ def _model(program: Program, rows: Bounded, integer: Mask) -> tuple[Any, list[An
         if np.isfinite(low):
             model.addCons(row >= float(low))
     _add_cones(model, program, z)
-    _set_objective(model, program, z)
     return model, z
 
 
@@ -158,7 +164,8 @@ def _add_cones(model: Any, program: Program, z: list[Any]) -> None:
         model.addCons(quicksum(squares[1:]) - squares[0] <= 0)
 
 
-def _set_objective(model: Any, program: Program, z: list[Any]) -> None:
+def set_objective(model: Any, program: Program, z: list[Any]) -> None:
+    """Minimise the cost of a program in the variables of its model."""
     linear = _linear(program.q, np.arange(len(z)), z) + program.constant
     squares: list[Any] = []
     for places, values in _factor(program):

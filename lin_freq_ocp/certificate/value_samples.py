@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from lin_freq_ocp.certificate.value_grid import Grid
+from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.formula_jets import values_of
 from lin_freq_ocp.problem.interval_jets import interval_jets
@@ -16,16 +16,22 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
 from lin_freq_ocp.problem.stage_costs import StageCosts
 
-SAMPLES = 256
-"""Controls at which slopes and reachable values are estimated; nothing is proven by them."""
+ARRIVING = 256
+"""Controls at which what can be reached is estimated."""
+
+SAMPLES = 128
+"""Controls at which slopes are estimated."""
 
 CLOSER = 25
-"""Controls around the best sample, twice, each time closer."""
+"""Controls around the best sample, each time closer."""
+
+ZOOMS, ZOOMS_TO_END = 2, 5
+"""Times that samples come closer; where one state has to be met exactly, until its distance says nothing any more."""
 
 SPREAD = 5
 """Cells on both sides together that count as reached where samples reach one, beside a fortieth of all of them."""
 
-SIDES = {1: (-0.9, 0.9), 2: (0.0,)}
+SIDES = {1: (-0.999, 0.999), 2: (0.0,)}
 """Where in a cell the slopes of its pieces are estimated, from the centre, as parts of half its width: one state may
 have a kink in every cell; of two, cells with several pieces take too long."""
 
@@ -33,19 +39,22 @@ MOST_SLOPE = {1: 20.0, 2: 4.0}
 """Slopes are cut at this multiple of their median, by the number of states: next to states from which nothing goes on
 they are not to be trusted."""
 
+SMALLEST_SQUARE = 1e-12
+"""Relative to the squares of all columns: a combination of slopes whose effect is smaller stays as it is."""
 
-def arrivals(problem: OptimalControlProblem, costs: StageCosts, grids: list[Grid]) -> list[Array]:
-    """Return an estimate of what it costs at least to come to every cell, (cells,) per time."""
-    spent = [np.full(int(grid.shape.prod()), np.inf) for grid in grids]
+
+def arrivals(problem: OptimalControlProblem, costs: StageCosts, lattices: list[Lattice]) -> list[Array]:
+    """Return an estimate of what it costs at least to come to every cell of full lattices, (cells,) per time."""
+    spent = [np.full(len(lattice.cells), np.inf) for lattice in lattices]
     spent[0][:] = 0.0
-    for t, (grid, after) in enumerate(pairwise(grids)):
-        x, u = grid.centres, _controls(problem, t, SAMPLES * (1 if len(grid.centres) > 1 else SPREAD))
+    for t, (lattice, after) in enumerate(pairwise(lattices)):
+        x, u = lattice.centres, _controls(problem, t, ARRIVING * (1 if len(lattice.cells) > 1 else SPREAD))
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
         total = np.repeat(spent[t], len(u)) + stage_cost(costs, t, pairs)
         for mode in problem.smooth_pieces.modes:
-            y, inside = values_of(mode.f, pairs), _holds(mode, pairs)
+            y, inside = values_of(mode.f, pairs), holds(mode, pairs)
             inside &= np.isfinite(y).all(axis=1)
-            places = after.flat(after.places(np.where(inside[:, None], y, 0.0)))
+            places = after.numbers(after.places(np.where(inside[:, None], y, 0.0)))
             np.minimum.at(spent[t + 1], places, np.where(inside, total, np.inf))
         spent[t + 1] = minimum_filter(
             spent[t + 1].reshape(tuple(after.shape)), SPREAD + int(after.shape.max()) // 40, mode="nearest"
@@ -53,7 +62,7 @@ def arrivals(problem: OptimalControlProblem, costs: StageCosts, grids: list[Grid
     return spent
 
 
-def _holds(mode: SmoothMode, pairs: Array) -> Mask:
+def holds(mode: SmoothMode, pairs: Array) -> Mask:
     """Where a mode holds, or does so nearly; at samples, which prove nothing."""
     inside = np.ones(len(pairs), dtype=bool)
     if mode.region:
@@ -65,10 +74,14 @@ def _holds(mode: SmoothMode, pairs: Array) -> Mask:
 
 def _controls(problem: OptimalControlProblem, t: int, points: int) -> Array:
     """Return a grid of about so many controls, (points, m)."""
-    box, m = problem.control_tube, problem.control_dim
-    each = max(2, round(points ** (1 / m)))
-    axes = [np.linspace(low, high, each) for low, high in zip(box.lower[t], box.upper[t], strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, m)
+    box = problem.control_tube
+    return box.lower[t] + (_unit_grid(points, problem.control_dim) + 1) / 2 * (box.upper[t] - box.lower[t])
+
+
+def _unit_grid(points: int, m: int) -> Array:
+    """Return a grid of about so many points over [-1, 1]^m, (points, m)."""
+    axis = np.linspace(-1, 1, max(2, round(points ** (1 / m))))
+    return np.stack(np.meshgrid(*[axis] * m, indexing="ij"), axis=-1).reshape(-1, m)
 
 
 def stage_cost(costs: StageCosts, t: int, y: Array) -> Array:
@@ -80,7 +93,10 @@ def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
     """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
     columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
     wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
-    return -np.einsum("pji,pi->pj", np.linalg.pinv(columns), wanted)
+    squares = np.einsum("pij,pik->pjk", columns, columns)
+    size = np.trace(squares, axis1=1, axis2=2)
+    ridge = (SMALLEST_SQUARE * size + (size == 0))[:, None, None] * np.eye(J.shape[1])
+    return -np.linalg.solve(squares + ridge, np.einsum("pij,pi->pj", columns, wanted)[..., None])[..., 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +105,27 @@ class Samples:
 
     Attributes
     ----------
-    grid, after : Grid
-        At time t, and at t + 1, with values.
+    lattice : Lattice
+        Of time t.
+    lower, upper : (cells, m)
+        The controls to sample in every cell.
+    after : CostToGo
+        At t + 1.
     """
 
     problem: OptimalControlProblem
     costs: StageCosts
     t: int
-    grid: Grid
-    after: Grid
+    lattice: Lattice
+    lower: Array
+    upper: Array
+    after: CostToGo
 
     def slopes(self) -> tuple[Array, Array]:
         """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
-        grid = self.grid
-        sides = np.outer(SIDES[self.problem.state_dim] if grid.width.any() else (0.0,), grid.width / 2)
-        found = [self._sampled_at(grid.centres + side) for side in sides]
+        lattice = self.lattice
+        sides = np.outer(SIDES[self.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
+        found = [self._sampled_at(lattice.centres + side) for side in sides]
         slopes = np.stack([slope for _, slope in found], axis=1)
         values = np.stack([value for value, _ in found], axis=1)
         allowed = values[:, None] - np.einsum("cpn,sn->cps", slopes, sides)
@@ -111,50 +133,56 @@ class Samples:
 
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
         """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
-        box, m, t = self.problem.control_tube, self.problem.control_dim, self.t
-        u = _controls(self.problem, t, SAMPLES)
-        best, at, chosen = self._best_of(x, np.broadcast_to(u, (len(x), *u.shape)))
-        each = max(3, round(CLOSER ** (1 / m)))
-        offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, each)] * m, indexing="ij"), axis=-1).reshape(-1, m)
-        spacing = (box.upper[t] - box.lower[t]) / max(1, round(SAMPLES ** (1 / m)) - 1)
-        for _ in range(2):
-            near = np.clip(at[:, None, self.problem.state_dim :] + offsets * spacing, box.lower[t], box.upper[t])
-            better, place, mode = self._best_of(x, near)
-            closer = better < best
-            best, at = np.where(closer, better, best), np.where(closer[:, None], place, at)
-            chosen, spacing = np.where(closer, mode, chosen), 2 * spacing / (each - 1)
-        free = np.full((2, self.problem.state_dim), [[-np.inf], [np.inf]])
-        lowest, highest = (
-            np.concatenate([free[0], box.lower[t] + 1.5 * spacing]),
-            np.concatenate([free[1], box.upper[t] - 1.5 * spacing]),
-        )
-        slopes = np.zeros((len(x), self.problem.state_dim))
+        best, at, chosen, spacing = self._best(x)
+        n, box = self.problem.state_dim, self.problem.control_tube
+        free = np.full((len(x), n), np.inf)
+        lowest = np.hstack([-free, box.lower[self.t] + 1.5 * spacing])
+        highest = np.hstack([free, box.upper[self.t] - 1.5 * spacing])
+        slopes = np.zeros((len(x), n))
         for i, mode in enumerate(self.problem.smooth_pieces.modes):
             here = (chosen == i) & np.isfinite(best)
             if here.any():
-                jets = interval_jets(mode.f, at[here], at[here])
+                jets = interval_jets(mode.f, at[here], at[here], curved=False)
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ self.costs.hessians[self.t] + self.costs.linear[t]
-                sigma = self.after.piece_at(self.after.flat(self.after.places(y)), y)
-                inside = (at[here] > lowest) & (at[here] < highest)
-                weights = np.where(inside | (self.after.width == 0).any(), self._control_weights, 0.0)
+                gradient = at[here] @ self.costs.hessians[self.t] + self.costs.linear[self.t]
+                places = self.after.lattice.numbers(self.after.lattice.places(y))
+                sigma = self.after.piece_at(places, y)
+                inside = (at[here] > lowest[here]) & (at[here] < highest[here])
+                pole = (self.after.lattice.width == 0).any()
+                weights = np.where(inside | pole, self._control_weights, 0.0)
                 sigma = sigma + freed_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
                 slope = gradient + np.einsum("pj,pji->pi", sigma, J)
-                slopes[here] = np.nan_to_num(slope[:, : self.problem.state_dim], posinf=0.0, neginf=0.0)
+                slopes[here] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
         finite = np.isfinite(best)
-        usual = MOST_SLOPE[self.problem.state_dim] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
+        usual = MOST_SLOPE[n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
+
+    def _best(self, x: Array) -> tuple[Array, Array, Indices, Array]:
+        """Return the least of c + V(f) that samples reach, where, in which mode, and how far apart samples were."""
+        m = self.problem.control_dim
+        points, zoom = _unit_grid(SAMPLES, m), _unit_grid(CLOSER, m)
+        middle, radius = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        best, at, chosen = self._best_of(x, middle[:, None] + points * radius[:, None])
+        spacing = 2 * radius / (round(len(points) ** (1 / m)) - 1)
+        for _ in range(ZOOMS_TO_END if (self.after.lattice.width == 0).any() else ZOOMS):
+            u = at[:, None, self.problem.state_dim :] + zoom * spacing[:, None]
+            u = np.clip(u, self.lower[:, None], self.upper[:, None])
+            better, place, mode = self._best_of(x, u)
+            closer = better < best
+            best, at = np.where(closer, better, best), np.where(closer[:, None], place, at)
+            chosen = np.where(closer, mode, chosen)
+            spacing = 2 * spacing / (round(len(zoom) ** (1 / m)) - 1)
+        return best, at, chosen, spacing
 
     def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
         """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
         count = u.shape[1]
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
         costs = stage_cost(self.costs, self.t, pairs)
-        best, at = np.full(len(x), np.inf), pairs[::count].copy()
-        chosen = np.zeros(len(x), dtype=np.intp)
+        best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
         for i, mode in enumerate(self.problem.smooth_pieces.modes):
             y = values_of(mode.f, pairs)
-            ok = _holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            ok = holds(mode, pairs) & np.isfinite(y).all(axis=1)
             total = costs + self._value_at(np.where(ok[:, None], y, 0.0))
             total = np.where(ok, total, np.inf).reshape(len(x), count)
             place = total.argmin(axis=1)
@@ -171,11 +199,11 @@ class Samples:
 
     def _value_at(self, y: Array) -> Array:
         """Return V_{t+1}, with the distance to where it is fixed at the steepest slope of the stage."""
-        after = self.after
-        cell = after.flat(after.places(y))
-        inside = (y >= after.lower) & (y <= after.lower + after.width * after.shape)
-        far = np.where((self.after.width == 0), np.abs(y - after.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
-        near = np.where((self.after.width == 0), 0.0, y - after.centres[cell])
+        after, lattice = self.after, self.after.lattice
+        cell, pole = lattice.numbers(lattice.places(y)), lattice.width == 0
+        inside = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
+        far = np.where(pole, np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
+        near = np.where(pole, 0.0, y - lattice.centres[cell])
         value = (after.values[cell] + np.einsum("psn,pn->ps", after.slopes[cell], near)).max(axis=1)
         return value + self._end_price * far
 
@@ -183,5 +211,5 @@ class Samples:
     def _end_price(self) -> float:
         tube = self.problem.control_tube
         ends = np.stack([tube.lower[self.t], tube.upper[self.t]])
-        y = np.hstack([np.tile(self.grid.centres[:1], (2, 1)), ends])
+        y = np.hstack([np.tile(self.lattice.centres[:1], (2, 1)), ends])
         return 10 * float(np.abs(y @ self.costs.hessians[self.t] + self.costs.linear[self.t]).max() + 1)

@@ -54,8 +54,10 @@ _Node = tuple[Interval, Interval, Interval | None]
 """Value (p,), gradient (p, k), Hessian (p, k, k) or None where it is zero."""
 
 
-def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array) -> IntervalJets:
+def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True) -> IntervalJets:
     """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
+
+    Without ``curved`` the Hessians are left out: they are zero, whatever the formulas.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array) -> In
     found: dict[Formula, _Node] = {}
     with np.errstate(all="ignore"):
         for one in in_order(formulas):
-            found[one] = _node(one, [found[argument] for argument in one.arguments], (lower, upper))
+            found[one] = _node(one, [found[argument] for argument in one.arguments], (lower, upper), curved)
     shape = (boxes, len(formulas))
     values = np.empty((2, *shape))
     slopes, curvatures = np.empty((2, *shape, k)), np.zeros((2, *shape, k, k))
@@ -79,7 +81,7 @@ def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array) -> In
     return IntervalJets((values[0], values[1]), (slopes[0], slopes[1]), (curvatures[0], curvatures[1]))
 
 
-def _node(one: Formula, arguments: Sequence[_Node], box: Interval) -> _Node:
+def _node(one: Formula, arguments: Sequence[_Node], box: Interval, curved: bool) -> _Node:
     boxes, k = box[0].shape
     if one.kind == VARIABLE:
         i = int(one.data[0])
@@ -89,19 +91,20 @@ def _node(one: Formula, arguments: Sequence[_Node], box: Interval) -> _Node:
     if one.kind == SUM:
         return _sum(one, arguments, boxes, k)
     if one.kind == PRODUCT:
-        return _product(arguments[0], arguments[1])
+        return _product(arguments[0], arguments[1], curved)
     if one.kind == QUOTIENT:
         over, under = arguments
         once = inverse(under[0])
         twice = multiply(once, once)
-        return _product(over, _chained(under, once, scale(-1.0, twice), scale(2.0, multiply(twice, once))))
+        parts = once, scale(-1.0, twice), scale(2.0, multiply(twice, once))
+        return _product(over, _chained(under, *parts, curved), curved)
     if one.kind == NORM:
-        return _norm(arguments)
+        return _norm(arguments, curved)
     if one.function is not None:
         name = one.function.title
         raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
     (argument,) = arguments
-    return _chained(argument, *_smooth(one, argument[0]))
+    return _chained(argument, *_smooth(one, argument[0]), curved)
 
 
 def _sum(one: Formula, arguments: Sequence[_Node], boxes: int, k: int) -> _Node:
@@ -172,17 +175,21 @@ def _raised(a: Interval, times: int) -> Interval:
     return a[0].reshape(shape), a[1].reshape(shape)
 
 
-def _product(one: _Node, other: _Node) -> _Node:
+def _product(one: _Node, other: _Node, curved: bool) -> _Node:
+    slope = _plus(multiply(_raised(one[0], 1), other[1]), multiply(_raised(other[0], 1), one[1]))
+    if not curved:
+        return multiply(one[0], other[0]), slope, None
     cross = _outer(one[1], other[1])
     curvature = _plus(cross, (np.swapaxes(cross[0], 1, 2), np.swapaxes(cross[1], 1, 2)))
     for factor, node in ((one, other), (other, one)):
         if node[2] is not None:
             curvature = _plus(curvature, multiply(_raised(factor[0], 2), node[2]))
-    slope = _plus(multiply(_raised(one[0], 1), other[1]), multiply(_raised(other[0], 1), one[1]))
     return multiply(one[0], other[0]), slope, curvature
 
 
-def _chained(one: _Node, value: Interval, first: Interval, second: Interval) -> _Node:
+def _chained(one: _Node, value: Interval, first: Interval, second: Interval, curved: bool) -> _Node:
+    if not curved:
+        return value, multiply(_raised(first, 1), one[1]), None
     curvature = multiply(_raised(second, 2), _squares(one[1]))
     if one[2] is not None:
         curvature = _plus(curvature, multiply(_raised(first, 2), one[2]))
@@ -198,7 +205,7 @@ def _squares(slope: Interval) -> Interval:
     return outer
 
 
-def _norm(arguments: Sequence[_Node]) -> _Node:
+def _norm(arguments: Sequence[_Node], curved: bool) -> _Node:
     """Return |a| with unit vector e = a/|a|: D = sum e_i Da_i, D2 = sum e_i D2a_i + sum M_ij Da_i Da_j'.
 
     M = (I - e e')/|a|: M_ii = sum of the other a_j^2/|a|^3, M_ij = -a_i a_j/|a|^3.
@@ -218,6 +225,8 @@ def _norm(arguments: Sequence[_Node]) -> _Node:
         unit = meet(multiply(one[0], once), (-np.ones(boxes), np.ones(boxes)))
         unit = np.where(apart, unit[0], -1.0), np.where(apart, unit[1], 1.0)
         slope = _plus(slope, multiply(_raised(unit, 1), one[1]))
+        if not curved:
+            continue
         if one[2] is not None:
             curvature = _plus(curvature, multiply(_raised(unit, 2), one[2]))
         others: Interval = np.zeros(boxes), np.zeros(boxes)
@@ -228,6 +237,8 @@ def _norm(arguments: Sequence[_Node]) -> _Node:
                 curvature = _plus(curvature, multiply(_raised(weight, 2), _outer(one[1], arguments[j][1])))
         within = multiply((np.maximum(others[0], 0.0), others[1]), cubed)
         curvature = _plus(curvature, multiply(_raised(within, 2), _squares(one[1])))
+    if not curved:
+        return length, slope, None
     unknown = ~apart[:, None, None]
     return length, slope, (np.where(unknown, -np.inf, curvature[0]), np.where(unknown, np.inf, curvature[1]))
 

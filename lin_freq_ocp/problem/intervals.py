@@ -27,10 +27,9 @@ TURN = 1e-9
 
 def outward(lower: Array, upper: Array) -> Interval:
     """Return an interval widened by the rounding errors of one operation; what is undefined becomes unbounded."""
-    lower = np.where(np.isnan(lower), -np.inf, lower)
-    upper = np.where(np.isnan(upper), np.inf, upper)
     with np.errstate(invalid="ignore"):
-        return lower - (OUTWARD * np.abs(lower) + SMALLEST), upper + (OUTWARD * np.abs(upper) + SMALLEST)
+        low, high = lower - (OUTWARD * np.abs(lower) + SMALLEST), upper + (OUTWARD * np.abs(upper) + SMALLEST)
+    return np.fmax(low, -np.inf), np.fmin(high, np.inf)
 
 
 def add(a: Interval, b: Interval) -> Interval:
@@ -149,7 +148,8 @@ def magnitude(a: Interval) -> Array:
 
 def _times(a: float | Array, b: Array) -> Array:
     product = np.asarray(a * b)
-    return np.where(np.isnan(product) & ~(np.isnan(a) | np.isnan(b)), 0.0, product)
+    undefined = np.isnan(product)
+    return np.where(undefined & ~(np.isnan(a) | np.isnan(b)), 0.0, product) if undefined.any() else product
 
 
 def _one_around(a: Interval) -> Interval:
