@@ -296,7 +296,7 @@ def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     [
         (lambda x, u: x[0] if x[0] > 0 else u[0], "lfo.maximum"),
         (lambda x, u: x[0] if x[0] == 0 else u[0], "lfo.maximum"),
-        (lambda x, u: x[0] if x[0] != u[0] else u[0], "lfo.maximum"),
+        (lambda x, u: x[0] if u[0] != 1.5 else u[0], "lfo.maximum"),
         (lambda x, u: x[0] if x[0] else u[0], "lfo.maximum"),
         (lambda x, u: np.where(x[0] > 0, x[0], u[0]), "lfo.maximum"),
         (lambda x, u: max(x[0], u[0]), "lfo.maximum"),

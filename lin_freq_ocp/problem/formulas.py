@@ -122,10 +122,12 @@ class Formula:
         return Formula(self.dimensions, MAXIMUM, (self, -self))
 
     def _compare(self, other: Any) -> bool:
-        if other is self:
-            return True
         advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
         raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether it is the same node, as collections ask; a comparison with anything else is refused."""
+        return self is other if isinstance(other, Formula) else self._compare(other)
 
     def __bool__(self) -> bool:
         raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
@@ -135,7 +137,7 @@ class Formula:
         raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
-    __eq__ = __lt__ = __le__ = __gt__ = __ge__ = _compare
+    __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def exp(self) -> Formula:
         """Return the exponential; np.exp of an array of formulas calls it, and so on."""
