@@ -34,8 +34,10 @@ from lin_freq_ocp.interchange.sweep_file import load_sweep
 from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.affine_mode import AffineMode
+from lin_freq_ocp.problem.casadi_functions import from_casadi
 from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula, norm, signals
 from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
@@ -66,6 +68,7 @@ __all__ = [
     "Comparison",
     "CostSum",
     "Cure",
+    "DifferentiableFunction",
     "Ellipsoid",
     "EnergyBound",
     "Everything",
@@ -113,6 +116,7 @@ __all__ = [
     "certify",
     "compare",
     "explain",
+    "from_casadi",
     "from_time_response",
     "high_pass",
     "library",

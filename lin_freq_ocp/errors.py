@@ -65,6 +65,11 @@ class BandWarning(UserWarning):
     """A frequency band that, on this horizon, removes nothing or everything."""
 
 
+def first_line(error: Exception) -> str:
+    """Return what kind of an error of others it is, and the beginning of what it says."""
+    return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
+
+
 def suggestion(given: Any, known: Iterable[str]) -> str:
     """Return the question whether the nearest known word was meant, or nothing if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.formula_jets import jets, values_of
 from lin_freq_ocp.problem.formula_text import formula_from_text, source_of, text_of
-from lin_freq_ocp.problem.formulas import Formula, in_order, jets, values_of
+from lin_freq_ocp.problem.formulas import Formula, in_order
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)
@@ -22,6 +23,8 @@ UNARY = [
     lambda a: np.sqrt(a * a + 0.5),
     lambda a: np.sin(a),
     lambda a: np.cos(a),
+    lambda a: np.tanh(a),
+    lambda a: np.arctan(a),
     lambda a: 2 - a / 3,
     lambda a: 1 / (a * a + 1),
     lambda a: lfo.norm([a, a + 1.0]),
@@ -121,6 +124,7 @@ def test_bad_formulas_are_refused(make, words):
         ("-x_0 + 2 * x_1 - 1e-1", -3 + 8 - 0.1),
         ("min(x_0, -u_0) / x_1 ** 2", None),
         ("exp(0) + sqrt(4)", 3.0),
+        ("tanh(x_0 - 3) + arctan(x_1) / arctan(4)", 1.0),
         ("(x_0 - x_1)**2 - abs(-2)", -1.0),
     ],
 )

@@ -13,7 +13,8 @@ from lin_freq_ocp.certificate.value_bound import value_bounds
 from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.value_step import OutOfTimeError
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.formulas import jets, norm, signals
+from lin_freq_ocp.problem.formula_jets import jets
+from lin_freq_ocp.problem.formulas import norm, signals
 from lin_freq_ocp.problem.interval_jets import interval_jets
 
 ROUNDING = 1e-9
@@ -54,6 +55,33 @@ def test_enclosures_of_a_norm_contain_its_subdifferential_at_zero():
     assert (found.slopes[0][0, 0, :2] <= -1).all()
     assert (found.slopes[1][0, 0, :2] >= 1).all()
     assert np.isinf(found.curvatures[1][0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("function", [np.tanh, np.arctan])
+def test_enclosures_of_tanh_and_arctan_are_tight(function):
+    """Against the range over many points: also around the extrema of the second derivative, and without bounds."""
+    x, _ = signals(1, 1)
+    made = [function(x[0])]
+    ends = [(-2.0, 3.0), (-0.7, -0.5), (0.1, 0.2), (0.3, 5.0), (-40.0, -30.0), (0.0, 0.0), (-9.0, 0.6)]
+    lower, upper = np.array(ends).T[..., None] * [1.0, 0.0]
+    found = interval_jets(made, lower, upper)
+    for box, (low, high) in enumerate(ends):
+        points = np.linspace(low, high, 4001)[:, None] * [1.0, 0.0]
+        exact = jets(made, points)
+        pairs = [(found.values, exact.values[:, 0]), (found.slopes, exact.slopes[:, 0, 0])]
+        for (below, above), values in [*pairs, (found.curvatures, exact.curvatures[:, 0, 0, 0])]:
+            below, above = below[box].flat[0], above[box].flat[0]
+            assert below <= values.min() + 1e-15
+            assert above >= values.max() - 1e-15
+            assert values.min() - below + above - values.max() <= 1e-6 * (high - low) + 1e-13
+    unbounded = interval_jets(made, np.array([[-np.inf, 0.0]]), np.array([[np.inf, 0.0]]))
+    for part in (unbounded.values, unbounded.slopes, unbounded.curvatures):
+        assert np.isfinite(part).all()
+    assert unbounded.curvatures[1][0, 0, 0, 0] == pytest.approx(exact_extremum(function), rel=1e-12)
+
+
+def exact_extremum(function):
+    return {np.tanh: 4 / 27**0.5, np.arctan: 27**0.5 / 8}[function]
 
 
 def test_logarithms_outside_of_their_domain_have_unbounded_derivatives():

@@ -221,7 +221,7 @@ def _function(one: Formula, arguments: Sequence[Any]) -> Any:
         return sqrt(quicksum(argument * argument for argument in arguments))
     if one.kind in FUNCTIONS:
         return FUNCTIONS[one.kind](arguments[0])
-    raise UnsupportedError(f"dynamics: got a {one.kind} in a mode; SCIP is given smooth pieces and norms only.")
+    raise UnsupportedError(f"dynamics: got a {one.kind} in a mode; SCIP has no such function.")
 
 
 def _unit(within: Range) -> float:

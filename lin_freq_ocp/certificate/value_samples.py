@@ -11,7 +11,7 @@ from scipy.ndimage import minimum_filter
 from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
 from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.formulas import values_of
+from lin_freq_ocp.problem.formula_jets import values_of
 from lin_freq_ocp.problem.interval_jets import interval_jets
 from lin_freq_ocp.problem.piecewise_smooth import SmoothMode
 

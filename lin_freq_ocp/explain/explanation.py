@@ -13,6 +13,7 @@ from lin_freq_ocp.explain.blocks import Block, blocks, without
 from lin_freq_ocp.explain.relaxation import Cure, least_cure
 from lin_freq_ocp.problem.arrays import positive_number
 from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
@@ -102,7 +103,8 @@ class _Search:
         result = solve(replace(problem, cost=self.problem.quadratic), time_limit=self._left(), throw=False)
         if result.interrupted:
             self.end = -np.inf
-        if result.interrupted or result.status in DECIDED:
+        linear = isinstance(problem.dynamics, LinearDynamics)  # others have one method
+        if result.interrupted or result.status in DECIDED or not linear:
             return result
         return solve(replace(problem, cost=QuadraticCost()), method="convex", time_limit=self._left(), throw=False)
 

@@ -78,11 +78,11 @@ def _count(formulas: Any) -> int:
     return max(len(formulas), 1) if isinstance(formulas, list) else 1
 
 
-def _table_of_smooth_mode(mode: SmoothMode) -> dict[str, Any]:
+def _table_of_smooth_mode(place: str, mode: SmoothMode) -> dict[str, Any]:
     table: dict[str, Any] = {"name": mode.name} if mode.name else {}
     for key in ("f", "region", "domain"):
         if getattr(mode, key):
-            table[key] = [source_of(one) for one in getattr(mode, key)]
+            table[key] = [source_of(one, f"{place}.{key}[{i}]") for i, one in enumerate(getattr(mode, key))]
     return table
 
 
@@ -93,7 +93,7 @@ def table_from_dynamics(dynamics: Dynamics) -> dict[str, Any]:
     if isinstance(dynamics, LinearDynamics):
         return _table_of_map(dynamics) | named
     if isinstance(dynamics, PiecewiseSmoothDynamics):
-        modes = [_table_of_smooth_mode(mode) for mode in dynamics.modes]
+        modes = [_table_of_smooth_mode(f"dynamics.modes[{i}]", mode) for i, mode in enumerate(dynamics.modes)]
         return {"control_dim": dynamics.control_dim} | named | {"modes": modes}
     return named | {"modes": [_table_of_mode(mode) for mode in dynamics.modes]}
 

@@ -20,6 +20,7 @@ from lin_freq_ocp.problem.formulas import (
     VARIABLE,
     Formula,
     extreme,
+    in_order,
     norm,
     signals,
 )
@@ -28,8 +29,8 @@ LONGEST = 10_000
 """Characters of one formula: deeper nesting than Python's parser takes does not fit in."""
 
 EXPECTED = (
-    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, as in "
-    "'norm(x_0, x_1) * u_0'"
+    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
+    "arctan, as in 'norm(x_0, x_1) * u_0'"
 )
 
 
@@ -41,7 +42,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
     field : str
         What errors call it.
     text : str
-        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos.
+        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh,
+        arctan.
     dimensions : (n, m)
 
     Raises
@@ -111,8 +113,17 @@ class _Reader:
         raise ProblemError(self._field, repr(self._text), EXPECTED)
 
 
-def source_of(one: Formula) -> str:
-    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit."""
+def source_of(one: Formula, field: str = "formula") -> str:
+    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit.
+
+    Raises
+    ------
+    ProblemError
+        If it has functions that are no formulas.
+    """
+    for node in in_order([one]):
+        if node.function is not None:
+            raise ProblemError(field, f"the function {node.function.title}", "formulas, which are text in a file")
     return _text(one, None, repr)
 
 
@@ -133,6 +144,8 @@ def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], 
         return f"{_bracketed(one.arguments[0], parts[0])} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
     if one.kind == POWER:
         return f"({parts[0]})**{one.data[0]:g}"
+    if one.function is not None:
+        return f"{one.function.title}({', '.join(parts)})[{int(one.data[0])}]"
     name = {MAXIMUM: "max", MINIMUM: "min", NORM: "norm"}.get(one.kind, one.kind)
     return f"{name}({', '.join(parts)})"
 

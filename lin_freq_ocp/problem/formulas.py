@@ -1,27 +1,47 @@
 """Formulas of states and controls: written with operators, evaluated with their first and second derivatives.
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
-``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin`` and ``cos`` of formulas are formulas. A Python
-function of (x, u) that is made of these can be traced: it is called once, with signals.
+``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
+formulas. A Python function of (x, u) that is made of these can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.problem.arrays import Array, brief, positive_integer, real_array
 
 LARGEST_POWER = 16
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
-MAXIMUM, MINIMUM, NORM = "maximum", "minimum", "norm"
-SMOOTH = ("exp", "log", "sqrt", "sin", "cos")
+MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
+SMOOTH = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
+
+FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
+"""What to do with a Python function that no formula can be made of."""
+
+
+class External(Protocol):
+    """A smooth function of (x, u) that is no formula, evaluated at points: x (points, n) and u (points, m)."""
+
+    @property
+    def title(self) -> str:
+        """Return its name, or what stands for one."""
+        ...
+
+    def values_at(self, x: Array, u: Array) -> Array:
+        """Return (points, outputs); not a number where it is undefined."""
+        ...
+
+    def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,9 +54,12 @@ class Formula:
     kind : str
     arguments : tuple of Formula
     data : tuple of float
-        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent.
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
+        external function which of its outputs it is, and how many of its arguments are its x.
     names : tuple of str
         Of a maximum or minimum, what to call the modes in which each argument is the one.
+    function : External, optional
+        Of an external function.
     """
 
     dimensions: tuple[int, int]
@@ -44,6 +67,7 @@ class Formula:
     arguments: tuple[Formula, ...] = ()
     data: tuple[float, ...] = ()
     names: tuple[str, ...] = ()
+    function: External | None = None
 
     @property
     def constant(self) -> float | None:
@@ -98,10 +122,21 @@ class Formula:
         return Formula(self.dimensions, MAXIMUM, (self, -self))
 
     def _compare(self, other: Any) -> bool:
-        advice = "Python's max and min, and comparisons, decide here and now."
+        advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
         raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
 
-    __radd__, __rmul__ = __add__, __mul__
+    def __eq__(self, other: object) -> bool:
+        """Return whether it is the same node, as collections ask; a comparison with anything else is refused."""
+        return self is other if isinstance(other, Formula) else self._compare(other)
+
+    def __bool__(self) -> bool:
+        raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
+
+    def __float__(self) -> float:
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(SMOOTH)}"
+        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
+
+    __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
     __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def exp(self) -> Formula:
@@ -123,6 +158,14 @@ class Formula:
     def cos(self) -> Formula:
         """Return the cosine."""
         return Formula(self.dimensions, "cos", (self,))
+
+    def tanh(self) -> Formula:
+        """Return the hyperbolic tangent."""
+        return Formula(self.dimensions, "tanh", (self,))
+
+    def arctan(self) -> Formula:
+        """Return the angle whose tangent it is, between -pi/2 and pi/2."""
+        return Formula(self.dimensions, "arctan", (self,))
 
     def __repr__(self) -> str:
         from lin_freq_ocp.problem.formula_text import text_of
@@ -204,152 +247,8 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
             continue
         arguments = tuple(made[argument] for argument in one.arguments)
         same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
-        made[one] = one if same else Formula(one.dimensions, one.kind, arguments, one.data, one.names)
+        made[one] = one if same else replace(one, arguments=arguments)
     return [made[one] for one in formulas]
-
-
-@dataclass(frozen=True, eq=False)
-class Jets:
-    """Formulas at points y = (x, u), with derivatives.
-
-    Attributes
-    ----------
-    values : (points, formulas)
-    slopes : (points, formulas, n + m)
-    curvatures : (points, formulas, n + m, n + m)
-    """
-
-    values: Array
-    slopes: Array
-    curvatures: Array
-
-
-def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Array] | None = None) -> Jets:
-    """Return formulas without maxima and minima at points, with derivatives; what is undefined there is not a number.
-
-    Parameters
-    ----------
-    y : (points, n + m)
-    selections : mapping from norms to (points, components), optional
-        Where the rows are numbers, they stand for the derivative of the norm by its arguments, and its curvature is 0.
-        At zero without a selection, the derivative is 0.
-    """
-    points, k = y.shape
-    found: dict[Formula, _Jet] = {}
-    with np.errstate(all="ignore"):
-        for one in in_order(formulas):
-            found[one] = _jet(one, [found[argument] for argument in one.arguments], y, (selections or {}).get(one))
-    shape = (points, len(formulas))
-    values, slopes = np.empty(shape), np.empty((*shape, k))
-    curvatures = np.empty((*shape, k, k))
-    for place, one in enumerate(formulas):
-        values[:, place], slopes[:, place], curvatures[:, place] = found[one]
-    return Jets(values, slopes, curvatures)
-
-
-def values_of(formulas: Sequence[Formula], y: Array) -> Array:
-    """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
-    found: dict[Formula, Array] = {}
-    with np.errstate(all="ignore"):
-        for one in in_order(formulas):
-            found[one] = _value(one, [found[argument] for argument in one.arguments], y)
-    return np.stack([found[one] for one in formulas], axis=1) if formulas else np.empty((len(y), 0))
-
-
-def _value(one: Formula, arguments: Sequence[Array], y: Array) -> Array:
-    if one.kind == VARIABLE:
-        return y[:, int(one.data[0])]
-    if one.kind == SUM:
-        total = np.full(len(y), one.data[-1])
-        for factor, argument in zip(one.data[:-1], arguments, strict=True):
-            total += factor * argument
-        return total
-    if one.kind == PRODUCT:
-        return arguments[0] * arguments[1]
-    if one.kind == QUOTIENT:
-        return arguments[0] / arguments[1]
-    if one.kind == NORM:
-        return np.linalg.norm(np.stack(arguments, axis=1), axis=1)
-    return _smooth(one, arguments[0])[0]
-
-
-_Jet = tuple[Array, Array, Array]
-
-
-def _jet(one: Formula, arguments: Sequence[_Jet], y: Array, selection: Array | None) -> _Jet:
-    points, k = y.shape
-    if one.kind == VARIABLE:
-        slope = np.zeros((points, k))
-        slope[:, int(one.data[0])] = 1.0
-        return y[:, int(one.data[0])], slope, np.zeros((points, k, k))
-    if one.kind == SUM:
-        parts = [np.full(points, one.data[-1]), np.zeros((points, k)), np.zeros((points, k, k))]
-        for factor, argument in zip(one.data[:-1], arguments, strict=True):
-            parts = [part + factor * more for part, more in zip(parts, argument, strict=True)]
-        return parts[0], parts[1], parts[2]
-    if one.kind == PRODUCT:
-        return _product(*arguments)
-    if one.kind == QUOTIENT:
-        over, (value, slope, curvature) = arguments
-        inverse = _chained((value, slope, curvature), 1 / value, -(value**-2.0), 2 * value**-3.0)
-        return _product(over, inverse)
-    if one.kind == NORM:
-        return _norm(arguments, selection)
-    (argument,) = arguments
-    return _chained(argument, *_smooth(one, argument[0]))
-
-
-def _smooth(one: Formula, value: Array) -> tuple[Array, Array, Array]:
-    """Return a function of one variable with its first and second derivative."""
-    if one.kind == POWER:
-        p = one.data[0]
-        return value**p, p * value ** (p - 1), p * (p - 1) * value ** (p - 2)
-    if one.kind == "exp":
-        result = np.exp(value)
-        return result, result, result
-    if one.kind == "log":
-        return np.log(value), 1 / value, -(value**-2.0)
-    if one.kind == "sqrt":
-        root = np.sqrt(value)
-        return root, 0.5 / root, -0.25 / (root * value)
-    if one.kind == "sin":
-        return np.sin(value), np.cos(value), -np.sin(value)
-    if one.kind == "cos":
-        return np.cos(value), -np.sin(value), -np.cos(value)
-    raise ProblemError("formula", f"a {one.kind}", "a formula without maxima and minima: a mode of it")
-
-
-def _outer(a: Array, b: Array) -> Array:
-    return a[:, :, None] * b[:, None, :]
-
-
-def _product(one: _Jet, other: _Jet) -> _Jet:
-    cross = _outer(one[1], other[1])
-    curvature = one[0][:, None, None] * other[2] + other[0][:, None, None] * one[2] + cross + np.swapaxes(cross, 1, 2)
-    return one[0] * other[0], one[0][:, None] * other[1] + other[0][:, None] * one[1], curvature
-
-
-def _chained(one: _Jet, value: Array, first: Array, second: Array) -> _Jet:
-    curvature = first[:, None, None] * one[2] + second[:, None, None] * _outer(one[1], one[1])
-    return value, first[:, None] * one[1], curvature
-
-
-def _norm(arguments: Sequence[_Jet], selection: Array | None) -> _Jet:
-    a, slopes, curvatures = (np.stack([one[part] for one in arguments], axis=1) for part in range(3))
-    length = np.linalg.norm(a, axis=1)
-    at_zero = length == 0
-    selected = np.isfinite(selection).all(axis=1) if selection is not None else at_zero
-    selected = selected | at_zero
-    unit = a / np.where(at_zero, 1.0, length)[:, None]
-    if selection is not None:
-        unit = np.where(np.isfinite(selection), selection, unit)
-    slope = np.einsum("pc,pck->pk", unit, slopes)
-    curvature = np.einsum("pc,pckl->pkl", unit, curvatures)
-    within = np.einsum("pck,pcl->pkl", slopes, slopes) - _outer(slope, slope)
-    curvature = curvature + np.where(
-        selected[:, None, None], 0.0, within / np.where(at_zero, 1.0, length)[:, None, None]
-    )
-    return length, slope, curvature
 
 
 def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
@@ -358,11 +257,10 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
     Raises
     ------
     ProblemError
-        If they are none, or have other signals.
+        If they are none, or have other signals, or if the function cannot be called with formulas.
     """
     if callable(given):
-        x, u = signals(*dimensions)
-        given = given(x, u)
+        given = _traced(field, given, dimensions)
     if isinstance(given, (Formula, str)):
         given = [given]
     if not isinstance(given, (Sequence, np.ndarray)):
@@ -379,6 +277,20 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         made.append(formula)
     return tuple(made)
+
+
+def _traced(field: str, function: Callable[..., Any], dimensions: tuple[int, int]) -> Any:
+    """Return what a function makes of signals."""
+    x, u = signals(*dimensions)
+    try:
+        return function(x, u)
+    except LinFreqOCPError:
+        raise
+    except Exception as error:  # whatever a function does that was not made for formulas
+        got = f"{first_line(error)}, from the function"
+        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+        raise ProblemError(field, got, expected, advice) from error
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.formulas import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
 from lin_freq_ocp.problem.intervals import (
     Interval,
     add,
+    arc_tangent,
     cosine,
     exponential,
+    hyperbolic_tangent,
     inverse,
     logarithm,
     meet,
@@ -56,6 +58,11 @@ def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curve
     """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
 
     Without ``curved`` the Hessians are left out: they are zero, whatever the formulas.
+
+    Raises
+    ------
+    UnsupportedError
+        If they have functions of which nothing is known over boxes.
     """
     boxes, k = lower.shape
     found: dict[Formula, _Node] = {}
@@ -93,6 +100,9 @@ def _node(one: Formula, arguments: Sequence[_Node], box: Interval, curved: bool)
         return _product(over, _chained(under, *parts, curved), curved)
     if one.kind == NORM:
         return _norm(arguments, curved)
+    if one.function is not None:
+        name = one.function.title
+        raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
     (argument,) = arguments
     return _chained(argument, *_smooth(one, argument[0]), curved)
 
@@ -143,6 +153,10 @@ def _smooth(one: Formula, value: Interval) -> tuple[Interval, Interval, Interval
     if one.kind == "cos":
         result = cosine(value)
         return result, scale(-1.0, sine(value)), scale(-1.0, result)
+    if one.kind == "tanh":
+        return hyperbolic_tangent(value)
+    if one.kind == "arctan":
+        return arc_tangent(value)
     raise ProblemError("formula", f"a {one.kind}", "a formula without maxima and minima: a mode of it")
 
 

@@ -6,6 +6,8 @@ so that 0 times an infinite bound is 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
@@ -107,6 +109,33 @@ def sine(a: Interval) -> Interval:
     return _wave(np.sin, a, np.pi / 2)
 
 
+def hyperbolic_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+    """Return v = tanh(a), and its derivatives 1 - v^2 and -2 v (1 - v^2)."""
+    value = meet(outward(np.tanh(a[0]), np.tanh(a[1])), _one_around(a))
+
+    def falling(v: Interval) -> Interval:
+        one = np.ones_like(v[0])
+        return meet(subtract((one, one), power(v, 2)), (0 * one, one))
+
+    second = _with_extrema(lambda v: scale(-2.0, multiply(v, falling(v))), value, 4 / np.sqrt(27.0))
+    return value, falling(value), second
+
+
+def arc_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+    """Return arctan(a), and its derivatives 1/(1 + a^2) and -2 a/(1 + a^2)^2."""
+    value = meet(outward(np.arctan(a[0]), np.arctan(a[1])), scale(np.pi / 2, _one_around(a)))
+
+    def falling(b: Interval) -> Interval:
+        one = np.ones_like(b[0])
+        return inverse(add((one, one), power(b, 2)))
+
+    def second(b: Interval) -> Interval:
+        slope = falling(b)
+        return scale(-2.0, multiply(multiply(b, slope), slope))
+
+    return value, falling(a), _with_extrema(second, a, np.sqrt(27.0) / 8)
+
+
 def meet(a: Interval, b: Interval) -> Interval:
     """Return what lies in both; its lower bound is above its upper one if nothing does."""
     return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
@@ -121,6 +150,30 @@ def _times(a: float | Array, b: Array) -> Array:
     product = np.asarray(a * b)
     undefined = np.isnan(product)
     return np.where(undefined & ~(np.isnan(a) | np.isnan(b)), 0.0, product) if undefined.any() else product
+
+
+def _one_around(a: Interval) -> Interval:
+    return -np.ones_like(a[0]), np.ones_like(a[0])
+
+
+def _with_extrema(odd: Callable[[Interval], Interval], a: Interval, extremum: float) -> Interval:
+    """Return an odd function that goes to 0, from its values at both ends of a.
+
+    It is ``extremum`` at -1/sqrt(3) and the negative of it at 1/sqrt(3), and monotone between and beyond these. What
+    rounding moves across one of them changes by less than ``outward`` adds.
+    """
+    ends: list[Interval] = []
+    for end in a:
+        known = np.isfinite(end)
+        finite = np.where(known, end, 0.0)
+        ends.append(odd((finite, finite)))  # of 0 it is 0, as in the limit
+    lower, upper = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
+    place = 1 / np.sqrt(3.0)
+    lowest, highest = outward(np.full_like(lower, -extremum), np.full_like(upper, extremum))
+    return (
+        np.where((a[0] <= place) & (a[1] >= place), lowest, lower),
+        np.where((a[0] <= -place) & (a[1] >= -place), highest, upper),
+    )
 
 
 def _wave(function: np.ufunc, a: Interval, peak: float) -> Interval:

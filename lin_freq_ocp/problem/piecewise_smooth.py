@@ -14,19 +14,17 @@ from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, positive_integer, positive_number
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.formula_jets import Jets, jets, values_of
 from lin_freq_ocp.problem.formulas import (
     MAXIMUM,
     MINIMUM,
     NORM,
     VARIABLE,
     Formula,
-    Jets,
     in_order,
-    jets,
     kinks,
     listed_formulas,
     rebuilt,
-    values_of,
 )
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
@@ -48,7 +46,8 @@ class SmoothMode:
     Parameters
     ----------
     f : sequence of Formula, or function
-        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals.
+        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals;
+        functions that need numbers are wrapped in a ``DifferentiableFunction``, or come ``from_casadi``.
     region : sequence of Formula, or function
         Switching functions: the piece holds where all of them are <= 0. Nothing: everywhere.
     domain : sequence of Formula, or function
@@ -116,7 +115,8 @@ class ModeJets:
 class PiecewiseSmoothDynamics:
     """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
 
-    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact.
+    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact, or
+    those that functions give.
 
     Parameters
     ----------
@@ -345,5 +345,5 @@ def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:
             made[node] = Formula(dimensions, VARIABLE, (), (float(n + m),))
         else:
             arguments = tuple(made[argument] for argument in node.arguments)
-            made[node] = Formula(dimensions, node.kind, arguments, node.data, node.names)
+            made[node] = replace(node, dimensions=dimensions, arguments=arguments)
     return [made[node] for node in formulas]

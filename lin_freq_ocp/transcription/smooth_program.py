@@ -157,8 +157,8 @@ def _interned(problem: OptimalControlProblem) -> tuple[ModeFormulas, ...]:
     for mode in problem.smooth_pieces.modes:
         for one in in_order((*mode.f, *mode.region, *mode.domain)):
             arguments = tuple(made[argument] for argument in one.arguments)
-            key = one.kind, one.data, *(id(argument) for argument in arguments)
-            made[one] = table.setdefault(key, Formula(one.dimensions, one.kind, arguments, one.data))
+            key = one.kind, one.data, one.function, *(id(argument) for argument in arguments)
+            made[one] = table.setdefault(key, replace(one, arguments=arguments))
         parts = (tuple(made[one] for one in part) for part in (mode.f, mode.region, mode.domain))
         found.append(ModeFormulas(*parts))
     return tuple(found)

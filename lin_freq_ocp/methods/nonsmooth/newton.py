@@ -25,7 +25,8 @@ from scipy.optimize import lsq_linear
 
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
-from lin_freq_ocp.problem.formulas import Formula, jets
+from lin_freq_ocp.problem.formula_jets import jets
+from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.spectrum import time_signal
