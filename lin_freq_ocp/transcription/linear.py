@@ -130,17 +130,22 @@ class LinearTranscription:
 
     def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
         dynamics, T, n = self.problem.linear, self.problem.horizon, self.problem.state_dim
-        successor = sp.eye_array(T * n, (T + 1) * n, k=n)
-        stay = sp.hstack([_block_diagonal(dynamics.A, T), sp.csc_array((T * n, n))])
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
-        return sp.csc_array(sp.hstack([successor - stay, -_block_diagonal(dynamics.B, T)])), offset, offset
+        parts = [(np.eye(n), 0, n), (-dynamics.A, 0, 0), (-dynamics.B, 0, self._states)]
+        matrix = _placed([_block_diagonal(*part, T) for part in parts], (T * n, self._states + self._controls))
+        return matrix, offset, offset
 
     def _hessian(self) -> sp.csc_array:
-        cost, T = self.problem.quadratic, self.problem.horizon
-        Q = sp.block_diag([_block_diagonal(cost.Q, T), cost.P])
-        S = sp.vstack([_block_diagonal(cost.S, T), sp.csc_array((self.problem.state_dim, self._controls))])
-        free = sp.csc_array((self.conic_terms.slacks, self.conic_terms.slacks))
-        return sp.csc_array(sp.block_diag([sp.block_array([[Q, S], [S.T, _block_diagonal(cost.R, T)]]), free]))
+        cost, T, first = self.problem.quadratic, self.problem.horizon, self._states
+        last, variables = first - self.problem.state_dim, self.signals + self.conic_terms.slacks
+        parts = [
+            _block_diagonal(cost.Q, 0, 0, T),
+            _block_diagonal(cost.P, last, last, 1),
+            _block_diagonal(cost.S, 0, first, T),
+            _block_diagonal(np.swapaxes(cost.S, -1, -2), first, 0, T),
+            _block_diagonal(cost.R, first, first, T),
+        ]
+        return _placed(parts, (variables, variables))
 
 
 class _RowStack:
@@ -180,10 +185,19 @@ def _pointers(matrix: sp.csc_array, columns: int) -> Indices:
     return np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
 
 
-def _block_diagonal(matrices: Array, times: int) -> sp.csc_array:
-    """Return diag(M_0 .. M_{times-1}) from one matrix, or one per time."""
-    blocks = np.broadcast_to(matrices, (times, *matrices.shape[-2:]))
-    return sp.csc_array(sp.bsr_array((blocks, np.arange(times), np.arange(times + 1))))
+def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> tuple[Array, Indices, Indices]:
+    """Return values, rows and columns of diag(M_0 .. M_{times-1}), one matrix or one per time, from a place on."""
+    rows, columns = matrices.shape[-2:]
+    i = row + np.arange(times * rows).reshape(times, rows, 1)
+    j = column + np.arange(times * columns).reshape(times, 1, columns)
+    blocks, i, j = np.broadcast_arrays(matrices, i, j)
+    return blocks.ravel(), i.ravel(), j.ravel()
+
+
+def _placed(parts: Sequence[tuple[Array, Indices, Indices]], shape: tuple[int, int]) -> sp.csc_array:
+    """Return the matrix of these entries: to join sparse matrices takes several times as long."""
+    values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return sp.csc_array((values, (i, j)), shape=shape)
 
 
 def _bounded(tube: Box) -> Mask:
