@@ -1,7 +1,16 @@
+import os
+
 import pytest
 from reference import PENDULUM, reference_problem
+from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+
+
+def pytest_configure():
+    """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    threadpool_limits(1, user_api="blas")
 
 
 def judged_problem(name):
