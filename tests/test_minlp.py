@@ -216,7 +216,7 @@ def test_an_end_out_of_reach_is_infeasible_and_it_is_said_who_says_so():
     assert (result.status, result.dual) == ("infeasible", True)
     assert "proven by intervals" in result.message
     still = NORM(horizon=3, control_spectrum=[0], terminal_state=[0.5, 0.0])  # sum u = 0 and u >= 0: nothing moves
-    result = lfo.solve(still, method="minlp", throw=False, time_limit=5.0)
+    result = lfo.solve(still, method="minlp", throw=False, time_limit=2.0)
     assert (result.status, result.dual, result.claimed_bound) == ("infeasible", False, np.inf)
     assert result.message.endswith("not proven")
 

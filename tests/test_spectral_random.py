@@ -19,7 +19,7 @@ HARD = 238, 474, 595, 765, 847, 898
 """Soft borders: optima far away, flat directions, and infeasible problems whose forces must not depend on the cost."""
 
 
-@pytest.mark.parametrize("seed", [*range(18), *HARD])
+@pytest.mark.parametrize("seed", [*range(8), *HARD])
 def test_a_random_problem_is_solved_like_by_the_reference_or_proven_infeasible(seed):
     outcome = verify_spectral.check(seed)
     assert outcome.passed, str(outcome)

@@ -517,8 +517,9 @@ def test_violations_are_measured_and_shown():
     assert ("rows: traction [N]", "2 rows C x + D u ≤ e, which depend on time") in problem_facts(problem)
     shown = [row for row in certificate_rows(problem, comparison.constrained.certificate) if row.label == "S-z"]
     assert shown[0].name == "rows hold: traction [N]"
-    page = render(comparison, draw(comparison))
+    drawings = draw(comparison)
+    page = render(comparison, drawings)
     assert "rows hold: traction" in page
     assert "that joint rows hold" in page
     without = lfo.compare(cart(), filters=[])
-    assert "that joint rows hold" not in render(without, draw(without))
+    assert "that joint rows hold" not in render(without, drawings)
