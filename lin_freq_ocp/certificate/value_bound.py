@@ -210,7 +210,7 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
 
 
 def _backward(
-    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[int], None] | None
+    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[float], None] | None
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
     last = _last(stages.costs, level[-1].lattice)
