@@ -25,7 +25,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.certificate.value_grid import ROUNDING, CostToGo, Lattice
+from lin_freq_ocp.certificate.taylor_bounds import ROUNDING
+from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
 from lin_freq_ocp.certificate.value_samples import arrivals
 from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.certificate.value_step import Boxes, Step, met_cells
@@ -210,7 +211,7 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
 
 
 def _backward(
-    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[int], None] | None
+    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[float], None] | None
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
     last = _last(stages.costs, level[-1].lattice)
