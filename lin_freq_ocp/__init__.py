@@ -39,8 +39,8 @@ from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Poly
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.formulas import Formula, norm, signals
-from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
+from lin_freq_ocp.problem.expressions import Expression, affine_signals
+from lin_freq_ocp.problem.formulas import Formula, maximum, minimum, norm, signals
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics

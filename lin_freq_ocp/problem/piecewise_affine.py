@@ -14,8 +14,9 @@ from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import REGION, AffineMode
 from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, positive_number
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.expressions import Expression
 from lin_freq_ocp.problem.guards import guarded_modes
-from lin_freq_ocp.problem.max_min import Expression, modes_of
+from lin_freq_ocp.problem.max_min import modes_of
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.stage_rows import StageRows
