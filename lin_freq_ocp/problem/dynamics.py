@@ -190,7 +190,7 @@ class LinearDynamics:
         ------
         ProblemError
             If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
-            others: a kink) or no integral at some (x_t, u_t).
+            others, or those behind and ahead of the point differ: a kink) or no integral at some (x_t, u_t).
         """
         import control  # here, because it takes seconds to import and only its users need it
 
