@@ -361,6 +361,9 @@ class OptimalControlProblem:
             + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")
         )
 
+    def __repr__(self) -> str:
+        return f"OptimalControlProblem({self})"
+
 
 def require_problem(problem: Any) -> None:
     """Raise ProblemError unless it is an optimal control problem."""
