@@ -21,6 +21,7 @@ from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
+from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
@@ -157,7 +158,7 @@ def progress(what: str) -> AbstractContextManager[Any]:
 
 
 @contextmanager
-def search_progress(what: str) -> Generator[Callable[[SearchProgress], None] | None]:
+def search_progress(what: str) -> Generator[Callable[[SearchProgress | SmoothProgress], None] | None]:
     """Show what is being done, on a terminal, and yield what shows how far a search is."""
     if not err.is_terminal:
         yield None

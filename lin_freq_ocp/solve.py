@@ -29,6 +29,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
@@ -71,7 +72,7 @@ def solve(
     tolerance: float | None = None,
     throw: bool = True,
     node_limit: int | None = None,
-    progress: Callable[[SearchProgress], None] | None = None,
+    progress: Callable[[SearchProgress | SmoothProgress], None] | None = None,
     executor: Executor | None = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
@@ -102,7 +103,9 @@ def solve(
     node_limit : int, optional
         Over modes: relaxations to solve at most.
     progress : callable, optional
-        Over modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
+        Over modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node. Over
+        piecewise-smooth dynamics: with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at every start of
+        a local search and every step of the bound.
     executor : concurrent.futures.Executor, optional
         Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
 
@@ -125,7 +128,7 @@ def solve(
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
         result = solve_modes(problem, method, backend, limits, progress, executor)
     elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        result = solve_smooth(problem, method, backend, time_limit or np.inf, tolerance)
+        result = solve_smooth(problem, method, backend, time_limit or np.inf, tolerance, progress)
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}

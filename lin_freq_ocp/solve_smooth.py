@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from lin_freq_ocp.certify_modes import best_multipliers
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.convex import require_convex
 from lin_freq_ocp.methods.modes.weights import weighted
-from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
+from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.nonsmooth.minlp import DEFAULT_GAP as CLAIMED_GAP
 from lin_freq_ocp.methods.nonsmooth.minlp import GlobalClaim, polished, solve_minlp
 from lin_freq_ocp.methods.nonsmooth.newton import newton
@@ -44,9 +45,16 @@ FEASIBILITY_LOSS = 1.0
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
+Report = Callable[[SmoothProgress], None]
+
 
 def solve_smooth(
-    problem: OptimalControlProblem, method: str, backend: str, seconds: float, gap: float | None = None
+    problem: OptimalControlProblem,
+    method: str,
+    backend: str,
+    seconds: float,
+    gap: float | None = None,
+    progress: Report | None = None,
 ) -> Result:
     """Return the best local optimum that is found, judged; with the method "auto", and a global bound.
 
@@ -64,15 +72,16 @@ def solve_smooth(
     if backend != "auto":
         raise UnsupportedError(f"backend: got {backend!r}; the method 'nonsmooth' needs none: leave it 'auto'.")
     started = time.perf_counter()
-    search = LocalSearch(problem, seconds).run()
+    search = LocalSearch(problem, seconds, progress).run()
     solved = time.perf_counter()
     best = search.best
     found = None if best is None or not best.feasible else _polished(problem, best)
     status, message = _status(search, found)
     if status == "optimal" and method == "auto" and found is not None:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
-        found, message, stopped = _bounded(problem, found, gap or GLOBAL_GAP, left)
-        search.interrupted |= stopped
+        bounding = _Bounding(search, found, gap or GLOBAL_GAP, time.perf_counter() + left)
+        message = bounding.run()
+        found = bounding.found
     elif found is None and method == "auto" and not search.words:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         if _excluded(problem, left):
@@ -161,27 +170,69 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     return (run.trajectory, run.multipliers, after) if better else found
 
 
-def _bounded(problem: OptimalControlProblem, found: Judged, gap: float, seconds: float) -> tuple[Judged, str, bool]:
-    """Return the answer with the best bound of the time, what is to be said of it, and whether it was interrupted."""
-    trajectory, multipliers, certificate = found
-    cost, deadline, interrupted = certificate.cost, time.perf_counter() + seconds, False
-    wanted = gap * max(1.0, abs(cost))
-    try:
-        for value in value_bounds(problem, multipliers, cost, wanted, deadline):
-            bound = Bound(value, "rigorous", sets="dynamic programming over cells of the states, with intervals")
-            certificate = replace(certificate, bound=bound)
-    except UnsupportedError as error:
-        return found, f"locally; {error}", False
-    except OutOfTimeError:
-        pass
-    except KeyboardInterrupt:
-        interrupted = True
-    proven = certificate.bound is not None and cost - certificate.bound.value <= wanted
-    if certificate.gap is None:
-        message = "locally; no global bound was found in time"
-    else:
-        message = "" if proven else f"locally; the global bound leaves a gap of {certificate.gap:.1e}"
-    return (trajectory, multipliers, certificate), message, interrupted
+@dataclass
+class _Bounding:
+    """The global bound of an answer, and the better answers that it leads to; ``run`` it once."""
+
+    search: LocalSearch
+    found: Judged
+    gap: float
+    deadline: float
+    best: float = -float("inf")
+
+    def __post_init__(self):
+        self._known = {_modes(self.search.problem, self.found[0]).tobytes()}
+
+    def run(self) -> str:
+        """Bound until the gap is proven or the time is over; return what is to be said of the answer."""
+        try:
+            while self._leads_further():
+                pass
+        except UnsupportedError as error:
+            return f"locally; {error}"
+        except OutOfTimeError:
+            pass
+        except KeyboardInterrupt:
+            self.search.interrupted = True
+        if self.best == -float("inf"):
+            return "locally; no global bound was found in time"
+        trajectory, multipliers, certificate = self.found
+        bound = Bound(self.best, "rigorous", sets="dynamic programming over cells of the states, with intervals")
+        self.found = trajectory, multipliers, replace(certificate, bound=bound)
+        return "" if self._proven else f"locally; the global bound leaves a gap of {self.found[2].gap:.1e}"
+
+    @property
+    def _wanted(self) -> float:
+        return self.gap * max(1.0, abs(self.found[2].cost))
+
+    @property
+    def _proven(self) -> bool:
+        return self.found[2].cost - self.best <= self._wanted
+
+    def _leads_further(self) -> bool:
+        """Whether a path of the bound leads to a better answer, which is taken."""
+        _, multipliers, certificate = self.found
+        levels = value_bounds(
+            self.search.problem, multipliers, certificate.cost, self._wanted, self.deadline, self._report
+        )
+        for level in levels:
+            self.best = max(self.best, level.value)
+            if self._proven:
+                return False
+            if level.path is None or level.sequence is None or level.sequence.tobytes() in self._known:
+                continue
+            self._known.add(level.sequence.tobytes())
+            if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
+                better = _polished(self.search.problem, self.search.best)
+                if better[2].pmp == "satisfied":
+                    self.found = better
+                    return True
+        return False
+
+    def _report(self, level: int, share: float) -> None:
+        if self.search.progress is not None:
+            cost = self.found[2].cost
+            self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
 def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
@@ -191,7 +242,8 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     none = Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
     try:
         deadline = time.perf_counter() + seconds
-        return any(bound == np.inf for bound in value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, deadline))
+        levels = value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, deadline)
+        return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):
         return False
 

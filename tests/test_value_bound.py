@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import library
+from lin_freq_ocp import library, solve_smooth
 from lin_freq_ocp.certificate.value_bound import value_bounds
 from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.value_step import OutOfTimeError
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
 from lin_freq_ocp.problem.formula_jets import jets
 from lin_freq_ocp.problem.formulas import norm, signals
 from lin_freq_ocp.problem.interval_jets import interval_jets
@@ -155,7 +156,7 @@ def multipliers_of(problem, rng=None):
 
 def best_bound(problem, cost, gap, multipliers=None):
     """Return the last of the bounds, after a look at all of them."""
-    bounds = list(value_bounds(problem, multipliers or multipliers_of(problem), cost, gap))
+    bounds = [level.value for level in value_bounds(problem, multipliers or multipliers_of(problem), cost, gap)]
     assert bounds == sorted(bounds)
     return bounds[-1]
 
@@ -187,14 +188,14 @@ def test_the_bound_is_below_the_optimum_and_as_near_as_asked(problem, optimum):
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
     bounds = value_bounds(problem, multipliers_of(problem), cost, 0.01)
-    found = max(bound for bound, _ in zip(bounds, range(4), strict=False))
+    found = max(level.value for level, _ in zip(bounds, range(4), strict=False))
     assert found <= optimum
     assert found >= min(cost - 0.01, 17.0)
 
 
 def test_random_trajectories_cost_more():
     problem, rng = BUCK(5, terminal_state=None), np.random.default_rng(0)
-    bound = next(value_bounds(problem, multipliers_of(problem), 25.0, 1e-2))
+    bound = next(value_bounds(problem, multipliers_of(problem), 25.0, 1e-2)).value
     for _ in range(200):
         u = 2.2 + 3.8 * rng.random((5, 1)) ** 4
         try:
@@ -212,7 +213,8 @@ def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are
     assert result.cost - 1e-4 * result.cost <= best <= result.cost
     rng = np.random.default_rng(1)
     for _ in range(3):
-        assert next(value_bounds(problem, multipliers_of(problem, rng), result.cost, 1e-2)) <= result.cost
+        bound = next(value_bounds(problem, multipliers_of(problem, rng), result.cost, 1e-2)).value
+        assert bound <= result.cost
 
 
 def test_a_free_bin_has_no_multiplier():
@@ -225,7 +227,7 @@ def test_a_free_bin_has_no_multiplier():
 
 def test_unreachable_ends_have_an_infinite_bound():
     problem = BUCK(2, terminal_state=[0.1])
-    assert np.inf in value_bounds(problem, multipliers_of(problem), np.inf, 1e-2)
+    assert best_bound(problem, np.inf, 1e-2) == np.inf
 
 
 @pytest.mark.parametrize(
@@ -267,6 +269,29 @@ def test_the_time_is_kept():
     with pytest.raises(OutOfTimeError):
         list(value_bounds(problem, multipliers_of(problem), 44.68, 1e-5, started + 0.5))
     assert time.perf_counter() - started < 5
+
+
+class OneStart(LocalSearch):
+    """A local search that looks at one start only, in the second mode at all times."""
+
+    def run(self):
+        start, _ = next(self._starts())
+        self._try(start, np.ones(self.problem.horizon, dtype=np.intp))
+        return self
+
+
+def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
+    monkeypatch.setattr(solve_smooth, "LocalSearch", OneStart)
+    assert lfo.solve(BUCK(4), method="nonsmooth").cost > 25
+    told = []
+    result = lfo.solve(BUCK(4), progress=told.append)
+    assert abs(result.cost - 22.36493035150289) < 1e-8
+    assert result.gap <= 1e-4
+    assert result.certificate.pmp == "satisfied"
+    assert [step.tried for step in told] == sorted(step.tried for step in told)
+    assert (told[0].level, told[0].lower_bound) == (0, -np.inf)
+    assert told[-1].lower_bound > 20
+    assert "bound 22.3" in str(told[-1])
 
 
 def test_solve_adds_the_bound_and_says_what_is_left():

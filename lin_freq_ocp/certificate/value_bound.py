@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,7 +34,7 @@ from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.interval_jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.stage_costs import StageCosts, stage_costs
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MOST_STATES = 2
 """Cells are as many as a power of this: three states need minutes."""
@@ -56,15 +58,34 @@ STEP_SHARE = 0.25
 """Part of the gap of a level, or of the gap wanted, that all steps together may lose in the search for the least."""
 
 
+@dataclass(frozen=True, eq=False)
+class ValueBound:
+    """What one level says.
+
+    Attributes
+    ----------
+    value : float
+        D <= J for every feasible trajectory.
+    path : Trajectory or None
+        Cells and controls that lead to D, nearly: where a better trajectory would have to be looked for.
+    sequence : (T,) or None
+        Its modes.
+    """
+
+    value: float
+    path: Trajectory | None = None
+    sequence: Indices | None = None
+
+
 def value_bounds(
     problem: OptimalControlProblem,
     multipliers: Multipliers,
     cost: float,
     gap: float,
     deadline: float = np.inf,
-    progress: Callable[[int], None] | None = None,
-) -> Iterator[float]:
-    """Yield D <= J for every feasible trajectory, each as close as the last or closer, until one is cost - gap.
+    progress: Callable[[int, float], None] | None = None,
+) -> Iterator[ValueBound]:
+    """Yield bounds, each as close as the last or closer, until one is cost - gap.
 
     Parameters
     ----------
@@ -77,7 +98,7 @@ def value_bounds(
     deadline : float
         Of ``time.perf_counter``, at which OutOfTimeError is raised.
     progress : callable, optional
-        Called with the time that is done.
+        Called with the number of the level, from 1, and how much of it is done, from 0 to 1.
 
     Raises
     ------
@@ -88,17 +109,18 @@ def value_bounds(
     costs, T = stage_costs(problem, multipliers), problem.horizon
     cut, best = cost - gap / 2 - costs.constant, -np.inf
     stages = Stages.below(problem, costs, cut)
-    level = _first_level(stages, cost - costs.constant)
+    level, count = _first_level(stages, cost - costs.constant), 0
     while level:
+        count += 1
         lost = FIRST_LOSS * max(1.0, abs(cost)) if best == -np.inf else cost - best
         tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
-        done = _backward(stages, level, tolerance, deadline, progress)
+        done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
         level = _next_level(done, cut)
         least = cut if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cut)
         best = max(best, least + costs.constant - slack)
-        yield best
+        yield ValueBound(best, *_cheapest(done))
         if best >= cost - gap or least == np.inf:
             return
 
@@ -188,7 +210,7 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
 
 
 def _backward(
-    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[int], None] | None
+    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[float], None] | None
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
     last = _last(stages.costs, level[-1].lattice)
@@ -210,7 +232,7 @@ def _backward(
         np.minimum.at(of_cells, boxes.cell, beyond)
         done.append(_Done(value, boxes, beyond, of_cells))
         if progress is not None:
-            progress(t)
+            progress(1 - t / stages.problem.horizon)
     return done[::-1]
 
 
@@ -222,6 +244,26 @@ def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
     everything = np.full(x.shape, np.inf)
     values = values - ROUNDING * np.abs(values)
     return CostToGo(lattice, values[:, None], slopes[:, None], -everything, everything)
+
+
+def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
+    """Return the centres of cells, controls and modes of boxes along which nothing is paid beyond D, or the least."""
+    cell = int(np.argmin(done[0].value.least))
+    x, u, modes = [done[0].value.lattice.centres[cell]], list[Array](), list[int]()
+    for now, after in pairwise(done):
+        rows = np.flatnonzero((now.boxes.cell == cell) & np.isfinite(now.beyond))
+        if not len(rows):
+            return None, None
+        box = now.boxes.take(rows[[int(np.argmin(now.beyond[rows]))]])
+        cells = np.concatenate([cell for _, cell in met_cells(box, after.value)])
+        centres = after.value.lattice.centres[cells]
+        far = np.abs(centres - 0.5 * (box.low + box.high)).sum(axis=1)
+        nearest = np.lexsort([far, after.beyond_of_cells[cells]])[0]
+        cell = int(cells[nearest])
+        x.append(centres[nearest])
+        u.append(box.centre[0, len(x[0]) :])
+        modes.append(int(box.mode[0]))
+    return Trajectory(np.array(x), np.array(u)), np.array(modes, dtype=np.intp)
 
 
 def _next_level(done: list[_Done], cut: float) -> list[_Task] | None:

@@ -12,6 +12,7 @@ from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.measures import Measures, measure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 
@@ -129,7 +130,7 @@ def compare(
     names = list(FILTERS) if filters is None else list(filters)
     require_filters(names)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
-    classical = solve(free, backend=backend, time_limit=time_limit)
+    classical = solve(free, _method_without_bound(free), backend, time_limit)
     constrained = solve(problem, backend=backend, time_limit=time_limit, throw=False)
     plan = classical.trajectory
     if plan is None:
@@ -146,3 +147,8 @@ def compare(
         constrained_measures=None if constrained.trajectory is None else measure(problem, constrained.trajectory),
         filtered=tuple(entries),
     )
+
+
+def _method_without_bound(problem: OptimalControlProblem) -> str:
+    """Return the method for a plan that is only to be filtered: how far it is from the global optimum is not asked."""
+    return "nonsmooth" if isinstance(problem.dynamics, PiecewiseSmoothDynamics) else "auto"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,38 @@ BETTER = 1e-9
 """A sequence is better from this part of the cost."""
 
 
+@dataclass(frozen=True)
+class SmoothProgress:
+    """How far the search over piecewise-smooth dynamics is.
+
+    Attributes
+    ----------
+    cost, lower_bound : float
+        Of the best trajectory found, and of all; infinite as long as there is none.
+    tried : int
+        Starts of local searches.
+    level : int
+        Of the lattices of the bound; 0 before.
+    share : float
+        How much of the level is done, from 0 to 1.
+    """
+
+    cost: float
+    lower_bound: float
+    tried: int
+    level: int = 0
+    share: float = 0.0
+
+    def __str__(self) -> str:
+        words = [f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet", f"{self.tried} starts"]
+        if self.level:
+            words.append(f"bound {self.lower_bound:.6g}, {self.share:.0%} of level {self.level}")
+        return ", ".join(words)
+
+
 @dataclass
 class LocalSearch:
-    """One search; ``run`` it once.
+    """One search; ``run`` it once, then ``look_near`` what else may be better.
 
     Attributes
     ----------
@@ -36,10 +65,13 @@ class LocalSearch:
     words : str
         Why it stopped early.
     interrupted : bool
+    progress : callable, optional
+        Called with a ``SmoothProgress`` after every start.
     """
 
     problem: OptimalControlProblem
     seconds: float = np.inf
+    progress: Callable[[SmoothProgress], None] | None = None
     best: LocalOptimum | None = None
     tried: int = 0
     words: str = ""
@@ -60,6 +92,14 @@ class LocalSearch:
         except KeyboardInterrupt:
             self.interrupted, self.words = True, "interrupted"
         return self
+
+    def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
+        """Try one more start, and improve what it leads to; return whether that is a better trajectory."""
+        before = self.best
+        self._try(trajectory, sequence, PRICES[:1])
+        while self.best is not before and self._improved():
+            pass
+        return self.best is not before and self.best is not None and self.best.feasible
 
     def _on_grid(self) -> bool:
         """Try the trajectory of a grid, with the frequency multipliers of the best; return whether it is better."""
@@ -93,6 +133,9 @@ class LocalSearch:
         found = local_optimum(self.problem, start, sequence, prices)
         if found is not None and (self.best is None or _better(found, self.best)):
             self.best = found
+        if self.progress is not None:
+            known = self.best is not None and self.best.feasible
+            self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
 
     def _late(self) -> bool:
         if time.perf_counter() <= self._end:
