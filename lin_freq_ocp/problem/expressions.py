@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.formulas import MAXIMUM, MINIMUM, POWER, PRODUCT, SUM, VARIABLE, Formula, variables
+from lin_freq_ocp.problem.formulas import EXTERNAL, MAXIMUM, MINIMUM, POWER, SMOOTH, SUM, VARIABLE, Formula, variables
 
 LONGEST_TEXT = 40
 """Characters of an affine function in the name of a mode."""
+
+NOUNS = {POWER: "product", EXTERNAL: "function"}
+"""What errors call operations that have other names."""
 
 
 class Expression(Formula):
@@ -40,7 +43,7 @@ class Expression(Formula):
     def node(self, kind: str, arguments: tuple[Formula, ...], data: tuple[float, ...] = ()) -> Self:
         """Return what an operator makes, if that is piecewise affine."""
         if kind not in (SUM, MAXIMUM, MINIMUM):
-            what = "a product" if kind in (PRODUCT, POWER) else f"a {kind}"
+            what = kind if kind in SMOOTH else f"a {NOUNS.get(kind, kind)}"
             advice = "Formulas of lfo.signals are for PiecewiseSmoothDynamics."
             raise ProblemError("expression", f"{what} of expressions", "sums and multiples by numbers", advice)
         return super().node(kind, arguments, data)

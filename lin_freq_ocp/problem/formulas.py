@@ -220,7 +220,7 @@ def norm(components: Any) -> Formula:
     if not given:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
     zero = given[0] * 0.0
-    return Formula(given[0].dimensions, NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
+    return given[0].node(NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
 
 
 @overload
@@ -334,6 +334,9 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
         if formula.dimensions != dimensions:
             expected = f"{dimensions[0]} states and {dimensions[1]} controls"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        if formula.word != zero.word:
+            advice = "Those of lfo.affine_signals are for PiecewiseAffineDynamics.from_max_min."
+            raise ProblemError(f"{field}[{i}]", brief(formula), "a formula made of lfo.signals", advice)
         made.append(formula)
     return tuple(made)
 
