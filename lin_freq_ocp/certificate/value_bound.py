@@ -25,7 +25,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.certificate.value_grid import ROUNDING, CostToGo, Lattice
+from lin_freq_ocp.certificate.taylor_bounds import ROUNDING
+from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
 from lin_freq_ocp.certificate.value_samples import arrivals
 from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.certificate.value_step import Boxes, Step, met_cells

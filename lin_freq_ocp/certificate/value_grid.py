@@ -7,10 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from lin_freq_ocp.certificate.taylor_bounds import ROUNDING
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-
-ROUNDING = 64 * float(np.finfo(np.float64).eps)
-"""Of the sum of absolute terms that a bound is made of, what is subtracted from it; boxes are wider by this part."""
 
 
 @dataclass(frozen=True, eq=False)

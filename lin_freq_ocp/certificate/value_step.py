@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lin_freq_ocp.certificate.value_grid import ROUNDING, CostToGo, Lattice, Minima
+from lin_freq_ocp.certificate.taylor_bounds import ROUNDING, least_of, possible
+from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.value_samples import Samples, freed_slopes, holds
 from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
@@ -184,7 +185,7 @@ class Step:
 
     def _of_mode(self, mode: SmoothMode, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
         after = self._after.lattice
-        boxes = boxes.take(_possible(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
+        boxes = boxes.take(possible(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
         y, r = boxes.centre, boxes.radius
         whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
         mean = mean_value(centre.values, whole.slopes, r)
@@ -236,6 +237,7 @@ class Step:
         half = width * (0.5 + ROUNDING) + ROUNDING * np.abs(at)
         low = np.fmax(np.fmax(boxes.low[pair], after.first[cell]) - at, -half)
         high = np.fmin(np.fmin(boxes.high[pair], after.last[cell]) - at, half)
+        hessian = np.broadcast_to(self._hessian, (len(pair), *self._hessian.shape))
         found = np.full(len(pair), -np.inf)
         for piece in range(after.slopes.shape[1]):
             slopes, value = after.slopes[cell, piece], after.values[cell, piece]
@@ -243,80 +245,9 @@ class Step:
             for change in (freed, np.where(self._pole, freed, 0.0)):
                 less = np.where(self._pole, 0.0, np.fmax(change * low, change * high)).sum(axis=1)
                 sigma, given = slopes + change, value - less
-                more = self._with_slopes(pair, at, r, sigma, offset[pair] + given, gradient[pair], centre, whole)
+                more = least_of(hessian, gradient[pair], offset[pair] + given, sigma, at, r, centre, whole, pair)
                 found = np.fmax(found, more)
         return found
-
-    def _with_slopes(
-        self,
-        pair: Indices,
-        at: Array,
-        r: Array,
-        sigma: Array,
-        given: Array,
-        gradient: Array,
-        centre: IntervalJets,
-        whole: IntervalJets,
-    ) -> Array:
-        """Return bounds with c + V = given + gradient (y - centre) + sigma (f - at) on the cell."""
-        value, terms = given.copy(), np.abs(given)
-        slope = [gradient.copy(), gradient.copy()]
-        bend = [np.broadcast_to(self._hessian, (len(pair), *self._hessian.shape)).copy() for _ in range(2)]
-        wide = [gradient - r @ np.abs(self._hessian), gradient + r @ np.abs(self._hessian)]
-        with np.errstate(invalid="ignore"):
-            for j in range(self._n):
-                s = sigma[:, j]
-                reached = _scaled(s, centre.values[0][pair, j], centre.values[1][pair, j])
-                value = value + reached[0] - s * at[:, j]
-                terms += np.abs(reached[0]) + np.abs(s * at[:, j])
-                for total, jets in ((slope, centre.slopes), (wide, whole.slopes)):
-                    more = _scaled(s[:, None], jets[0][pair, j], jets[1][pair, j])
-                    total[0], total[1] = total[0] + more[0], total[1] + more[1]
-                more = _scaled(s[:, None, None], whole.curvatures[0][pair, j], whole.curvatures[1][pair, j])
-                bend[0], bend[1] = bend[0] + more[0], bend[1] + more[1]
-            best = np.fmax(_of_second_order(slope, bend, r), _of_first_order(wide, r))
-        nothing = np.isposinf(given)
-        terms = np.where(nothing, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
-        return np.where(nothing, np.inf, value + best - ROUNDING * terms)
-
-
-def _of_second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
-    """Return the least of slope z + 1/2 z' bend z over |z| <= r, both known to lie between two bounds."""
-    at_most = np.maximum(np.abs(slope[0]), np.abs(slope[1]))
-    largest = np.maximum(np.abs(bend[0]), np.abs(bend[1]))
-    diagonal = np.arange(r.shape[1])
-    largest[:, diagonal, diagonal] = 0.0
-    across = (largest * r[:, None, :]).sum(axis=2) / np.where(r > 0, r, 1.0)
-    curvature = bend[0][:, diagonal, diagonal] - across
-    turned = (curvature > 0) & (at_most < curvature * r)
-    inner = -(at_most**2) / (2 * np.where(turned, curvature, 1.0))
-    found = np.where(r > 0, np.where(turned, inner, -at_most * r + 0.5 * curvature * r * r), 0.0).sum(axis=1)
-    return np.where(np.isnan(found), -np.inf, found)
-
-
-def _of_first_order(slope: Sequence[Array], r: Array) -> Array:
-    """Return the least of slope z over |z| <= r, with any slope between two bounds."""
-    found = np.where(r > 0, -np.maximum(np.abs(slope[0]), np.abs(slope[1])) * r, 0.0).sum(axis=1)
-    return np.where(np.isnan(found), -np.inf, found)
-
-
-def _scaled(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    ends = factor * low, factor * high
-    return np.fmin(*ends), np.fmax(*ends)
-
-
-def _possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
-    """Whether a mode can hold somewhere in each box."""
-    possible = np.ones(len(lower), dtype=bool)
-    middle, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    for formulas, sign in ((mode.region, 1.0), (mode.domain, -1.0)):
-        if formulas:
-            whole, centre = (interval_jets(formulas, *box, curved=False) for box in ((lower, upper), (middle, middle)))
-            mean = mean_value(centre.values, whole.slopes, radius)
-            low, high = np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
-            excluded = low > 0 if sign > 0 else high <= 0
-            possible &= ~excluded.any(axis=1)
-    return possible
 
 
 def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
