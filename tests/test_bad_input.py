@@ -195,8 +195,8 @@ BAD_PARAMETERS = {
 BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
-        "method: got 'magic'; expected 'auto', 'convex', 'spectral', 'enumerate', 'branch_and_bound', 'miqp' or "
-        "'nonsmooth'.",
+        "method: got 'magic'; expected 'auto', 'convex', 'spectral', 'enumerate', 'branch_and_bound', 'miqp', "
+        "'nonsmooth' or 'minlp'.",
     ),
     "backend of a method without": (
         ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),

@@ -19,7 +19,6 @@ from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.problem_terms import BEYOND_BANDS, bounded_bins, terms_of
 from lin_freq_ocp.problem.regions import Border, borders, require_partition
 from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
-from lin_freq_ocp.problem.simulation import simulate as simulate
 from lin_freq_ocp.problem.spectrum import stopped_bins
 from lin_freq_ocp.problem.stage_rows import row_families
 from lin_freq_ocp.problem.stage_sets import StageSets, stage_sets
