@@ -39,16 +39,17 @@ from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Poly
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.formulas import Formula, norm, signals
-from lin_freq_ocp.problem.max_min import Expression, affine_signals, maximum, minimum
+from lin_freq_ocp.problem.expressions import Expression, affine_signals
+from lin_freq_ocp.problem.formulas import Formula, maximum, minimum, norm, signals
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
 from lin_freq_ocp.problem.sensitivities import Sensitivities
 from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.smooth_pieces import SmoothPiece
 from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound

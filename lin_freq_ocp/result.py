@@ -78,15 +78,15 @@ class Result:
     multipliers: Multipliers | None = None
     certificate: Certificate | None = None
     conflict: tuple[Conflict, ...] | None = None
-    ray: Multipliers | None = field(default=None, repr=False)
+    ray: Multipliers | None = None
     message: str = ""
     interrupted: bool = False
     explanation: Explanation | None = None
     direction: Direction | None = None
-    options: dict[str, Any] = field(default_factory=dict[str, Any], repr=False)
+    options: dict[str, Any] = field(default_factory=dict[str, Any])
     sequence: Indices | None = None
-    tree: ModeTree | None = field(default=None, repr=False)
-    tree_bound: TreeBound | None = field(default=None, repr=False)
+    tree: ModeTree | None = None
+    tree_bound: TreeBound | None = None
     claimed_bound: float | None = None
 
     @property
@@ -141,25 +141,17 @@ class Result:
         return uniqueness(self.problem, self._require_trajectory())
 
     def __str__(self) -> str:
-        certificate = self.certificate
         lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
-        if certificate is not None:
-            kind = "" if certificate.bound is None else f" ({certificate.bound.kind})"
-            worst, normal = certificate.worst, "normal" if certificate.normal else "abnormal"
-            lines += [
-                f"cost      {certificate.cost:.12g}",
-                f"bound     {_number(certificate.lower_bound)}{kind}",
-                f"gap       {_number(certificate.gap, '.2e')}"
-                + (" (global optimum)" if certificate.globally_optimal else ""),
-                f"theorem   {certificate.pmp}, {normal}",
-                f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
-            ]
-            lines += [] if certificate.borders is None else [f"borders   {certificate.borders}"]
+        lines += [] if self.certificate is None else [str(self.certificate)]
         if self.tree is not None and self.tree_bound is not None:
             lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
         lines.append(f"method    {self.solver}")
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])
+
+    def __repr__(self) -> str:
+        figures = "no trajectory" if self.certificate is None else self.certificate.figures
+        return f"Result({self.status} by {self.solver}, {figures})"
 
     def plot(self) -> Figure:
         """Return a figure of controls, spectra and states."""
@@ -208,7 +200,3 @@ class Result:
         if self.trajectory is None:
             raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)
         return self.trajectory
-
-
-def _number(value: float | None, form: str = ".12g") -> str:
-    return "none" if value is None else format(value, form)

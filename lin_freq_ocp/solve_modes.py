@@ -15,10 +15,11 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.certify_modes import best_multipliers
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.claims import AGREEMENT
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
-from lin_freq_ocp.methods.modes.mixed import AGREEMENT, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import solve_miqp
 from lin_freq_ocp.methods.modes.parts import search_in_parts
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.modes.weights import weighted

@@ -32,8 +32,9 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.modes.mixed import MixedOutcome, resolved, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
 from lin_freq_ocp.methods.modes.node import relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits
 from lin_freq_ocp.transcription.mode_relaxation import RELAXATIONS, ModeRelaxation
@@ -206,7 +207,7 @@ def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: floa
     seconds = time.perf_counter() - started
     if answer.sequence is None:
         return Row(case, name, seconds, None, None, answer.bound, answer.status)
-    outcome = MixedOutcome("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, 0.0, "")
+    outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, 0.0, "")
     again = resolved(problem, outcome)
     if again.cost is None:
         return Row(case, name, seconds, None, None, answer.bound, answer.status, again.words)

@@ -74,6 +74,32 @@ def test_an_infeasible_constraint_is_a_finding():
     assert comparison.constrained_measures is None
 
 
+def test_a_comparison_in_a_few_lines(pendulum):
+    lines = str(pendulum).splitlines()
+    assert len(lines) == 3 + len(pendulum.filtered)
+    assert lines[0] == str(pendulum.problem)
+    assert lines[1].startswith("classical ")
+    assert "optimal, cost 2852.71, end missed by 0" in lines[1]
+    assert lines[-1].startswith("constrained ")
+    assert "optimal, cost 3199.19" in lines[-1]
+    for line, one in zip(lines[2:-1], pendulum.filtered, strict=True):
+        assert line.split()[:2] == [one.name, "replayed,"]
+        assert f"end missed by {one.replay.measures.terminal_error:.2g}" in line
+    assert max(map(len, lines)) < 200
+    assert "brickwall" in repr(pendulum)
+    assert repr(pendulum.constrained) in repr(pendulum)
+    assert len(repr(pendulum)) < 400
+
+
+def test_what_has_no_trajectory_or_replay_says_so():
+    comparison = lfo.compare(lfo.library.pendulum(control_bound=4.5), filters=["brickwall"])
+    assert str(comparison).splitlines()[-1] == "constrained  infeasible"
+    assert repr(comparison.constrained) == "Result(infeasible by spectral, no trajectory)"
+    unstable = lfo.compare(lfo.library.pendulum(horizon=1500, parameters="physical"), filters=["brickwall"])
+    assert not unstable.replay_is_meaningful
+    assert "not replayed: that would amplify rounding errors" in str(unstable)
+
+
 def test_unknown_filter_is_refused_before_any_work():
     with pytest.raises(lfo.ProblemError, match="filters: got 'magic'"):
         lfo.compare(lfo.library.pendulum(), filters=["brickwall", "magic"])

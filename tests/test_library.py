@@ -13,7 +13,8 @@ from scipy.optimize import brentq
 
 from lin_freq_ocp import library
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum import stop_band
 
 OPTIMA = {  # cost with and without the frequency constraint

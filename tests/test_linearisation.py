@@ -168,6 +168,37 @@ def test_near_a_kink_there_are_no_derivatives(where):
     assert linearised(lambda v: v * np.abs(v), 0.0).A[0, 0] == pytest.approx(1.0, abs=1e-3 * PERIOD)
 
 
+@pytest.mark.parametrize("dt", [0, PERIOD])
+@pytest.mark.parametrize(
+    ("update", "found"),
+    [
+        (lambda x, u: u[0] - abs(x[0]), "state 0 by x[0]: 1 behind the point, -1 ahead of it"),
+        (lambda x, u: x[0] + max(u[0] - 2, 0), "state 0 by u[0]: 0 behind the point, 1 ahead of it"),
+        (lambda x, u: 5 * x[0] + np.tanh(x[1]) * np.sign(x[1]), "state 0 by x[1]: -1 behind the point, 1 ahead of it"),
+        (lambda x, u: np.sqrt(abs(x[1])), "behind the point"),
+        (lambda x, u: 1e-4 * abs(x[0] - 1e-11), "behind the point"),
+    ],
+)
+def test_at_a_kink_there_are_no_derivatives(update, found, dt):
+    """Central differences are those of a smooth model there."""
+    system = control.nlsys(lambda t, x, u, params: [update(x, u), -x[1]], None, states=2, inputs=1, dt=dt)
+    with pytest.raises(lfo.ProblemError, match="farther from the kink") as caught:
+        lfo.LinearDynamics.linearised(system, [0.0, 0.0], [2.0], PERIOD)
+    assert found in str(caught.value)
+    assert caught.value.field == "system, t = 0"
+    assert lfo.LinearDynamics.linearised(system, [0.5, 0.5], [3.0], PERIOD).A.shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    "smooth", [lambda v: v**2, lambda v: v**3 - 1e3, lambda v: abs(v) ** 1.5, lambda v: v * abs(v), np.cos, np.cosh]
+)
+@pytest.mark.parametrize("point", [0.0, 1e-3, -2.0])
+def test_curvature_is_no_kink(smooth, point):
+    system = control.nlsys(lambda t, x, u, params: smooth(x) + u, None, states=1, inputs=1, dt=PERIOD)
+    slope = lfo.LinearDynamics.linearised(system, [point], [0.0]).A[0, 0]
+    assert slope == pytest.approx((smooth(point + 1e-6) - smooth(point - 1e-6)) / 2e-6, abs=2e-3)
+
+
 def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     """The time constant 1e-5 s is over at once: after 0.1 s the fast state is at 2 u, and nothing else matters."""
     monkeypatch.setattr("lin_freq_ocp.problem.linearisation.MOST_EVALUATIONS", 10_000)

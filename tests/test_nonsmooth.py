@@ -17,8 +17,9 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.nonsmooth.newton import newton
+from lin_freq_ocp.methods.nonsmooth.newton import newton, starting_point
 from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum
+from lin_freq_ocp.methods.nonsmooth.system import System
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}
@@ -168,13 +169,12 @@ def test_newton_returns_from_noise_and_doubles_its_digits(name):
 
 
 def test_newtons_equations_have_their_derivatives():
-    from lin_freq_ocp.methods.nonsmooth.newton import _System
-
     problem = BUCK(horizon=4, control_spectrum=[2])
     start = lfo.simulate(problem, [[2.5], [2.4], [2.3], [2.6]])
-    system = _System.of(problem, start, problem.dynamics.sequence_of(start.x, start.u), near=0.2)
+    system = System.of(problem, start, problem.dynamics.sequence_of(start.x, start.u), near=0.2)
     assert system.borders
-    v = system.start(start, None, 0.2, halved=True) + 1e-3 * np.random.default_rng(0).standard_normal(len(system.units))
+    noise = np.random.default_rng(0).standard_normal(len(system.units))
+    v = starting_point(system, start, None, 0.2, halved=True) + 1e-3 * noise
     found, h = system.at(v), 1e-6
     for j in range(len(v)):
         shift = h * np.eye(len(v))[j]

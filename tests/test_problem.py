@@ -20,8 +20,9 @@ from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 T, N, M = 5, 3, 2  # horizon, states, controls: all different, so that an exchanged axis is an error

@@ -157,6 +157,18 @@ def test_costs_of_norms_by_their_formulas():
     assert cost == pytest.approx(stages + 3 * np.abs(x - reference)[-1].max())
 
 
+def test_the_sum_of_a_list_of_costs_is_a_cost():
+    costs = [
+        lfo.QuadraticCost(R=2.0),
+        lfo.L1Cost(u=0.5),
+        lfo.LInfCost(x=3.0),
+        lfo.L1Cost(terminal=1.0) + lfo.LInfCost(u=1.0),
+    ]
+    for some in (costs, costs[::-1], costs[3:], costs[1:2], costs[:1]):
+        _, _, together = value(cost=sum(some))
+        assert together == pytest.approx(sum(value(cost=one)[2] for one in some), rel=1e-12)
+
+
 @pytest.mark.parametrize("start", [None, [1.0, 2.0, 0.0]])
 def test_soft_sets_count_at_all_times_that_of_a_fixed_state_too(start):
     x, _, cost = value(state_set=lfo.Soft(lfo.Ball(0.5, 1.0), 2.0), initial_state=start)

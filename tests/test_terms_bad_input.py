@@ -59,6 +59,8 @@ COSTS = {
     "no cost in a sum": (lambda: Quadratic(R=1) + 3, "cost", "3", NO_COST),
     "no cost in a norm's sum": (lambda: L1(u=1) + "a", "cost", "'a'", NO_COST),
     "no cost": (lambda: lfo.CostSum([L1(u=1), None]), "cost", "None", NO_COST),
+    "number plus cost": (lambda: 1 + L1(u=1), "cost", "1", NO_COST),
+    "false plus cost": (lambda: False + Quadratic(), "cost", "False", NO_COST),
     "no list": (lambda: lfo.CostSum(L1(u=1)), "cost", "L1Cost(", "a list of costs"),
     "nothing": (lambda: lfo.CostSum(None), "cost", "None", "a list of costs"),
     "two quadratic": (lambda: Quadratic(R=1) + L1(u=1) + Quadratic(Q=1), "cost", "two quadratic", "Add their matrices"),

@@ -8,7 +8,8 @@ import numpy as np
 
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 
 OUTWARD = 1.0 + 1e-9
 """Factor by which computed radii are enlarged to cover their own rounding."""

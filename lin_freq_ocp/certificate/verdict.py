@@ -102,6 +102,27 @@ class Certificate:
         """Return the condition with the largest residual relative to its scale."""
         return max(self.conditions, key=lambda condition: condition.relative)
 
+    def __str__(self) -> str:
+        kind = "" if self.bound is None else f" ({self.bound.kind})"
+        worst, normal = self.worst, "normal" if self.normal else "abnormal"
+        lines = [
+            f"cost      {self.cost:.12g}",
+            f"bound     {_number(self.lower_bound)}{kind}",
+            f"gap       {_number(self.gap, '.2e')}" + (" (global optimum)" if self.globally_optimal else ""),
+            f"theorem   {self.pmp}, {normal}",
+            f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
+        ]
+        return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
+
+    def __repr__(self) -> str:
+        verdict = "globally optimal" if self.globally_optimal else "feasible" if self.feasible else "not feasible"
+        return f"Certificate({verdict}, theorem {self.pmp}, {self.figures})"
+
+    @property
+    def figures(self) -> str:
+        """Return cost, bound and gap on one line."""
+        return f"cost {self.cost:.12g}, bound {_number(self.lower_bound)}, gap {_number(self.gap, '.2e')}"
+
 
 def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Certificate:
     """Judge a trajectory and multipliers from any source against the maximum principle.
@@ -133,6 +154,10 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
             bound=bound,
             borders=borders,
         )
+
+
+def _number(value: float | None, form: str = ".12g") -> str:
+    return "none" if value is None else format(value, form)
 
 
 def _require_no_weights(multipliers: Multipliers) -> None:

@@ -58,6 +58,19 @@ class Comparison:
         """Whether open-loop replays show more than amplified rounding errors."""
         return all(one.replay.meaningful for one in self.filtered)
 
+    def __str__(self) -> str:
+        rows = [("classical", self.classical.status, self.classical_measures)]
+        rows += [(one.name, _replayed(one.replay), one.replay.measures) for one in self.filtered]
+        rows += [("constrained", self.constrained.status, self.constrained_measures)]
+        width = max(len(name) for name, _, _ in rows)
+        return "\n".join(
+            [str(self.problem), *(f"{name:{width}}  {', '.join([how, *_figures(found)])}" for name, how, found in rows)]
+        )
+
+    def __repr__(self) -> str:
+        filters = ", ".join(one.name for one in self.filtered) or "none"
+        return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
+
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
         from lin_freq_ocp.report.figures import comparison_figure
@@ -69,6 +82,24 @@ class Comparison:
         from lin_freq_ocp.report.page import save_report
 
         return save_report(self, folder)
+
+
+def _replayed(made: Replay) -> str:
+    return "replayed" if made.meaningful else made.stopped or "not replayed: that would amplify rounding errors"
+
+
+def _figures(found: Measures | None) -> list[str]:
+    if found is None:
+        return []
+    figures = {
+        "end missed by": found.terminal_error,
+        "controls out of bounds by": found.control_violation,
+        "states by": found.state_violation,
+        "energy in control bands": found.stopband_energy,
+        "in state bands": found.state_stopband_energy,
+    }
+    cost = [] if found.cost is None else [f"cost {found.cost:.6g}"]
+    return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
 def compare(

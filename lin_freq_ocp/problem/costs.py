@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +21,24 @@ CONVEXITY_TOLERANCE = 1e-12
 """Negative eigenvalue, relative to the largest, that is rounding of a positive semidefinite matrix."""
 
 
+class Summable:
+    """Costs whose sums are costs; ``sum`` of a list of them is one, too."""
+
+    def __add__(self, other: Any) -> CostSum:
+        from lin_freq_ocp.problem.nonsmooth_costs import CostSum
+
+        return CostSum([self, other])
+
+    def __radd__(self, other: Any) -> Self | CostSum:
+        if type(other) is int and other == 0:  # what sum() begins with
+            return self
+        from lin_freq_ocp.problem.nonsmooth_costs import CostSum
+
+        return CostSum([other, self])
+
+
 @dataclass(frozen=True, eq=False, init=False)
-class QuadraticCost:
+class QuadraticCost(Summable):
     """sum_{t<T} 1/2 a'Q a + 1/2 b'R b + a'S b + q'x_t + r'u_t, plus 1/2 a'P a + p'x_T at T.
 
     Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per
@@ -74,11 +90,6 @@ class QuadraticCost:
     def zero(self) -> bool:
         """Whether all its terms are zero."""
         return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
-
-    def __add__(self, other: Any) -> CostSum:
-        from lin_freq_ocp.problem.nonsmooth_costs import CostSum
-
-        return CostSum([self, other])
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
         """Return the same cost with every term an array of the right shape, checked."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -175,8 +175,8 @@ class DifferentiableFunction:
         if self.translation is not None:
             made[:] = self.translation(listed, states)
         else:
-            parts = zero.dimensions, EXTERNAL, tuple(listed)
-            made[:] = [Formula(*parts, data=(i, states), function=self) for i in range(self.outputs)]
+            node = zero.node(EXTERNAL, tuple(listed))
+            made[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
         return made
 
     def check_derivatives(self, at: Sequence[tuple[ArrayLike, ArrayLike]]) -> None:

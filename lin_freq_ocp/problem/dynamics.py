@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, assign, names, positive_number, real_array, times_vectors
+from lin_freq_ocp.problem.arrays import Array, assign, positive_number, real_array, times_vectors
+from lin_freq_ocp.problem.labels import signal_labels
 from lin_freq_ocp.problem.linearisation import clock, linearisation
 
 
@@ -72,15 +73,12 @@ class LinearDynamics:
             raise ProblemError(
                 "dynamics.offset", f"shape {drift.shape}", f"shape ({n},), or (T, {n}) with one per time"
             )
-        step = None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time)
         assign(
             self,
             A=matrix_A,
             B=matrix_B,
             offset=drift,
-            sampling_time=step,
-            state_names=names("dynamics.state_names", state_names, n, "x"),
-            control_names=names("dynamics.control_names", control_names, matrix_B.shape[-1], "u"),
+            **signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names),
         )
 
     @classmethod
@@ -192,7 +190,7 @@ class LinearDynamics:
         ------
         ProblemError
             If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
-            others: a kink) or no integral at some (x_t, u_t).
+            others, or those behind and ahead of the point differ: a kink) or no integral at some (x_t, u_t).
         """
         import control  # here, because it takes seconds to import and only its users need it
 

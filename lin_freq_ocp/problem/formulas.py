@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,108 +69,118 @@ class Formula:
     names: tuple[str, ...] = ()
     function: External | None = None
 
+    word: ClassVar[str] = "formula"
+    """What errors call it."""
+
     @property
     def constant(self) -> float | None:
         """Return the value of a formula without variables, else None."""
         return self.data[-1] if self.kind == SUM and not self.arguments else None
 
-    def __add__(self, other: Any) -> Formula:
-        if not isinstance(other, Formula):
-            return _sum(self.dimensions, {self: 1.0}, _number("+", other))
-        _require_same(self, other)
-        return _sum(self.dimensions, {self: 2.0} if other is self else {self: 1.0, other: 1.0}, 0.0)
+    def node(self, kind: str, arguments: tuple[Formula, ...], data: tuple[float, ...] = ()) -> Self:
+        """Return what an operator makes: a formula of the same signals."""
+        return type(self)(self.dimensions, kind, arguments, data)
 
-    def __mul__(self, other: Any) -> Formula:
+    def __add__(self, other: Any) -> Self:
         if not isinstance(other, Formula):
-            return _sum(self.dimensions, {self: _number("*", other)}, 0.0)
+            return _sum(self, {self: 1.0}, _number(self, "+", other))
+        _require_same(self, other)
+        return _sum(self, {self: 2.0} if other is self else {self: 1.0, other: 1.0}, 0.0)
+
+    def __mul__(self, other: Any) -> Self:
+        if not isinstance(other, Formula):
+            return _sum(self, {self: _number(self, "*", other)}, 0.0)
         _require_same(self, other)
         for one, factor in ((self, other), (other, self)):
             if one.constant is not None:
-                return _sum(self.dimensions, {factor: one.constant}, 0.0)
+                return _sum(self, {factor: one.constant}, 0.0)
         if other is self:
             return self**2
-        return Formula(self.dimensions, PRODUCT, (self, other))
+        return self.node(PRODUCT, (self, other))
 
-    def __truediv__(self, other: Any) -> Formula:
+    def __truediv__(self, other: Any) -> Self:
         if isinstance(other, Formula) and other.constant is None:
             _require_same(self, other)
-            return Formula(self.dimensions, QUOTIENT, (self, other))
-        value = _number("/", other.constant if isinstance(other, Formula) else other)
+            return self.node(QUOTIENT, (self, other))
+        value = _number(self, "/", other.constant if isinstance(other, Formula) else other)
         if not value:
-            raise ProblemError("formula", "a quotient by 0", "a number other than zero")
+            raise ProblemError(self.word, "a quotient by 0", "a number other than zero")
         return self * (1 / value)
 
-    def __rtruediv__(self, other: Any) -> Formula:
-        return Formula(self.dimensions, QUOTIENT, (_sum(self.dimensions, {}, _number("/", other)), self))
+    def __rtruediv__(self, other: Any) -> Self:
+        return self.node(QUOTIENT, (_sum(self, {}, _number(self, "/", other)), self))
 
-    def __pow__(self, exponent: Any) -> Formula:
+    def __pow__(self, exponent: Any) -> Self:
         if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
             expected = f"a whole number from 2 to {LARGEST_POWER}"
-            raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
-        return Formula(self.dimensions, POWER, (self,), (float(exponent),))
+            raise ProblemError(self.word, f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
+        return self.node(POWER, (self,), (float(exponent),))
 
-    def __neg__(self) -> Formula:
+    def __neg__(self) -> Self:
         return self * -1.0
 
-    def __sub__(self, other: Any) -> Formula:
-        return self + (other * -1.0 if isinstance(other, Formula) else -_number("-", other))
+    def __sub__(self, other: Any) -> Self:
+        return self + (other * -1.0 if isinstance(other, Formula) else -_number(self, "-", other))
 
-    def __rsub__(self, other: Any) -> Formula:
+    def __rsub__(self, other: Any) -> Self:
         return -self + other
 
-    def __abs__(self) -> Formula:
-        return Formula(self.dimensions, MAXIMUM, (self, -self))
+    def __abs__(self) -> Self:
+        return self.node(MAXIMUM, (self, -self))
 
     def _compare(self, other: Any) -> bool:
         advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
-        raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
+        raise ProblemError(self.word, f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
 
     def __eq__(self, other: object) -> bool:
         """Return whether it is the same node, as collections ask; a comparison with anything else is refused."""
         return self is other if isinstance(other, Formula) else self._compare(other)
 
     def __bool__(self) -> bool:
-        raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
+        raise ProblemError(self.word, "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
 
     def __float__(self) -> float:
         expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(SMOOTH)}"
-        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
+        raise ProblemError(self.word, "what takes numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
     __lt__ = __le__ = __gt__ = __ge__ = _compare
 
-    def exp(self) -> Formula:
+    def exp(self) -> Self:
         """Return the exponential; np.exp of an array of formulas calls it, and so on."""
-        return Formula(self.dimensions, "exp", (self,))
+        return self.node("exp", (self,))
 
-    def log(self) -> Formula:
+    def log(self) -> Self:
         """Return the natural logarithm."""
-        return Formula(self.dimensions, "log", (self,))
+        return self.node("log", (self,))
 
-    def sqrt(self) -> Formula:
+    def sqrt(self) -> Self:
         """Return the square root; of a sum of squares, ``norm`` is known to have a kink at zero."""
-        return Formula(self.dimensions, "sqrt", (self,))
+        return self.node("sqrt", (self,))
 
-    def sin(self) -> Formula:
+    def sin(self) -> Self:
         """Return the sine."""
-        return Formula(self.dimensions, "sin", (self,))
+        return self.node("sin", (self,))
 
-    def cos(self) -> Formula:
+    def cos(self) -> Self:
         """Return the cosine."""
-        return Formula(self.dimensions, "cos", (self,))
+        return self.node("cos", (self,))
 
-    def tanh(self) -> Formula:
+    def tanh(self) -> Self:
         """Return the hyperbolic tangent."""
-        return Formula(self.dimensions, "tanh", (self,))
+        return self.node("tanh", (self,))
 
-    def arctan(self) -> Formula:
+    def arctan(self) -> Self:
         """Return the angle whose tangent it is, between -pi/2 and pi/2."""
-        return Formula(self.dimensions, "arctan", (self,))
+        return self.node("arctan", (self,))
 
     def __repr__(self) -> str:
         from lin_freq_ocp.problem.formula_text import text_of
 
         return f"Formula({text_of(self)})"
+
+
+F = TypeVar("F", bound=Formula)
 
 
 def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
@@ -186,9 +196,14 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     ProblemError
         If they are no whole numbers from 1.
     """
+    return variables(Formula, states, controls)
+
+
+def variables(kind: type[Formula], states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    """Return the components of x and of u as formulas of some class; see ``signals``."""
     n, m = positive_integer("states", states), positive_integer("controls", controls)
     made = np.empty(n + m, dtype=object)
-    made[:] = [Formula((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
+    made[:] = [kind((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
     return made[:n], made[n:]
 
 
@@ -205,22 +220,66 @@ def norm(components: Any) -> Formula:
     if not given:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
     zero = given[0] * 0.0
-    return Formula(given[0].dimensions, NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
+    return given[0].node(NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
+
+
+@overload
+def maximum(first: F, /, *others: F | float, names: Sequence[str] | None = None) -> F: ...
+
+
+@overload
+def maximum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
+
+
+def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
+    """Return the largest of several formulas and numbers.
+
+    Parameters
+    ----------
+    arguments : Expression, Formula or float
+        Affine expressions of ``affine_signals``, or formulas of ``signals``; at least one is no number.
+    names : sequence of str, optional
+        What to call the modes in which each argument is the largest; "" adds nothing to a name.
+
+    Raises
+    ------
+    ProblemError
+        If there is no formula, or not one name each.
+    """
+    return extreme(MAXIMUM, arguments, names)
+
+
+@overload
+def minimum(first: F, /, *others: F | float, names: Sequence[str] | None = None) -> F: ...
+
+
+@overload
+def minimum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
+
+
+def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
+    """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``."""
+    return extreme(MINIMUM, arguments, names)
 
 
 def extreme(kind: str, arguments: Sequence[Any], given: Sequence[str] | None) -> Formula:
     """Return the maximum or minimum of formulas and numbers; see ``maximum`` and ``minimum``."""
-    first = next(one for one in arguments if isinstance(one, Formula))
+    first = next((one for one in arguments if isinstance(one, Formula)), None)
+    if len(arguments) < 2 or first is None:
+        expected = "two arguments or more, at least one of them an expression or a formula"
+        raise ProblemError(kind, brief(arguments), expected)
     listed: list[Formula] = []
     for one in arguments:
-        made = one if isinstance(one, Formula) else _sum(first.dimensions, {}, _number(kind, one))
+        made = one if isinstance(one, Formula) else _sum(first, {}, _number(first, kind, one))
         _require_same(first, made)
         listed.append(made)
-    if len(listed) < 2:
-        raise ProblemError(kind, brief(arguments), "two arguments or more")
-    if given is not None and (isinstance(given, str) or len(given) != len(listed)):
-        raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
-    return Formula(first.dimensions, kind, tuple(listed), names=tuple(given or ()))
+    if given is not None:
+        wrong = isinstance(given, str) or not all(
+            isinstance(name, str) and (name.strip() or not name) and name.isprintable() for name in given
+        )
+        if wrong or len(given) != len(listed):
+            raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
+    return replace(first.node(kind, tuple(listed)), names=tuple(given or ()))
 
 
 def in_order(formulas: Sequence[Formula]) -> list[Formula]:
@@ -265,16 +324,19 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
         given = [given]
     if not isinstance(given, (Sequence, np.ndarray)):
         raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    made: list[Formula] = []
+    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
     for i, one in enumerate(given):
         if isinstance(one, str):
             from lin_freq_ocp.problem.formula_text import formula_from_text
 
             one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else _sum(dimensions, {}, _number(f"{field}[{i}]", one))
+        formula = one if isinstance(one, Formula) else _sum(zero, {}, _number(zero, f"{field}[{i}]", one))
         if formula.dimensions != dimensions:
             expected = f"{dimensions[0]} states and {dimensions[1]} controls"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        if formula.word != zero.word:
+            advice = "Those of lfo.affine_signals are for PiecewiseAffineDynamics.from_max_min."
+            raise ProblemError(f"{field}[{i}]", brief(formula), "a formula made of lfo.signals", advice)
         made.append(formula)
     return tuple(made)
 
@@ -298,9 +360,9 @@ def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
     return (one for one in in_order(formulas) if one.kind in kinds)
 
 
-def _sum(dimensions: tuple[int, int], factors: Mapping[Formula, float], constant: float) -> Formula:
-    """Return sum factor * formula + constant; sums within it are taken up."""
-    flat: dict[Formula, float] = {}
+def _sum(like: F, factors: Mapping[Formula, float], constant: float) -> F:
+    """Return sum factor * formula + constant, of the class of ``like``; sums within it are taken up."""
+    flat: dict[Any, float] = {}
     for one, factor in factors.items():
         inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == SUM else [(one, 1.0)]
         constant += factor * one.data[-1] if one.kind == SUM else 0.0
@@ -309,15 +371,19 @@ def _sum(dimensions: tuple[int, int], factors: Mapping[Formula, float], constant
     kept = {one: factor for one, factor in flat.items() if factor}
     if list(kept.values()) == [1.0] and not constant:
         return next(iter(kept))
-    return Formula(dimensions, SUM, tuple(kept), (*kept.values(), constant))
+    return like.node(SUM, tuple(kept), (*kept.values(), constant))
 
 
 def _require_same(one: Formula, other: Formula) -> None:
     if one.dimensions != other.dimensions:
-        raise ProblemError("formula", f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
+        raise ProblemError(one.word, f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
+    if one.word != other.word:
+        got = f"the {other.word} {brief(other)}"
+        raise ProblemError(one.word, got, "all made of lfo.signals, or all of lfo.affine_signals")
 
 
-def _number(operator: str, value: Any) -> float:
+def _number(formula: Formula, operator: str, value: Any) -> float:
     if isinstance(value, (bool, np.bool_)) or np.ndim(value):
-        raise ProblemError("formula", f"{operator} {brief(value)}", "a number or a formula")
-    return float(real_array("formula", value))
+        article = "an" if formula.word[0] in "aeiou" else "a"
+        raise ProblemError(formula.word, f"{operator} {brief(value)}", f"a number or {article} {formula.word}")
+    return float(real_array(formula.word, value))

@@ -18,6 +18,10 @@ RELATIVE_STEP = 2.0**-10
 SMALLER, SMOOTH = 1 / 64, 1e-2
 """With steps so much smaller, no derivative may change by more, relative to the largest effect on the same state."""
 
+LASTING = 0.5
+"""Derivatives behind and ahead of a kink differ as much with smaller steps; where |v|^1.5 has its least, whose
+derivative is continuous, the difference falls with the root of the step: to 1/8."""
+
 NO_EFFECT = 1e-9
 """Effects below this, relative to the larger of 1 and the slope of the state, are rounding errors."""
 
@@ -61,8 +65,8 @@ def linearisation(
     successor, slope = np.empty((len(points), n)), np.empty((len(points), n, n + m))
     for t, point in enumerate(points):
         model, seconds = _model(system, n, params, t), t * (step or 1.0)
-        successor[t], slope[t] = model(seconds, point), _slope(model, seconds, point, size)
-        _require_smooth(slope[t], _slope(model, seconds, point, SMALLER * size), successor[t], size, t)
+        successor[t] = model(seconds, point)
+        slope[t] = _smooth_slope(model, seconds, point, size, successor[t], t)
         if continuous:
             span = (seconds, seconds + (step or 0.0))
             successor[t], slope[t] = _over_one_period(model, span, point, size, n, integrator, t)
@@ -130,40 +134,68 @@ def _model(system: Any, n: int, params: dict[str, Any] | None, t: int) -> Model:
     return model
 
 
-def _slope(model: Model, seconds: float, point: Array, size: Array) -> Array:
+def _shifted(model: Model, seconds: float, point: Array, steps: Array) -> Array:
+    """Return the model 2 steps and 1 step behind the point, and 1 and 2 ahead, along each variable: (4, n, n + m)."""
+    shifts = np.diag(steps)
+    return np.stack([[model(seconds, point + k * shift) for shift in shifts] for k in (-2, -1, 1, 2)]).swapaxes(1, 2)
+
+
+def _slope(shifted: Array, steps: Array) -> Array:
     """Return the derivatives of the model by (x, u), shape (n, n + m), by central differences of fourth order."""
-    columns: list[Array] = []
-    for j, step in enumerate(RELATIVE_STEP * size):
-        shift = np.zeros_like(point)
-        shift[j] = step
-        near, far = (model(seconds, point + k * shift) - model(seconds, point - k * shift) for k in (1, 2))
-        columns.append((8 * near - far) / (12 * step))
-    return np.stack(columns, axis=1)
+    far_behind, behind, ahead, far_ahead = shifted
+    return (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * steps)
 
 
-def _require_smooth(slope: Array, closer: Array, value: Array, size: Array, t: int) -> None:
-    """Raise ProblemError if the derivatives with smaller steps are others: a kink is near, or a size is too large."""
-    effect, change = np.abs(slope) * size, np.abs(slope - closer) * size
-    allowed = SMOOTH * effect.max(axis=1) + NO_EFFECT * np.maximum(1.0, np.abs(value))
-    excess = change - allowed[:, None]
-    if excess.max() > 0:
-        i, j = np.unravel_index(np.argmax(excess), excess.shape)
-        steps, n = RELATIVE_STEP * size[j] * np.array([1, SMALLER]), len(value)
-        variable = f"x[{j}]" if j < n else f"u[{j - n}]"
-        raise ProblemError(
-            f"system, t = {t}",
-            f"derivatives of state {i} by {variable}: {slope[i, j]:.6g} by steps of {steps[0]:.2g}, "
-            f"{closer[i, j]:.6g} by steps of {steps[1]:.2g}",
-            "a smooth model",
-            "Give state_scale and control_scale, or a point farther from the kink.",
-        )
+def _one_sided(shifted: Array, value: Array, steps: Array) -> Array:
+    """Return the derivatives behind and ahead of the point, shape (2, n, n + m), by differences of second order."""
+    far_behind, behind, ahead, far_ahead = shifted - value[:, None]
+    return np.stack([far_behind - 4 * behind, 4 * ahead - far_ahead]) / (2 * steps)
+
+
+def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value: Array, t: int) -> Array:
+    """Return the derivatives at a point of the trajectory.
+
+    Raises
+    ------
+    ProblemError
+        If they are others with smaller steps, or if those behind and ahead of the point differ, with the larger steps
+        and with the smaller ones: a kink is near or at the point, or a size is too large.
+    """
+    steps = [RELATIVE_STEP * size, SMALLER * RELATIVE_STEP * size]
+    shifted = [_shifted(model, seconds, point, step) for step in steps]
+    slope, closer = (_slope(around, step) for around, step in zip(shifted, steps, strict=True))
+    sides, closer_sides = (_one_sided(around, value, step) for around, step in zip(shifted, steps, strict=True))
+    effect = np.abs(slope) * size
+    allowed = (SMOOTH * effect.max(axis=1) + NO_EFFECT * np.maximum(1.0, np.abs(value)))[:, None]
+    change = np.abs(slope - closer) * size - allowed
+    if change.max() > 0:
+        i, j = (int(place) for place in np.unravel_index(np.argmax(change), change.shape))
+        texts = [f"{one[i, j]:.6g} by steps of {step[j]:.2g}" for one, step in zip((slope, closer), steps, strict=True)]
+        raise _kink(i, j, len(value), t, ", ".join(texts))
+    jump, closer_jump = np.abs(sides[1] - sides[0]), np.abs(closer_sides[1] - closer_sides[0])
+    lasting = np.where(closer_jump > LASTING * jump, closer_jump * size, 0.0) - allowed
+    if lasting.max() > 0:
+        i, j = (int(place) for place in np.unravel_index(np.argmax(lasting), lasting.shape))
+        below, above = closer_sides[:, i, j]
+        raise _kink(i, j, len(value), t, f"{below:.6g} behind the point, {above:.6g} ahead of it")
+    return slope
+
+
+def _kink(i: int, j: int, n: int, t: int, found: str) -> ProblemError:
+    variable = f"x[{j}]" if j < n else f"u[{j - n}]"
+    return ProblemError(
+        f"system, t = {t}",
+        f"derivatives of state {i} by {variable}: {found}",
+        "a smooth model",
+        "Give state_scale and control_scale, or a point farther from the kink.",
+    )
 
 
 def _over_one_period(
     model: Model, span: tuple[float, float], point: Array, size: Array, n: int, integrator: Any, t: int
 ) -> tuple[Array, Array]:
     """Return the state after the period, and its derivatives by (x, u) at its beginning, shape (n, n + m)."""
-    count = 0
+    count, steps = 0, RELATIVE_STEP * size
 
     def derivative(seconds: float, joined: Array) -> Array:
         nonlocal count
@@ -172,7 +204,7 @@ def _over_one_period(
             advice = "If it is stiff, integrator='Radau' helps." if integrator != "Radau" else "Sample it faster."
             raise ProblemError(f"system, t = {t}", f"{count} evaluations in one period", "a model with fewer", advice)
         here, phi = np.concatenate([joined[:n], point[n:]]), joined[n:].reshape(n, -1)
-        slope = _slope(model, seconds, here, size)
+        slope = _slope(_shifted(model, seconds, here, steps), steps)
         slope_phi = slope[:, :n] @ phi
         slope_phi[:, n:] += slope[:, n:]
         return np.concatenate([model(seconds, here), slope_phi.ravel()])

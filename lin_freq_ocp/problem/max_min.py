@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode
-from lin_freq_ocp.problem.arrays import Array, Mask, brief, names, positive_integer, real_array
-from lin_freq_ocp.problem.formulas import MAXIMUM, MINIMUM, Formula, extreme
+from lin_freq_ocp.problem.arrays import Array, Mask, brief, names
+from lin_freq_ocp.problem.expressions import Expression, affine_text
+from lin_freq_ocp.problem.formulas import MAXIMUM
 from lin_freq_ocp.problem.polyhedra import Cell, cell_of, irredundant, natural_sizes
 
 MOST_PIECES = 256
@@ -25,160 +25,6 @@ SMALLEST_PIECE = 1e-10
 
 SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
 """Affine functions whose coefficients differ by less, relative to their sizes, are the same: rounding."""
-
-LONGEST_TEXT = 40
-"""Characters of an affine function in the name of a mode."""
-
-
-@dataclass(frozen=True, eq=False)
-class Branching:
-    """The largest (or smallest) of several expressions: a place where the map branches."""
-
-    arguments: tuple[Expression, ...]
-    largest: bool
-    names: tuple[str, ...] | None
-
-
-class Expression:
-    """An affine function of (x, u) plus multiples of maxima and minima of others; made by ``affine_signals``.
-
-    Sums and differences of expressions, multiples and quotients by numbers, and ``maximum``, ``minimum`` and ``abs`` of
-    expressions are expressions.
-
-    Attributes
-    ----------
-    dimensions : (n, m)
-    affine : (n + m + 1,)
-        Coefficients of x and of u, and the constant.
-    branchings : tuple of (float, Branching)
-        What is added, each Branching once.
-    """
-
-    __array_ufunc__ = None  # numpy leaves operators to this class
-
-    def __init__(
-        self, dimensions: tuple[int, int], affine: Array, branchings: tuple[tuple[float, Branching], ...] = ()
-    ):
-        self.dimensions, self.affine, self.branchings = dimensions, affine, branchings
-
-    def __add__(self, other: Any) -> Expression:
-        if not isinstance(other, Expression):
-            constant = np.zeros_like(self.affine)
-            constant[-1] = _number("+", other)
-            return Expression(self.dimensions, self.affine + constant, self.branchings)
-        if other.dimensions != self.dimensions:
-            raise ProblemError("expression", f"signals of {other.dimensions} and {self.dimensions}", "the same signals")
-        factors: dict[Branching, float] = {}
-        for factor, branching in (*self.branchings, *other.branchings):
-            factors[branching] = factors.get(branching, 0.0) + factor
-        return Expression(self.dimensions, self.affine + other.affine, _listed(factors))
-
-    def __mul__(self, other: Any) -> Expression:
-        if isinstance(other, Expression):
-            raise ProblemError("expression", "a product of expressions", "sums and multiples by numbers")
-        factor = _number("*", other)
-        return Expression(
-            self.dimensions, factor * self.affine, _listed({one: factor * old for old, one in self.branchings})
-        )
-
-    def __truediv__(self, other: Any) -> Expression:
-        if isinstance(other, Expression) or not _number("/", other):
-            raise ProblemError("expression", f"a quotient by {brief(other)}", "a number other than zero")
-        return self * (1 / _number("/", other))
-
-    def __neg__(self) -> Expression:
-        return self * -1.0
-
-    def __sub__(self, other: Any) -> Expression:
-        return self + (other * -1.0 if isinstance(other, Expression) else -_number("-", other))
-
-    def __rsub__(self, other: Any) -> Expression:
-        return -self + other
-
-    def __abs__(self) -> Expression:
-        return maximum(self, -self)
-
-    def _compare(self, other: Any) -> bool:
-        advice = "Python's max and min, and comparisons, decide here and now."
-        raise ProblemError("expression", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
-
-    __radd__, __rmul__ = __add__, __mul__
-    __lt__ = __le__ = __gt__ = __ge__ = _compare
-
-    def __repr__(self) -> str:
-        n, m = self.dimensions
-        text = _text(self.affine, [*(f"x_{i}" for i in range(n)), *(f"u_{i}" for i in range(m))])
-        return f"Expression({text}" + (f", and {len(self.branchings)} maxima or minima)" if self.branchings else ")")
-
-
-def affine_signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
-    """Return the components of x and of u as expressions, arrays (n,) and (m,), so that ``A @ x + B @ u`` is one, too.
-
-    Parameters
-    ----------
-    states, controls : int
-        n and m.
-
-    Raises
-    ------
-    ProblemError
-        If they are no whole numbers from 1.
-    """
-    n, m = positive_integer("states", states), positive_integer("controls", controls)
-    signals = np.empty(n + m, dtype=object)
-    signals[:] = [Expression((n, m), row) for row in np.eye(n + m, n + m + 1)]
-    return signals[:n], signals[n:]
-
-
-@overload
-def maximum(first: Expression, /, *others: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
-
-
-@overload
-def maximum(first: Formula, /, *others: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
-
-
-@overload
-def maximum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
-
-
-def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
-    """Return the largest of several expressions and numbers.
-
-    Parameters
-    ----------
-    arguments : Expression, Formula or float
-        Affine expressions of ``affine_signals``, or formulas of ``signals``; at least one is no number.
-    names : sequence of str, optional
-        What to call the modes in which each argument is the largest; "" adds nothing to a name.
-
-    Raises
-    ------
-    ProblemError
-        If there is no expression, or not one name each.
-    """
-    if any(isinstance(one, Formula) for one in arguments):
-        return extreme(MAXIMUM, arguments, names)
-    return _branching("maximum", arguments, names)
-
-
-@overload
-def minimum(first: Expression, /, *others: Expression | float, names: Sequence[str] | None = None) -> Expression: ...
-
-
-@overload
-def minimum(first: Formula, /, *others: Formula | float, names: Sequence[str] | None = None) -> Formula: ...
-
-
-@overload
-def minimum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
-
-
-def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
-    """Return the smallest of several expressions and numbers; parameters and errors as for ``maximum``."""
-    if any(isinstance(one, Formula) for one in arguments):
-        return extreme(MINIMUM, arguments, names)
-    return _branching("minimum", arguments, names)
 
 
 def modes_of(
@@ -206,16 +52,16 @@ class _Piece:
 
     Attributes
     ----------
-    choices : mapping from Branching to the number of the chosen argument
-    values : mapping from Branching to the affine function (n + m + 1,)
+    choices : mapping from a maximum or minimum to the number of the chosen argument
+    values : mapping from a maximum or minimum to the affine function (n + m + 1,)
     rows : (rows, n + m + 1)
         Affine functions that are zero or below there.
     states : (n, n + m + 1)
         The map; empty until all choices are made.
     """
 
-    choices: dict[Branching, int]
-    values: dict[Branching, Array]
+    choices: dict[Expression, int]
+    values: dict[Expression, Array]
     rows: Array
     states: Array
 
@@ -237,9 +83,9 @@ class _Piece:
     def name(self, labels: Sequence[str]) -> str:
         parts: list[str] = []
         for branching, choice in self.choices.items():
-            if branching.names is None:
-                text = _text(self.values[branching], labels)
-                parts.append(f"{'max' if branching.largest else 'min'} is {text}")
+            if not branching.names:
+                text = affine_text(self.values[branching], labels)
+                parts.append(f"{'max' if branching.kind == MAXIMUM else 'min'} is {text}")
             else:
                 parts.append(branching.names[choice])
         return ", ".join(dict.fromkeys(part for part in parts if part))
@@ -268,9 +114,9 @@ def _pieces(states: Sequence[Expression]) -> list[_Piece]:
     return [replace(piece, states=np.array([piece.value(state) for state in states])) for piece in pieces]
 
 
-def _in_order(states: Sequence[Expression]) -> list[Branching]:
+def _in_order(states: Sequence[Expression]) -> list[Expression]:
     """Return all branchings, those within others first."""
-    found: dict[Branching, None] = {}
+    found: dict[Expression, None] = {}
 
     def visit(one: Expression) -> None:
         for _, branching in one.branchings:
@@ -284,11 +130,11 @@ def _in_order(states: Sequence[Expression]) -> list[Branching]:
     return list(found)
 
 
-def _choices(piece: _Piece, branching: Branching) -> Iterator[_Piece]:
+def _choices(piece: _Piece, branching: Expression) -> Iterator[_Piece]:
     """Yield the piece with each argument chosen where that leaves an interior."""
     values = np.array([piece.value(argument) for argument in branching.arguments])
     for choice, value in enumerate(values):
-        excess = values - value if branching.largest else value - values
+        excess = values - value if branching.kind == MAXIMUM else value - values
         same = (np.abs(excess) <= SAME_FUNCTION * (np.abs(values) + np.abs(value))).all(axis=1)
         if same[:choice].any():
             continue  # an earlier argument, which is the same
@@ -359,43 +205,6 @@ def _holding(cell: Cell, other: Cell) -> Mask:
     return np.array(
         [(other & cell.beyond(row)).inner_point(SMALLEST_PIECE) is None for row in range(len(cell.limits))], dtype=bool
     )
-
-
-def _branching(kind: str, arguments: Sequence[Any], given: Sequence[str] | None) -> Expression:
-    expressions = [one for one in arguments if isinstance(one, Expression)]
-    if len(arguments) < 2 or not expressions:
-        raise ProblemError(kind, brief(arguments), "two arguments or more, at least one of them an expression")
-    zero = expressions[0] * 0.0
-    listed = [zero + one for one in arguments]
-    if given is not None:
-        wrong = isinstance(given, str) or not all(
-            isinstance(name, str) and (name.strip() or not name) and name.isprintable() for name in given
-        )
-        if wrong or len(given) != len(listed):
-            raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
-    branching = Branching(tuple(listed), kind == "maximum", None if given is None else tuple(given))
-    return Expression(zero.dimensions, zero.affine, ((1.0, branching),))
-
-
-def _listed(factors: dict[Branching, float]) -> tuple[tuple[float, Branching], ...]:
-    return tuple((factor, branching) for branching, factor in factors.items() if factor)
-
-
-def _number(operator: str, value: Any) -> float:
-    if isinstance(value, (bool, np.bool_)) or np.ndim(value):
-        raise ProblemError("expression", f"{operator} {brief(value)}", "a number or an expression")
-    return float(real_array("expression", value))
-
-
-def _text(affine: Array, labels: Sequence[str]) -> str:
-    """Return an affine function in words, shortened: "-x_0 + 2 u_0 - 1"."""
-    terms = [(value, label) for value, label in zip(affine, [*labels, ""], strict=True) if value]
-    text = "" if terms else "0"
-    for value, label in terms:
-        size = "" if label and abs(value) == 1 else f"{abs(value):.4g}"
-        sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
-        text += sign + " ".join(part for part in (size, label) if part)
-    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
 
 
 def _unique(texts: Sequence[str]) -> list[str]:

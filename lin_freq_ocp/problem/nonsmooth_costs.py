@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, assign, brief, real_array, shaped
-from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.problem.costs import QuadraticCost, Summable
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.penalties import Norm
 from lin_freq_ocp.problem.terms import Term
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class _NormCost:
+class _NormCost(Summable):
     """What L1Cost and LInfCost share: weights of deviations from references."""
 
     x: Array
@@ -40,9 +40,6 @@ class _NormCost:
             if (arrays[field] < 0).any():
                 raise ProblemError(f"{type(self).__name__}.{field}", brief(given[field]), "weights of zero or above")
         assign(self, **arrays)
-
-    def __add__(self, other: Any) -> CostSum:
-        return CostSum([self, other])
 
     def terms(self, n: int, m: int, horizon: int, place: str, name: str) -> list[Term]:
         """Return its terms with v = weight * deviation, checked against the problem's dimensions."""
@@ -97,7 +94,7 @@ class LInfCost(_NormCost):
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class CostSum:
+class CostSum(Summable):
     """The sum of costs; written ``QuadraticCost(R=1) + L1Cost(u=0.1)``.
 
     Parameters
@@ -133,9 +130,6 @@ class CostSum:
         if len(quadratic) > 1:
             raise ProblemError("cost", "a sum of two quadratic costs", "at most one", "Add their matrices.")
         assign(self, quadratic=quadratic[0] if quadratic else QuadraticCost(), norms=tuple(norms))
-
-    def __add__(self, other: Any) -> CostSum:
-        return CostSum([self, other])
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> CostSum:
         """Return the same cost with the quadratic part completed, checked."""

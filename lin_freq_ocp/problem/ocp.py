@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.problem_terms import (
-    BEYOND_BANDS,
-    OutputSpectrum,
-    bounded_bins,
-    output_terms,
-    row_terms,
-    set_terms,
-    spectrum_terms,
-    uniquely_named,
-)
+from lin_freq_ocp.problem.problem_terms import BEYOND_BANDS, bounded_bins, terms_of
 from lin_freq_ocp.problem.regions import Border, borders, require_partition
 from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
 from lin_freq_ocp.problem.spectrum import stopped_bins
@@ -270,26 +259,7 @@ class OptimalControlProblem:
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Everything beyond the quadratic cost, boxes and stop bands: constraints, soft ones, and nonsmooth costs."""
-        n, m, T = self.state_dim, self.control_dim, self.horizon
-        beyond = [
-            *row_terms(self.stage_rows, T),
-            *set_terms("state_set", self.state_set, n, np.arange(T + 1), self._fixed_ends),
-            *set_terms("initial_state", self.initial_state, n, np.array([0]), self._fixed_ends),
-            *set_terms("terminal_state", self.terminal_state, n, np.array([T]), self._fixed_ends),
-            *set_terms("control_set", self.control_set, m, np.arange(T), {}),
-            *spectrum_terms(
-                "state_spectrum", self.state_spectrum, T + 1, self.state_names, self.sampling_time, of_state=True
-            ),
-            *spectrum_terms(
-                "control_spectrum", self.control_spectrum, T, self.control_names, self.sampling_time, of_state=False
-            ),
-        ]
-        for i, outputs in enumerate(_listed("output_spectrum", self.output_spectrum, OutputSpectrum)):
-            where = "output_spectrum" if outputs is self.output_spectrum else f"output_spectrum[{i}]"
-            beyond += output_terms(where, outputs, n, m, T, self.sampling_time, i)
-        if isinstance(self.cost, CostSum):
-            beyond += self.cost.terms(n, m, T)
-        return uniquely_named(beyond)
+        return terms_of(self)
 
     def value(self, x: Array, u: Array) -> float:
         """Return J: the quadratic cost, the nonsmooth ones, and the penalties of soft constraints."""
@@ -306,7 +276,7 @@ class OptimalControlProblem:
         return box_of(self.terminal_state).at_dimension(self.state_dim, "terminal_state")
 
     @property
-    def _fixed_ends(self) -> dict[int, Array]:
+    def fixed_ends(self) -> dict[int, Array]:
         """Return the states at the ends where they are single points."""
         times = (0, self.horizon)
         return {t: end.lower for t, end in zip(times, self.ends, strict=True) if end.fixed.all()}
@@ -390,61 +360,11 @@ class OptimalControlProblem:
             + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")
         )
 
-
-def _listed(field: str, given: Any, kind: type) -> Sequence[Any]:
-    listed: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
-    for one in listed:
-        if not isinstance(one, kind):
-            raise ProblemError(field, brief(one), f"{kind.__name__}, a list of them, or None")
-    return listed
+    def __repr__(self) -> str:
+        return f"OptimalControlProblem({self})"
 
 
 def require_problem(problem: Any) -> None:
     """Raise ProblemError unless it is an optimal control problem."""
     if not isinstance(problem, OptimalControlProblem):
         raise ProblemError("problem", brief(problem), "an OptimalControlProblem", "Of a file: lfo.read_problem(path).")
-
-
-def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) -> Trajectory:
-    """Return the trajectory of the controls u from the initial state, by the dynamics alone.
-
-    Parameters
-    ----------
-    problem : OptimalControlProblem
-        Its sets and bands are not looked at.
-    u : (T, m)
-        Controls.
-    initial_state : (n,), optional
-        Default: the problem's, which must then be a point.
-
-    Raises
-    ------
-    ProblemError
-        If a shape is wrong or there is no single initial state.
-    NumericalError
-        If the state overflows, or no mode holds where it leads.
-    """
-    u = real_array("u", u)
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    if u.shape != (T, m):
-        raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
-    if initial_state is None:
-        if not problem.initial_box.fixed.all():
-            raise ProblemError(
-                "initial_state", "None, for a problem whose initial state is not one point", "a state to start from"
-            )
-        initial_state = problem.initial_box.lower
-    start = real_array("initial_state", initial_state)
-    if start.shape != (n,):
-        raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")
-    x, step = np.empty((T + 1, n)), problem.dynamics.stepper(T)
-    x[0] = start
-    with np.errstate(over="ignore", invalid="ignore"):
-        for t in range(T):
-            x[t + 1] = step(t, x[t], u[t])
-    if not np.isfinite(x).all():
-        t = int(np.argmin(np.isfinite(x).all(axis=1)))
-        raise NumericalError(
-            f"The open-loop state overflows at t = {t}: these dynamics cannot be replayed over {T} steps."
-        )
-    return Trajectory(x, u)

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import REGION, AffineMode
-from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, names, positive_number
+from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.expressions import Expression
 from lin_freq_ocp.problem.guards import guarded_modes
-from lin_freq_ocp.problem.max_min import Expression, modes_of
+from lin_freq_ocp.problem.labels import mode_labels, signal_labels
+from lin_freq_ocp.problem.max_min import modes_of
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -67,17 +69,8 @@ class PiecewiseAffineDynamics:
                 raise ProblemError(
                     f"dynamics.modes[{i}]", f"{got[0]} states and {got[1]} controls", f"{n} and {m}, as in the first"
                 )
-        step = None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time)
-        assign(
-            self,
-            modes=tuple(modes),
-            sampling_time=step,
-            state_names=names("dynamics.state_names", state_names, n, "x"),
-            control_names=names("dynamics.control_names", control_names, m, "u"),
-        )
-        for i, name in enumerate(self.mode_names):
-            if name in self.mode_names[:i]:
-                raise ProblemError(f"dynamics.modes[{i}].name", f"{name!r} a second time", "a different name for each")
+        assign(self, modes=tuple(modes), **signal_labels(n, m, sampling_time, state_names, control_names))
+        _ = self.mode_names  # all different
 
     @classmethod
     def from_max_min(
@@ -185,7 +178,7 @@ class PiecewiseAffineDynamics:
     @property
     def mode_names(self) -> tuple[str, ...]:
         """Return the name of every mode."""
-        return tuple(mode.name or f"mode {i}" for i, mode in enumerate(self.modes))
+        return mode_labels(mode.name for mode in self.modes)
 
     @cached_property
     def time_varying(self) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, positive_integer, positive_number
+from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formula_jets import Jets, jets, values_of
 from lin_freq_ocp.problem.formulas import (
@@ -26,6 +26,7 @@ from lin_freq_ocp.problem.formulas import (
     listed_formulas,
     rebuilt,
 )
+from lin_freq_ocp.problem.labels import mode_labels, signal_labels
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 
@@ -154,19 +155,14 @@ class PiecewiseSmoothDynamics:
         if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
         made = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
-        step = None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time)
         assign(
             self,
             modes=made,
             state_dim=n,
             control_dim=m,
-            sampling_time=step,
-            state_names=names("dynamics.state_names", state_names, n, "x"),
-            control_names=names("dynamics.control_names", control_names, m, "u"),
+            **signal_labels(n, m, sampling_time, state_names, control_names),
         )
-        for i, name in enumerate(self.mode_names):
-            if name in self.mode_names[:i]:
-                raise ProblemError(f"dynamics.modes[{i}].name", f"{name!r} a second time", "a different name for each")
+        _ = self.mode_names  # all different
 
     @classmethod
     def from_formulas(
@@ -204,7 +200,7 @@ class PiecewiseSmoothDynamics:
     @property
     def mode_names(self) -> tuple[str, ...]:
         """Return the name of every mode."""
-        return tuple(mode.name or f"mode {i}" for i, mode in enumerate(self.modes))
+        return mode_labels(mode.name for mode in self.modes)
 
     @property
     def time_varying(self) -> bool:

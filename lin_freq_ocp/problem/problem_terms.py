@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,11 +12,15 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, real_array
 from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
+from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
 from lin_freq_ocp.problem.terms import Term
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 BEYOND_BANDS = (MagnitudeBound, EnergyBound, LinearConstraint)
 """What may stand beside bands in control_spectrum and state_spectrum."""
@@ -113,6 +117,35 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
         Term(_numbered(kind.replace("_", " "), i), kind_of_term, _stacked(found, of_state), _together(found), (kind, 0))
         for i, found in enumerate(parts.values())
     ]
+
+
+def terms_of(problem: OptimalControlProblem) -> tuple[Term, ...]:
+    """Return everything beyond the quadratic cost, boxes and stop bands; see ``OptimalControlProblem.terms``."""
+    n, m, T, step = problem.state_dim, problem.control_dim, problem.horizon, problem.sampling_time
+    fixed = problem.fixed_ends
+    found = [
+        *row_terms(problem.stage_rows, T),
+        *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
+        *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
+        *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
+        *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
+        *spectrum_terms("state_spectrum", problem.state_spectrum, T + 1, problem.state_names, step, of_state=True),
+        *spectrum_terms("control_spectrum", problem.control_spectrum, T, problem.control_names, step, of_state=False),
+    ]
+    for i, outputs in enumerate(_listed(problem.output_spectrum)):
+        where = "output_spectrum" if outputs is problem.output_spectrum else f"output_spectrum[{i}]"
+        found += output_terms(where, outputs, n, m, T, step, i)
+    if isinstance(problem.cost, CostSum):
+        found += problem.cost.terms(n, m, T)
+    return uniquely_named(found)
+
+
+def _listed(given: Any) -> Sequence[OutputSpectrum]:
+    listed: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+    for one in listed:
+        if not isinstance(one, OutputSpectrum):
+            raise ProblemError("output_spectrum", brief(one), "OutputSpectrum, a list of them, or None")
+    return listed
 
 
 def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:

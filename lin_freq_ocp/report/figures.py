@@ -48,6 +48,7 @@ from lin_freq_ocp.report.style import (
     STYLES,
     Trace,
     dress,
+    legend_above,
     new_figure,
     thinned,
 )
@@ -318,13 +319,4 @@ def _legend(figure: Figure, scene: Scene, with_ends: bool, with_band: bool, with
             handles.append(
                 Line2D([], [], linestyle="none", marker=marker, color=INK, markerfacecolor=face, label=label)
             )
-    figure.legend(
-        handles=handles,
-        loc="outside upper left",
-        ncols=len(handles),
-        frameon=False,
-        fontsize=LABEL_SIZE + 0.5,
-        labelcolor=INK,
-        handlelength=2.6,
-        columnspacing=1.6,
-    )
+    legend_above(figure, handles, handlelength=2.6)

@@ -38,6 +38,7 @@ from lin_freq_ocp.report.style import (
     WIDTH,
     Note,
     dress,
+    legend_above,
     new_figure,
     plain,
     thinned,
@@ -246,15 +247,7 @@ def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
         )
         handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
         handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label=required))
-    figure.legend(
-        handles=handles,
-        loc="outside upper left",
-        ncols=len(handles),
-        frameon=False,
-        fontsize=LABEL_SIZE + 0.5,
-        labelcolor=INK,
-        columnspacing=1.6,
-    )
+    legend_above(figure, handles)
 
 
 def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -140,6 +141,20 @@ def new_figure(height: float) -> Figure:
     """Return an empty figure that makes room for its labels itself."""
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1, hspace=0.04, wspace=0.03)
     return Figure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
+
+
+def legend_above(figure: Figure, handles: Sequence[Artist], handlelength: float | None = None) -> None:
+    """Explain lines and markers above the panels, in one row."""
+    figure.legend(
+        handles=list(handles),
+        loc="outside upper left",
+        ncols=len(handles),
+        frameon=False,
+        fontsize=LABEL_SIZE + 0.5,
+        labelcolor=INK,
+        handlelength=handlelength,
+        columnspacing=1.6,
+    )
 
 
 def dress(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence[Note] = ()) -> None:

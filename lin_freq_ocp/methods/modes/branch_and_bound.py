@@ -20,7 +20,8 @@ from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, Searc
 from lin_freq_ocp.problem.arrays import Indices, Mask
 from lin_freq_ocp.problem.mode_reach import Reach
 from lin_freq_ocp.problem.mode_tree import ModeNode
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 

@@ -3,75 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import MixedSolution, mixed_backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex import require_convex, solve_convex
-from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mixed_integer import MixedInteger, big_m_program
 from lin_freq_ocp.transcription.units import COST_LEVEL
-
-DEFAULT_GAP = 1e-6
-"""Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
 
 POINT_TOLERANCE = 1e-5
 """Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in
 the row, and as much in each binary times a coefficient of at most 1."""
-
-AGREEMENT = 1e-6
-"""Part of the cost by which the claimed one may differ from that of the sequence solved again, beside what
-POINT_TOLERANCE in one row can change."""
-
-STATUS = {
-    Claim.SOLVED: "optimal",
-    Claim.INFEASIBLE: "infeasible",
-    Claim.LIMIT: "limit",
-    Claim.INTERRUPTED: "interrupted",
-    Claim.UNBOUNDED: "failed",
-    Claim.FAILED: "failed",
-}
-
-
-@dataclass(frozen=True, eq=False)
-class MixedOutcome:
-    """What a mixed-integer solver says; nothing of it is proven.
-
-    Attributes
-    ----------
-    status : str
-        "optimal", "infeasible", "limit", "interrupted" or "failed", by its own word; "failed" also where the claimed
-        point is none.
-    sequence : (T,) or None
-        Modes of the best point found.
-    trajectory : Trajectory or None
-        That point, as accurate as the solver's tolerances.
-    cost : float or None
-        Its cost J, in the problem's units, as far as the solver's point is a trajectory.
-    bound : float or None
-        A claimed lower bound on J.
-    slope : float
-        Steepest change of J with a variable in the units of the program: what an error of 1 there would change.
-    words : str
-        The solver's own status, and what is wrong with its claim.
-    seconds : dict
-        Wall time of "setup" (the figures of big-M rows included) and "solve".
-    """
-
-    status: str
-    sequence: Indices | None
-    trajectory: Trajectory | None
-    cost: float | None
-    bound: float | None
-    slope: float
-    words: str
-    seconds: dict[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +42,7 @@ class Resolved:
 
 def solve_miqp(
     problem: OptimalControlProblem, backend: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
-) -> MixedOutcome:
+) -> SolverClaim:
     """Ask a mixed-integer solver for the best mode sequence of a problem with piecewise-affine dynamics.
 
     Parameters
@@ -129,7 +76,7 @@ def solve_miqp(
 
 def resolved(
     problem: OptimalControlProblem,
-    outcome: MixedOutcome,
+    outcome: SolverClaim,
     backend: str = "clarabel",
     tolerance: float | None = None,
     time_limit: float | None = None,
@@ -150,27 +97,17 @@ def resolved(
         words = f"the program of the claimed sequence ended as {candidate.status} ({candidate.words})"
         return Resolved(candidate, None, words)
     cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
-    return Resolved(candidate, cost, "; ".join(_mismatches(outcome, cost)))
-
-
-def _mismatches(outcome: MixedOutcome, cost: float) -> list[str]:
     allowed = AGREEMENT * abs(cost) + POINT_TOLERANCE * outcome.slope
-    found: list[str] = []
-    if outcome.cost is not None and abs(outcome.cost - cost) > allowed:
-        which = "above" if outcome.cost > cost else "below"
-        found.append(f"the claimed cost {outcome.cost:.9g} is {which} that of its sequence, {cost:.9g}")
-    if outcome.bound is not None and outcome.bound > cost + allowed:
-        found.append(f"the claimed bound {outcome.bound:.9g} is above the cost {cost:.9g} of a trajectory")
-    return found
+    return Resolved(candidate, cost, "; ".join(outcome.differences(cost, allowed, "its sequence")))
 
 
-def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, float]) -> MixedOutcome:
+def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, float]) -> SolverClaim:
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, words, slope = STATUS[solution.claim], solution.words, mixed.cost(COST_LEVEL)
+    (status, words), slope = status_of(solution), mixed.cost(COST_LEVEL)
+    if status == "unbounded":  # with bounds on all states and controls, nothing is
+        status = "failed"
     if solution.z is None:
-        if status == "optimal":
-            status, words = "failed", f"{words}, without a point"
-        return MixedOutcome(status, None, None, None, bound, slope, words, seconds)
+        return SolverClaim(status, None, None, None, bound, slope, words, seconds)
     z, sequence = solution.z.copy(), mixed.sequence(solution.z)
     z[mixed.binaries] = mixed.deltas(sequence)
     violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
@@ -178,4 +115,4 @@ def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, fl
         status = "failed"
         words = f"{words}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
     cost = mixed.cost(mixed.program.objective(z))
-    return MixedOutcome(status, sequence, mixed.trajectory(z), cost, bound, slope, words, seconds)
+    return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, slope, words, seconds)

@@ -14,7 +14,8 @@ from scipy.interpolate import RegularGridInterpolator
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.formula_jets import values_of
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

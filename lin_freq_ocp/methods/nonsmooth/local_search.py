@@ -12,8 +12,9 @@ from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
 from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, simulate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)

@@ -3,86 +3,38 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import MixedSolution, nonlinear_backend
+from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex import require_convex
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, local_optimum
-from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.smooth_program import SmoothProgram, smooth_program
 from lin_freq_ocp.transcription.units import COST_LEVEL
-
-DEFAULT_GAP = 1e-6
-"""Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
 
 POINT_TOLERANCE = 1e-5
 """Violation of a row of order 1 that a claimed point may have: a solver's 1e-6, through a few nodes of a formula."""
 
-AGREEMENT = 1e-6
-"""Part of the cost by which the claimed one may differ from that of the trajectory, beside what POINT_TOLERANCE in one
-row for each time can change."""
-
-STATUS = {
-    Claim.SOLVED: "optimal",
-    Claim.INFEASIBLE: "infeasible",
-    Claim.UNBOUNDED: "unbounded",
-    Claim.LIMIT: "limit",
-    Claim.INTERRUPTED: "interrupted",
-    Claim.FAILED: "failed",
-}
-
 
 @dataclass(frozen=True, eq=False)
-class GlobalClaim:
+class GlobalClaim(SolverClaim):
     """What a global solver says of a problem; nothing of it is proven, but where ``excluded``.
 
     Attributes
     ----------
-    status : str
-        "optimal", "infeasible", "unbounded", "limit", "interrupted" or "failed", by its own word.
     excluded : bool
         Whether our intervals prove that there is no trajectory; the solver was not asked then.
-    sequence : (T,) or None
-        Modes of the best point found.
-    trajectory : Trajectory or None
-        That point, as accurate as the solver's tolerances.
-    cost : float or None
-        Its cost J, in the problem's units.
-    bound : float or None
-        A claimed lower bound on J.
-    slope : float
-        What an error of 1 in a row of order 1 could change of J, roughly.
-    words : str
-        The solver's own status.
-    seconds : dict
-        Wall time of "setup" and "solve".
     """
 
-    status: str
-    excluded: bool
-    sequence: Indices | None
-    trajectory: Trajectory | None
-    cost: float | None
-    bound: float | None
-    slope: float
-    words: str
-    seconds: dict[str, float] = field(default_factory=dict[str, float])
+    excluded: bool = False
 
     def mismatches(self, cost: float) -> list[str]:
         """Return what the claim gets wrong, if a trajectory of that cost was found from its point."""
         allowed = AGREEMENT * max(1.0, abs(cost)) + POINT_TOLERANCE * self.slope
-        found: list[str] = []
-        if self.cost is not None and abs(self.cost - cost) > allowed:
-            which = "above" if self.cost > cost else "below"
-            found.append(f"its cost {self.cost:.9g} is {which} that of the trajectory it leads to, {cost:.9g}")
-        if self.bound is not None and self.bound > cost + allowed:
-            found.append(f"its bound {self.bound:.9g} is above the cost {cost:.9g} of a trajectory")
-        return found
+        return self.differences(cost, allowed, "the trajectory it leads to")
 
 
 def solve_minlp(
@@ -130,13 +82,11 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim) -> LocalOptimum
 
 def _claim(program: SmoothProgram, solution: MixedSolution, seconds: dict[str, float]) -> GlobalClaim:
     bound = None if solution.bound is None else program.cost(solution.bound)
-    status, words = STATUS[solution.claim], solution.words
+    status, words = status_of(solution)
     slope = program.cost(COST_LEVEL) * program.problem.horizon
     if solution.z is None:
-        if status == "optimal":
-            status, words = "failed", f"{words}, without a point"
-        return GlobalClaim(status, program.excluded, None, None, None, bound, slope, words, seconds)
+        return GlobalClaim(status, None, None, None, bound, slope, words, seconds, program.excluded)
     z, deltas = np.split(solution.z, [len(program.program.q)])
     sequence = np.argmax(deltas.reshape(program.possible.shape), axis=1)
     cost = program.cost(program.program.objective(z))
-    return GlobalClaim(status, False, sequence, program.trajectory(z), cost, bound, slope, words, seconds)
+    return GlobalClaim(status, sequence, program.trajectory(z), cost, bound, slope, words, seconds)

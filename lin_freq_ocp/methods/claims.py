@@ -1,0 +1,78 @@
+"""What other people's mixed-integer solvers say of a problem: measured, compared, and never believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.backends.mixed import MixedSolution
+from lin_freq_ocp.problem.arrays import Indices
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+DEFAULT_GAP = 1e-6
+"""Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
+
+AGREEMENT = 1e-6
+"""Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to, beside what
+a solver's tolerance in its rows can change."""
+
+STATUS = {
+    Claim.SOLVED: "optimal",
+    Claim.INFEASIBLE: "infeasible",
+    Claim.UNBOUNDED: "unbounded",
+    Claim.LIMIT: "limit",
+    Claim.INTERRUPTED: "interrupted",
+    Claim.FAILED: "failed",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SolverClaim:
+    """What a mixed-integer solver says of a problem; nothing of it is proven.
+
+    Attributes
+    ----------
+    status : str
+        "optimal", "infeasible", "unbounded", "limit", "interrupted" or "failed", by its own word; "failed" also where
+        the claimed point is none.
+    sequence : (T,) or None
+        Modes of the best point found.
+    trajectory : Trajectory or None
+        That point, as accurate as the solver's tolerances.
+    cost : float or None
+        Its cost J, in the problem's units, as far as the solver's point is a trajectory.
+    bound : float or None
+        A claimed lower bound on J.
+    slope : float
+        What an error of 1 in the units of the program, where rows are of order 1, could change of J, roughly.
+    words : str
+        The solver's own status, and what is wrong with its claim.
+    seconds : dict
+        Wall time of "setup" and "solve".
+    """
+
+    status: str
+    sequence: Indices | None
+    trajectory: Trajectory | None
+    cost: float | None
+    bound: float | None
+    slope: float
+    words: str
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+
+    def differences(self, cost: float, allowed: float, source: str) -> list[str]:
+        """Return in words where the claim differs by more than is allowed from the cost of what ``source`` names."""
+        found: list[str] = []
+        if self.cost is not None and abs(self.cost - cost) > allowed:
+            which = "above" if self.cost > cost else "below"
+            found.append(f"the claimed cost {self.cost:.9g} is {which} that of {source}, {cost:.9g}")
+        if self.bound is not None and self.bound > cost + allowed:
+            found.append(f"the claimed bound {self.bound:.9g} is above the cost {cost:.9g} of a trajectory")
+        return found
+
+
+def status_of(solution: MixedSolution) -> tuple[str, str]:
+    """Return the status of a solver's answer, and its words: without a point, nothing is optimal."""
+    if solution.claim is Claim.SOLVED and solution.z is None:
+        return "failed", f"{solution.words}, without a point"
+    return STATUS[solution.claim], solution.words

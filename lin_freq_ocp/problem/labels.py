@@ -1,0 +1,43 @@
+"""What dynamics of every kind call their signals and modes, and their sampling time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import names, positive_number
+
+
+def signal_labels(
+    n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
+) -> dict[str, Any]:
+    """Return the fields of dynamics with n states and m controls that name their signals, checked.
+
+    Raises
+    ------
+    ProblemError
+        If the sampling time is no number above zero, or names are not as many as components, or repeated.
+    """
+    return {
+        "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
+        "state_names": names("dynamics.state_names", state_names, n, "x"),
+        "control_names": names("dynamics.control_names", control_names, m, "u"),
+    }
+
+
+def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of modes, "mode i" where none is given.
+
+    Raises
+    ------
+    ProblemError
+        If two are the same.
+    """
+    found: dict[str, None] = {}
+    for i, name in enumerate(given):
+        label = name or f"mode {i}"
+        if label in found:
+            raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
+        found[label] = None
+    return tuple(found)

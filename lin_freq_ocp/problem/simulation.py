@@ -1,0 +1,59 @@
+"""The trajectory of given controls, by the dynamics alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.problem.arrays import real_array
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+
+def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) -> Trajectory:
+    """Return the trajectory of the controls u from the initial state, by the dynamics alone.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        Its sets and bands are not looked at.
+    u : (T, m)
+        Controls.
+    initial_state : (n,), optional
+        Default: the problem's, which must then be a point.
+
+    Raises
+    ------
+    ProblemError
+        If a shape is wrong or there is no single initial state.
+    NumericalError
+        If the state overflows, or no mode holds where it leads.
+    """
+    u = real_array("u", u)
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    if u.shape != (T, m):
+        raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
+    if initial_state is None:
+        if not problem.initial_box.fixed.all():
+            raise ProblemError(
+                "initial_state", "None, for a problem whose initial state is not one point", "a state to start from"
+            )
+        initial_state = problem.initial_box.lower
+    start = real_array("initial_state", initial_state)
+    if start.shape != (n,):
+        raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")
+    x, step = np.empty((T + 1, n)), problem.dynamics.stepper(T)
+    x[0] = start
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(T):
+            x[t + 1] = step(t, x[t], u[t])
+    if not np.isfinite(x).all():
+        t = int(np.argmin(np.isfinite(x).all(axis=1)))
+        raise NumericalError(
+            f"The open-loop state overflows at t = {t}: these dynamics cannot be replayed over {T} steps."
+        )
+    return Trajectory(x, u)
