@@ -55,6 +55,9 @@ from reference import INSTANCES, PENDULUM, STATED, reference_problem
 PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
 """How many random problems each part solves unless told otherwise."""
 
+WIDTH = 132
+"""Columns of the tables, also where they are written into a file."""
+
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth"]
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
@@ -274,7 +277,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument("--processes", type=int, default=2, help="of the part 'spectral'")
     options = parser.parse_args()
-    parts, console, good = options.part or PARTS, Console(), True
+    parts, console, good = options.part or PARTS, Console(width=WIDTH), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
     if "known" in parts:
         table, good = known_optima()
