@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
+from itertools import product
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library, solve_smooth
+from lin_freq_ocp.certificate.taylor_bounds import least_of
 from lin_freq_ocp.certificate.value_bound import value_bounds
 from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice, Minima
+from lin_freq_ocp.certificate.value_stages import QuadraticForm
 from lin_freq_ocp.certificate.value_step import OutOfTimeError
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
@@ -91,6 +94,56 @@ def test_logarithms_outside_of_their_domain_have_unbounded_derivatives():
     assert found.values[0][0, 0] == -np.inf
     assert found.values[1][0, 0] >= np.log(2)
     assert np.isinf(found.slopes[0][0, 0, 0])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
+    rng = np.random.default_rng(seed)
+    x, u = signals(2, 1)
+    f = [random_formula(rng, [*x, *u], 2) for _ in range(2)]
+    y, r, p = rng.normal(size=(6, 3)), rng.random((6, 3)) * 10.0 ** rng.uniform(-3, 0), np.arange(6)
+    root = rng.normal(size=(6, 3, 3))
+    hessian, gradient, given = root + root.swapaxes(1, 2), rng.normal(size=(6, 3)), rng.normal(size=6)
+    sigma, at = rng.normal(size=(6, 2)), rng.normal(size=(6, 2))
+
+    def bound(radius):
+        jets_of = interval_jets(f, y, y, curved=False), interval_jets(f, y - radius, y + radius)
+        return least_of(hessian, gradient, given, sigma, at, radius, *jets_of, p)
+
+    def value(z):
+        there = jets(f, y + z).values
+        own = given + (gradient * z).sum(axis=1) + 0.5 * np.einsum("pi,pij,pj->p", z, hessian, z)
+        return own + (sigma * (there - at)).sum(axis=1)
+
+    found = bound(r)
+    corners = [r * np.array(signs) for signs in product((-1, 1), repeat=3)]
+    for z in [*corners, *(r * rng.uniform(-1, 1, size=(6, 3)) for _ in range(50))]:
+        assert (found <= value(z) + ROUNDING * (1 + np.abs(found))).all()
+    tiny = np.full((6, 3), 1e-7)
+    np.testing.assert_allclose(bound(tiny), value(np.zeros((6, 3))), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_bounds_that_the_cost_implies_hold_on_its_sublevel_set_and_touch_it(seed):
+    rng = np.random.default_rng(seed)
+    root, b, above = rng.normal(size=(3, 3)), rng.normal(size=3), 10.0 ** rng.uniform(-3, 3)
+    form = QuadraticForm(root @ root.T, root @ root.T @ b)
+    assert form.least == pytest.approx(-0.5 * b @ root @ root.T @ b)
+    low, high = form.shadow(above)
+    unit = rng.normal(size=(5000, 3))
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    points = -b + np.sqrt(2 * above) * np.linalg.solve(root.T, unit.T).T
+    assert ((low <= points) & (points <= high)).all()
+    wide = high - low
+    assert (points.max(axis=0) >= high - 0.05 * wide).all()
+    assert (points.min(axis=0) <= low + 0.05 * wide).all()
+
+
+def test_flat_directions_have_no_bounds_and_slopes_along_them_no_least_value():
+    level = QuadraticForm(np.diag([2.0, 0.0]), np.array([1.0, 0.0]))
+    np.testing.assert_allclose(level.shadow(1.0)[:, 0], [-1.618, 0.618], atol=0.2)
+    assert np.isinf(level.shadow(1.0)[:, 1]).all()
+    assert QuadraticForm(np.diag([2.0, 0.0]), np.array([1.0, 0.1])).least == -np.inf
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------

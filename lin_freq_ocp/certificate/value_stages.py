@@ -41,8 +41,8 @@ class Stages:
     def below(cls, problem: OptimalControlProblem, costs: StageCosts, level: float) -> Stages:
         """Return the stages of trajectories below a level of the cost without its constant."""
         n, states, controls = problem.state_dim, problem.state_tube, problem.control_tube
-        forms = [_Form(*parts) for parts in zip(costs.hessians, costs.linear, strict=True)]
-        forms.append(_Form(costs.terminal_hessian, costs.terminal_linear))
+        forms = [QuadraticForm(*parts) for parts in zip(costs.hessians, costs.linear, strict=True)]
+        forms.append(QuadraticForm(costs.terminal_hessian, costs.terminal_linear))
         left = level - sum(form.least for form in forms)
         shadows = [form.shadow(max(left, 0.0) if np.isfinite(left) else np.inf) for form in forms]
         x, u = np.array([shadow[:, :n] for shadow in shadows]), np.array([shadow[:, n:] for shadow in shadows[:-1]])
@@ -53,7 +53,7 @@ class Stages:
         return 0.5 * np.einsum("pi,ij,pj->p", y, self.costs.hessians[t], y) + y @ self.costs.linear[t]
 
 
-class _Form:
+class QuadraticForm:
     """The quadratic 1/2 y'H y + b'y with H >= 0.
 
     Attributes
