@@ -86,7 +86,7 @@ def solve(
         named. Piecewise-affine dynamics: "branch_and_bound" over mode sequences, also "auto"; "enumerate", all of them;
         "miqp", a mixed-integer solver's sequence, which branch and bound then proves or improves. Piecewise-smooth
         dynamics: "nonsmooth", local optima of mode sequences, the best polished by a semismooth Newton method; "auto",
-        the same and, with one or two states, a global bound, on which it spends 10 s or what the time limit leaves;
+        the same and, with up to three states, a global bound, on which it spends 10 s or what the time limit leaves;
         "minlp", a second opinion: the trajectory that a global solver's point leads to, judged by us, with the bound
         that the solver claims in ``claimed_bound``.
     backend : str

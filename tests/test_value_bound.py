@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -150,9 +151,10 @@ def test_flat_directions_have_no_bounds_and_slopes_along_them_no_least_value():
 
 
 def some_cells(rng, shape):
-    lattice = Lattice.full(np.array([-1.0, 2.0]), np.array([1.0, 5.0]), np.array(shape))
+    places = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
+    lattice = Lattice(np.array([-1.0, 2.0]), np.array([2.0, 3.0]) / shape, np.array(shape), places, np.full(2, 1e-12))
     chosen = rng.random(len(lattice.cells)) < 0.6
-    kept = Lattice(lattice.lower, lattice.width, lattice.shape, lattice.cells[chosen])
+    kept = replace(lattice, cells=lattice.cells[chosen])
     values, slopes = rng.normal(size=(chosen.sum(), 2)), rng.normal(size=(chosen.sum(), 2, 2))
     far = np.full(kept.centres.shape, np.inf)
     return CostToGo(kept, values, slopes, -far, far)
@@ -237,6 +239,34 @@ def test_the_bound_is_below_the_optimum_and_as_near_as_asked(problem, optimum):
     assert optimum - gap <= bound <= optimum + ROUNDING * abs(optimum)
 
 
+def drag(states, horizon):
+    """Return a mass with drag |v| v; with three states, its force lags behind the control."""
+
+    def f(x, u):
+        force = x[2] if states == 3 else u[0]
+        moved = [x[0] + 0.3 * x[1], x[1] + 0.3 * (force - 0.5 * x[1] * abs(x[1]))]
+        return moved if states == 2 else [*moved, x[2] + 0.5 * (u[0] - x[2])]
+
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(f, states, 1)
+    weights = np.diag([2.0, 0.2, 0.1][:states])
+    return lfo.OptimalControlProblem(
+        dynamics,
+        horizon,
+        lfo.QuadraticCost(Q=weights, R=0.2, P=2 * weights),
+        control_set=lfo.Box(-2, 2),
+        state_set=lfo.Box(-3, 3),
+        initial_state=[1.0, *[0.0] * (states - 1)],
+    )
+
+
+@pytest.mark.parametrize(("states", "horizon", "gap"), [(2, 4, 1e-4), (3, 3, 1e-3)])
+def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
+    problem = drag(states, horizon)
+    result = lfo.solve(problem, method="nonsmooth")
+    bound = best_bound(problem, result.cost, gap * result.cost, result.multipliers)
+    assert (1 - gap) * result.cost <= bound <= (1 + ROUNDING) * result.cost
+
+
 @pytest.mark.parametrize("cost", [5.0, 22.2, 22.8, 30.0, np.inf])
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
@@ -294,13 +324,13 @@ def test_unreachable_ends_have_an_infinite_bound():
         ),
         (
             lfo.OptimalControlProblem(
-                lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [*(x[:2] + u[0]), abs(x[2])], 3, 1),
+                lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [*(x[:3] + u[0]), abs(x[3])], 4, 1),
                 2,
                 lfo.QuadraticCost(R=1.0),
                 control_set=lfo.Box(-1, 1),
-                initial_state=[0.0, 0.0, 1.0],
+                initial_state=[0.0, 0.0, 0.0, 1.0],
             ),
-            "got 3 states; expected at most 2",
+            "got 4 states; expected at most 3",
         ),
     ],
 )

@@ -1,6 +1,6 @@
 """A lower bound on the cost of every trajectory of piecewise-smooth dynamics, by dynamic programming with intervals.
 
-For one or two states. Backwards in time, every cell of a lattice of states gets affine functions V_t below
+For up to three states. Backwards in time, every cell of a lattice of states gets affine functions V_t below
 
     min over u of   c_t(x, u) + V_{t+1}(f_t(x, u)),
 
@@ -26,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.certificate.taylor_bounds import ROUNDING
-from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice
+from lin_freq_ocp.certificate.value_grid import FINEST, CostToGo, Lattice
 from lin_freq_ocp.certificate.value_samples import arrivals
 from lin_freq_ocp.certificate.value_stages import Stages
 from lin_freq_ocp.certificate.value_step import Boxes, Step, met_cells
@@ -37,10 +37,10 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.stage_costs import StageCosts, stage_costs
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-MOST_STATES = 2
-"""Cells are as many as a power of this: three states need minutes."""
+MOST_STATES = 3
+"""Cells are as many as a power of this: four states would need hours."""
 
-FIRST_CELLS = {1: 50, 2: 8}
+FIRST_CELLS = {1: 50, 2: 8, 3: 4}
 """Cells of each state to begin with, by the number of states."""
 
 MOST_PLACES = 4_000_000
@@ -104,7 +104,7 @@ def value_bounds(
     Raises
     ------
     UnsupportedError
-        If there are more than two states, or a state or control is not bounded, nor by what it may cost.
+        If there are more than three states, or a state or control is not bounded, nor by what it may cost.
     OutOfTimeError
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
@@ -175,12 +175,11 @@ def _lattices(stages: Stages) -> list[Lattice]:
     problem, n = stages.problem, stages.problem.state_dim
     if n > MOST_STATES:
         raise UnsupportedError(f"a global bound: got {n} states; expected at most {MOST_STATES}.")
-    lower, upper, lattices = stages.lowest[0], stages.highest[0], list[Lattice]()
+    lower, upper, bounds = stages.lowest[0], stages.highest[0], list[tuple[Array, Array]]()
     for t in range(problem.horizon + 1):
         for j in np.flatnonzero(~np.isfinite(lower) | ~np.isfinite(upper)):
             raise UnsupportedError(f"a global bound: {problem.state_names[j]} is not bounded at t = {t}.")
-        shape = np.where(upper > lower, FIRST_CELLS[n], 1).astype(np.intp)
-        lattices.append(Lattice.full(lower, upper, shape))
+        bounds.append((lower, upper))
         if t == problem.horizon:
             break
         box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
@@ -190,7 +189,8 @@ def _lattices(stages: Stages) -> list[Lattice]:
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
         upper = np.maximum(lower, upper)  # where nothing is left, no image will meet the cell
-    return lattices
+    finest = FINEST * np.abs(bounds).max(axis=(0, 1))
+    return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
 
 
 def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
@@ -318,18 +318,18 @@ class _Limit:
 def _halved(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
     """Return the parts of boxes in each half of their cells."""
     n = len(coarse.width)
-    split = np.where(coarse.width > 0, 2, 1)
+    split = coarse.split
     corners = np.stack(np.unravel_index(np.arange(int(split.prod())), tuple(split)), axis=1)
     rank = np.cumsum(alive) - 1
-    whole = boxes.radius[:, :n] > coarse.width / 3
-    side = (boxes.centre[:, :n] > coarse.centres[boxes.cell]) & (coarse.width > 0)
+    whole = (boxes.radius[:, :n] > coarse.width / 3) & (split > 1)
+    side = boxes.centre[:, :n] > coarse.centres[boxes.cell]
     parts: list[Boxes] = []
     for i, corner in enumerate(corners):
-        rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (coarse.width == 0)).all(axis=1))
+        rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (split == 1)).all(axis=1))
         cell = rank[boxes.cell[rows]] * len(corners) + i
         part = boxes.take(rows)
         half = fine.width / 2 * (1 + ROUNDING) + ROUNDING * np.abs(fine.centres[cell])
-        own = whole[rows] & (coarse.width > 0)
+        own = whole[rows]
         part.centre[:, :n] = np.where(own, fine.centres[cell], part.centre[:, :n])
         part.radius[:, :n] = np.where(own, half, part.radius[:, :n])
         parts.append(Boxes.unbounded(cell, part.mode, part.centre, part.radius, n))

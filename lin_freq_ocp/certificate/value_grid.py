@@ -10,6 +10,10 @@ import numpy as np
 from lin_freq_ocp.certificate.taylor_bounds import ROUNDING
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
+FINEST = 1e-12
+"""Relative to the largest values of a state at all times: places that are no wider are not cut, as rounding errors of
+enclosures are all that they are made of."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
@@ -23,23 +27,32 @@ class Lattice:
         Places along each state.
     cells : (cells, n) integers
         The place of every cell.
+    finest : (n,)
+        Width from which places are cut.
     """
 
     lower: Array
     width: Array
     shape: Indices
     cells: Indices
+    finest: Array
 
     @classmethod
-    def full(cls, lower: Array, upper: Array, shape: Indices) -> Lattice:
-        """Return a lattice whose places are all looked at."""
+    def full(cls, lower: Array, upper: Array, finest: Array, each: int) -> Lattice:
+        """Return a lattice with so many places along each state, one where that is too narrow; all are looked at."""
+        shape = np.where(upper - lower > finest, each, 1).astype(np.intp)
         cells = np.stack(np.unravel_index(np.arange(int(shape.prod())), tuple(shape)), axis=1)
-        return cls(lower, (upper - lower) / shape, shape, np.asarray(cells, dtype=np.intp))
+        return cls(lower, (upper - lower) / shape, shape, np.asarray(cells, dtype=np.intp), finest)
 
     @property
     def upper(self) -> Array:
         """Return where the places end, (n,)."""
         return self.lower + self.width * self.shape
+
+    @property
+    def split(self) -> Indices:
+        """Return into how many parts a place is cut along each state, (n,): 2, or 1 where it is too narrow."""
+        return np.where(self.width > self.finest, 2, 1).astype(np.intp)
 
     @cached_property
     def centres(self) -> Array:
@@ -65,13 +78,13 @@ class Lattice:
 
     def halved(self, kept: Mask) -> tuple[Lattice, Indices]:
         """Return some of the cells cut into halves along each state that has a width, and the cell each comes from."""
-        split = np.where(self.width > 0, 2, 1)
+        split = self.split
         corners = np.stack(np.unravel_index(np.arange(int(split.prod())), tuple(split)), axis=1)
         parents = np.repeat(np.flatnonzero(kept), len(corners))
         cells = self.cells[parents] * split + np.tile(corners, (int(kept.sum()), 1))
         first = cells.min(axis=0)
         lower, width = self.lower + first * (self.width / split), self.width / split
-        return Lattice(lower, width, cells.max(axis=0) - first + 1, cells - first), parents
+        return Lattice(lower, width, cells.max(axis=0) - first + 1, cells - first, self.finest), parents
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,11 +30,11 @@ ZOOMS, ZOOMS_TO_END = 2, 5
 SPREAD = 5
 """Cells on both sides together that count as reached where samples reach one, beside a fortieth of all of them."""
 
-SIDES = {1: (-0.999, 0.999), 2: (0.0,)}
+SIDES = {1: (-0.999, 0.999), 2: (0.0,), 3: (0.0,)}
 """Where in a cell the slopes of its pieces are estimated, from the centre, as parts of half its width: one state may
-have a kink in every cell; of two, cells with several pieces take too long."""
+have a kink in every cell; of more, cells with several pieces take too long."""
 
-MOST_SLOPE = {1: 20.0, 2: 4.0}
+MOST_SLOPE = {1: 20.0, 2: 4.0, 3: 4.0}
 """Slopes are cut at this multiple of their median, by the number of states: next to states from which nothing goes on
 they are not to be trusted."""
 

@@ -25,8 +25,9 @@ BOXES_PER_CELL = 100
 FEW = 2000
 """Boxes that are bounded in the time that it takes to begin: fewer are cut into four."""
 
-MOST_SPANNED = 12
-"""Boxes whose image meets more places along a state are bisected before they are bounded by each of them."""
+MOST_SPANNED = {1: 12, 2: 12, 3: 5}
+"""Boxes whose image meets more places along a state are bisected before they are bounded by each of them; by the number
+of states."""
 
 MOST_PAIRS = 400_000
 """Boxes and cells bounded at once: some hundred megabytes."""
@@ -202,7 +203,7 @@ class Step:
         change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
         bounds = offset - (change * r[:, None]).sum(axis=2) + self._minima.least(first, final)[:, None]
         bounds[~meets] = np.inf
-        for rows in _batches(np.flatnonzero(meets & (span <= MOST_SPANNED)), first, final):
+        for rows in _batches(np.flatnonzero(meets & (span <= MOST_SPANNED[self._n])), first, final):
             pair, cell = _pairs(rows, first, final, boxes, self._after)
             closer = np.full(bounds.shape, np.inf)
             for s in range(own.shape[1]):
