@@ -276,6 +276,37 @@ def test_wrong_costs_give_a_bound_all_the_same(cost):
     assert found >= min(cost - 0.01, 17.0)
 
 
+def random_problem(seed):
+    """Return one or two states with kinks of absolute values and norms, and sines."""
+    rng = np.random.default_rng(seed)
+    n, T, c = int(rng.integers(1, 3)), int(rng.integers(2, 4)), rng.normal(size=6)
+
+    def f(x, u):
+        kinked = [0.8 * x[i] + 0.4 * c[i] * u[0] + 0.3 * c[2 + i] * abs(x[i] - c[4] * u[0]) for i in range(n)]
+        bent = 0.2 * c[5] * np.sin(x[0]) * u[0] + (0.2 * norm(x) if n == 2 else 0.0)
+        return [kinked[0] + bent, *kinked[1:]]
+
+    return lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(f, n, 1),
+        T,
+        lfo.QuadraticCost(Q=np.eye(n), R=0.1, x_ref=rng.normal(size=n)),
+        control_set=lfo.Box(-2, 2),
+        state_set=lfo.Box(-4, 4),
+        initial_state=rng.normal(size=n),
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_random_problems_are_bounded_below_their_optimum_whatever_cost_is_claimed(seed):
+    problem = random_problem(seed)
+    optimum = lfo.solve(problem, method="nonsmooth").cost
+    size = max(1.0, abs(optimum))
+    for claimed in (optimum, 1.05 * optimum + 0.05):
+        bounds = value_bounds(problem, multipliers_of(problem), claimed, 1e-2 * size)
+        found = max(level.value for level, _ in zip(bounds, range(3), strict=False))
+        assert claimed - 0.3 * size <= found <= optimum + ROUNDING * size
+
+
 def test_random_trajectories_cost_more():
     problem, rng = BUCK(5, terminal_state=None), np.random.default_rng(0)
     bound = next(value_bounds(problem, multipliers_of(problem), 25.0, 1e-2)).value
