@@ -21,6 +21,7 @@ from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
 from lin_freq_ocp.problem.formula_jets import jets
 from lin_freq_ocp.problem.formulas import norm, signals
 from lin_freq_ocp.problem.interval_jets import interval_jets
+from lin_freq_ocp.problem.intervals import multiply, outward
 
 ROUNDING = 1e-9
 
@@ -145,6 +146,18 @@ def test_flat_directions_have_no_bounds_and_slopes_along_them_no_least_value():
     np.testing.assert_allclose(level.shadow(1.0)[:, 0], [-1.618, 0.618], atol=0.2)
     assert np.isinf(level.shadow(1.0)[:, 1]).all()
     assert QuadraticForm(np.diag([2.0, 0.0]), np.array([1.0, 0.1])).least == -np.inf
+
+
+def test_what_interval_arithmetic_cannot_tell_is_unbounded():
+    nan, one = np.array([np.nan]), np.array([1.0])
+    assert outward(nan, nan) == (-np.inf, np.inf)
+    low, high = outward(one, one)
+    assert low < 1 < high
+    unknown = np.array([-np.inf]), np.array([np.inf])
+    with np.errstate(invalid="ignore"):
+        assert multiply((np.zeros(1), one), unknown) == unknown
+        found = multiply((np.zeros(1), np.zeros(1)), unknown)
+    assert np.abs(found).max() < 1e-300
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------
@@ -406,6 +419,13 @@ def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
     assert (told[0].level, told[0].lower_bound) == (0, -np.inf)
     assert told[-1].lower_bound > 20
     assert "bound 22.3" in str(told[-1])
+
+
+def test_comparisons_bound_the_constrained_answer_only():
+    found = lfo.compare(BUCK(3, control_spectrum=[1], terminal_state=None), ["brickwall"])
+    assert found.classical.certificate.bound is None
+    assert found.constrained.certificate.bound.kind == "rigorous"
+    assert "no global bound was asked for" in found.classical.message
 
 
 def test_solve_adds_the_bound_and_says_what_is_left():
