@@ -14,9 +14,9 @@ from lin_freq_ocp.methods.modes.fitting import candidates
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.arrays import Indices
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MOST_FLIPS = 16
@@ -94,7 +94,7 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
 
 def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
     """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
-    sequence = measured_modes(problem).sequence(trajectory.x, trajectory.u)
+    sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
     found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
     if found is None:
         return None
@@ -106,7 +106,7 @@ def _verified(
     problem: OptimalControlProblem, trajectory: Trajectory, facts: BorderFacts
 ) -> tuple[BorderFacts, Direction | None]:
     """Return the facts with what became of the flips, and the steepest direction of descent that was verified."""
-    sequence = measured_modes(problem).sequence(trajectory.x, trajectory.u)
+    sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:

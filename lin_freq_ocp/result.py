@@ -35,7 +35,8 @@ class Result:
     ----------
     problem : OptimalControlProblem
     status : str
-        "optimal", "infeasible", "unbounded", "limit" or "numerical_error": why it stopped.
+        "optimal" (feasible, and its gap to a rigorous bound is proven), "locally_optimal" (the maximum principle is
+        satisfied, and nothing more is proven), "infeasible", "unbounded", "limit" or "numerical_error".
     method : str
         What was used.
     backend : str or None
@@ -115,7 +116,7 @@ class Result:
 
     @property
     def gap(self) -> float | None:
-        """Return (cost - lower_bound) / max(1, |cost|)."""
+        """Return (cost - lower_bound) / S, S what the terms of the cost add up to."""
         return None if self.certificate is None else self.certificate.gap
 
     @property
@@ -131,7 +132,7 @@ class Result:
     @property
     def sensitivities(self) -> Sensitivities:
         """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
-        if self.status != "optimal" or self.multipliers is None:
+        if self.status not in ("optimal", "locally_optimal") or self.multipliers is None:
             raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
         return sensitivities(self.problem, self.multipliers)
 

@@ -99,7 +99,7 @@ def solve(
         bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default; 1e-4 with
         piecewise-smooth dynamics. Of "minlp": the relative gap asked of the solver, 1e-6 by default.
     throw : bool
-        Whether to raise if the status is not "optimal"; the error holds the result.
+        Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
     node_limit : int, optional
         Over modes: relaxations to solve at most.
     progress : callable, optional
@@ -133,12 +133,10 @@ def solve(
         result = _linear(problem, method, backend, tolerance, time_limit)
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     result = replace(result, options=options if node_limit is None else {**options, "node_limit": node_limit})
-    if tolerance is None or tolerance <= CONDITION_TOLERANCE:
-        result = _believed(result)
     if throw and result.status == "infeasible":
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))
-    if throw and result.status != "optimal":
+    if throw and result.status in ERRORS:
         raise ERRORS[result.status](_complaint(result), result)
     return result
 
@@ -212,10 +210,8 @@ def _spectral(
         candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
-    result = _judged(problem, candidate, "spectral", None)
-    certificate = result.certificate
-    optimal = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
-    proven = result.status == "optimal" and optimal
+    result = _judged(problem, candidate, "spectral", None, tolerance)
+    proven = result.status == "optimal" and result.certificate is not None and result.certificate.pmp == "satisfied"
     excluded = result.status == "infeasible" and "numerical" not in result.message
     ended = proven or result.interrupted or excluded or result.status == "limit"
     return result if required or ended else None
@@ -228,16 +224,34 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
         candidate = _accounted(problem, candidate, time_limit)
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
-    return _judged(problem, candidate, "convex", backend)
+    return _judged(problem, candidate, "convex", backend, tolerance)
 
 
-def _believed(result: Result) -> Result:
-    """Return the result, no longer called optimal if the judge finds that the point breaks a constraint."""
-    certificate = result.certificate
-    if result.status != "optimal" or certificate is None or certificate.feasible:
-        return result
-    words = f"residuals of the program are small, but not those of: {certificate.worst.name}"
-    return replace(result, status="numerical_error", message=words)
+def settled(status: str, words: str, certificate: Certificate, gap: float) -> tuple[str, str]:
+    """Return what a method's status is worth once its point was judged, and in words why.
+
+    A point that is proven within ``gap`` is optimal, whatever its solver says; one that a solver calls optimal is what
+    the certificate says of it. Points that satisfy the maximum principle only are locally optimal.
+    """
+    found = certificate.status_within(gap)
+    if found == "optimal":
+        return found, ""
+    if status not in ("optimal", "numerical_error"):
+        return status, words
+    if found == "locally_optimal":
+        return found, f"the maximum principle is satisfied; {_missing(certificate)}"
+    if status == "optimal":
+        words = f"residuals of the program are small, but not those of: {certificate.worst.name}"
+    return found, words
+
+
+def _missing(certificate: Certificate) -> str:
+    """Return why a certificate without failed conditions proves no global optimum."""
+    if certificate.bound is None or certificate.gap is None:
+        return "there is no bound"
+    if certificate.bound.kind != "rigorous":
+        return "the bound holds near the trajectory only, as something is not bounded"
+    return f"the bound leaves a gap of {certificate.gap:.1e}"
 
 
 def _accounted(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
@@ -252,11 +266,15 @@ def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limi
     return feasibility if feasibility.status == "infeasible" else candidate
 
 
-def _judged(problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None) -> Result:
+def _judged(
+    problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
+) -> Result:
     clock = time.perf_counter()
     status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
-        certificate = judge(problem, candidate.trajectory, candidate.multipliers)
+        allowed = max(CONDITION_TOLERANCE, tolerance or 0.0)
+        certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
+        status, words = settled(status, words, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
     if status == "unbounded":
         words = _fall(problem, direction) if direction else f"{words}, without a verified direction"

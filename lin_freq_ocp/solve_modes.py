@@ -89,13 +89,16 @@ def _through_solver(
     seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
     result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds), backend=backend)
     found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
-    if result.status == "optimal" and not _agree(claim.cost, result.cost, max(limits.gap, AGREEMENT)):
+    agreed = max(limits.gap, AGREEMENT)
+    if result.status == "optimal" and not _agree(claim.cost, result.certificate, agreed):
         return replace(result, message=f"{backend} ended with {found} ('{claim.words}'), the optimum is {proven}")
     return result
 
 
-def _agree(claimed: float | None, cost: float | None, gap: float) -> bool:
-    return claimed is not None and cost is not None and abs(claimed - cost) <= gap * max(1.0, abs(cost))
+def _agree(claimed: float | None, certificate: Certificate | None, gap: float) -> bool:
+    if claimed is None or certificate is None:
+        return False
+    return abs(claimed - certificate.cost) <= gap * certificate.cost_scale
 
 
 def _judged(
@@ -107,14 +110,14 @@ def _judged(
         candidate = solve_convex(problem.with_modes(outcome.sequence), SEQUENCE_BACKEND, None, None)
     certificate, multipliers = _certificate(problem, outcome.sequence, candidate)
     proof = tree_bound(problem, outcome.tree)
-    needed = np.inf if certificate is None else certificate.cost - gap * max(1.0, abs(certificate.cost))
+    needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
     if not outcome.words and not proof.value >= needed:
         outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed)))
         proof = tree_bound(problem, outcome.tree)
-    status, message = _status(outcome, candidate, certificate, proof, needed)
     if certificate is not None and np.isfinite(proof.value):
         words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
         certificate = replace(certificate, bound=Bound(proof.value, "rigorous", sets=words))
+    status, message = _status(outcome, certificate, proof, gap)
     return Result(
         problem=problem,
         status=status,
@@ -142,22 +145,20 @@ def _certificate(
     return best_multipliers(problem, candidate.trajectory, first)
 
 
-def _status(
-    outcome: SearchOutcome,
-    candidate: Candidate | None,
-    certificate: Certificate | None,
-    proof: TreeBound,
-    needed: float,
-) -> tuple[str, str]:
+def _status(outcome: SearchOutcome, certificate: Certificate | None, proof: TreeBound, gap: float) -> tuple[str, str]:
     """Return the status of the result, and in words why, where it is not optimal."""
-    if outcome.words:
-        return "limit", outcome.words
-    if certificate is None or candidate is None:
-        if candidate is None and proof.value == np.inf:
+    if certificate is None:
+        if outcome.words:
+            return "limit", outcome.words
+        if outcome.sequence is None and proof.value == np.inf:
             return "infeasible", f"proven by a search tree of {proof.leaves} leaves, none of which has a trajectory"
         return "numerical_error", "no trajectory was found, and that there is none is not proven"
-    if candidate.status != "optimal":
-        return "numerical_error", f"the best mode sequence, solved alone, ended with '{candidate.words}'"
-    if proof.value < needed:
-        return "numerical_error", f"the search closed its tree, of which only the bound {proof.value:.12g} is proven"
-    return "optimal", ""
+    status = certificate.status_within(gap)
+    if status == "optimal":
+        return status, ""
+    if outcome.words:
+        return "limit", outcome.words
+    if not certificate.feasible:
+        words = f"the best mode sequence, solved alone, does not satisfy: {certificate.worst.name}"
+        return "numerical_error", words
+    return status, f"the search closed its tree, of which only the bound {proof.value:.12g} is proven"

@@ -28,7 +28,7 @@ from lin_freq_ocp.result import Result
 
 SMOOTH_METHODS = ("nonsmooth", "minlp")
 
-LOCAL = "locally; no global bound was asked for"
+LOCAL = "no global bound was asked for"
 """The message of a result without a bound."""
 
 EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
@@ -77,11 +77,12 @@ def solve_smooth(
     best = search.best
     found = None if best is None or not best.feasible else _polished(problem, best)
     status, message = _status(search, found)
-    if status == "optimal" and method == "auto" and found is not None:
+    if status == "locally_optimal" and method == "auto" and found is not None:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         bounding = _Bounding(search, found, gap or GLOBAL_GAP, time.perf_counter() + left)
         message = bounding.run()
         found = bounding.found
+        status = found[2].status_within(bounding.gap)
     elif found is None and method == "auto" and not search.words:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         if _excluded(problem, left):
@@ -143,16 +144,16 @@ def _weighed(
         return "unbounded", f"{word}; not proven", -float("inf")
     bound = claim.bound
     told = "no lower bound" if bound is None else f"the lower bound {bound:.9g}"
-    words = f"locally; {told} {word}; not proven"
+    words = f"{told} {word}; not proven"
     if claim.status in ("limit", "interrupted"):
         return "limit", words, bound
     if found is None or claim.status == "failed":
         return "numerical_error", f"no trajectory was found from the point it found, {word}", bound
     certificate = found[2]
-    if certificate.pmp != "satisfied":
+    if certificate.status_within(CLAIMED_GAP) == "numerical_error":
         worst = certificate.worst.name
         return "numerical_error", f"the point found does not satisfy the maximum principle: {worst}; {words}", bound
-    return "optimal", "; ".join([words, *claim.mismatches(certificate.cost)]), bound
+    return "locally_optimal", "; ".join([words, *claim.mismatches(certificate.cost, certificate.cost_scale)]), bound
 
 
 def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
@@ -189,21 +190,21 @@ class _Bounding:
             while self._leads_further():
                 pass
         except UnsupportedError as error:
-            return f"locally; {error}"
+            return str(error)
         except OutOfTimeError:
             pass
         except KeyboardInterrupt:
             self.search.interrupted = True
         if self.best == -float("inf"):
-            return "locally; no global bound was found in time"
+            return "no global bound was found in time"
         trajectory, multipliers, certificate = self.found
         bound = Bound(self.best, "rigorous", sets="dynamic programming over cells of the states, with intervals")
         self.found = trajectory, multipliers, replace(certificate, bound=bound)
-        return "" if self._proven else f"locally; the global bound leaves a gap of {self.found[2].gap:.1e}"
+        return "" if self._proven else f"the global bound leaves a gap of {self.found[2].gap:.1e}"
 
     @property
     def _wanted(self) -> float:
-        return self.gap * max(1.0, abs(self.found[2].cost))
+        return self.gap * self.found[2].cost_scale
 
     @property
     def _proven(self) -> bool:
@@ -213,7 +214,13 @@ class _Bounding:
         """Whether a path of the bound leads to a better answer, which is taken."""
         _, multipliers, certificate = self.found
         levels = value_bounds(
-            self.search.problem, multipliers, certificate.cost, self._wanted, self.deadline, self._report
+            self.search.problem,
+            multipliers,
+            certificate.cost,
+            self._wanted,
+            certificate.cost_scale,
+            self.deadline,
+            self._report,
         )
         for level in levels:
             self.best = max(self.best, level.value)
@@ -242,7 +249,7 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     none = Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
     try:
         deadline = time.perf_counter() + seconds
-        levels = value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, deadline)
+        levels = value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, FEASIBILITY_LOSS, deadline)
         return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):
         return False
@@ -259,6 +266,7 @@ def _status(search: LocalSearch, found: Judged | None) -> tuple[str, str]:
     if found is None:
         nearest = "" if search.best is None else f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return "numerical_error", f"no trajectory was found from {search.tried} starts{nearest}"
-    if found[2].pmp != "satisfied":
-        return "numerical_error", f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
-    return "optimal", LOCAL
+    status = found[2].status_within(0.0)
+    if status == "numerical_error":
+        return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
+    return status, LOCAL

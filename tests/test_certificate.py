@@ -56,7 +56,7 @@ def test_an_optimum_passes(solved, name):
     assert certificate.globally_optimal
     assert all(one.relative < 1e-6 for one in certificate.conditions)
     assert {one.label for one in certificate.conditions} == {
-        "C-i", "C-ii", "C-iii", "C-iv", "C-v", "C-vi", "C-vii", "S-x", "S-u", "N-x", "N-u",
+        "C-i", "C-ii", "C-iii", "C-iv", "C-v", "C-vi", "C-vii", "S-x", "S-u", "N-x", "N-u", "S-J",
     }  # fmt: skip
 
 
@@ -221,14 +221,18 @@ def test_bound_of_any_multipliers_is_below_the_optimum(name):
         bound = certificate.bound
         assert bound.value <= result.cost * (1 + 1e-9)
         parts = bound.stage_gaps.sum() - bound.dynamics_term - bound.frequency_term + bound.rounding
-        assert result.cost - bound.value == pytest.approx(parts, rel=1e-9, abs=1e-9 * abs(result.cost))
+        if bound.value > 0:
+            assert result.cost - bound.value == pytest.approx(parts, rel=1e-9, abs=1e-9 * abs(result.cost))
+        else:
+            assert parts >= result.cost
     assert np.all(bound.stage_gaps > -1e-6 * abs(result.cost))
 
 
 def test_bound_with_a_wrong_sign_is_useless(solved):
     result = solved("paper, constrained")
     certificate = judge(result.problem, result.trajectory, changed(result.multipliers, eta=-result.multipliers.eta))
-    assert certificate.gap > 1
+    assert certificate.lower_bound == 0
+    assert certificate.gap == 1
 
 
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
@@ -275,8 +279,7 @@ def test_bound_over_implied_sets_is_rigorous_where_nothing_is_bounded():
     problem = lfo.library.pendulum(state_bounds=(None,) * 4, control_bound=None)
     certificate = lfo.solve(problem).certificate
     assert certificate.bound.kind == "rigorous"
-    assert "forward reach" in certificate.bound.sets
-    assert "cost level set" in certificate.bound.sets
+    assert certificate.bound.sets == "what costs no more than the trajectory"
     assert certificate.gap < 1e-6
 
 

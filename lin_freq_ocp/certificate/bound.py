@@ -15,15 +15,15 @@ without mu and nu, so nothing large cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.certificate.hamiltonian import Lift
-from lin_freq_ocp.certificate.reach import Enclosure, Pair, implied_bounds, stated_bounds
+from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.problem.arrays import Array, extended
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import GAP_TOLERANCE, trajectory_sizes
 
 EIGENVALUE_ERROR = 1e-12
 """What a computed smallest eigenvalue of a correlation matrix may be too large by."""
@@ -31,14 +31,8 @@ EIGENVALUE_ERROR = 1e-12
 NUMERICAL_REACH = 10.0
 """Where nothing bounds a component: how far, in multiples of its size, a merely numerical bound looks."""
 
-SMALLEST_REACH = 1e-9
-"""A component that rests at zero is looked for this far away, in multiples of the largest component."""
-
 ARITHMETIC = 16 * float(np.finfo(np.float64).eps)
 """Rounding of the few operations in double precision that follow, relative to what they add."""
-
-BOUND_TOLERANCE = 1e-6
-"""Relative gap above which a rigorous bound over implied sets is too weak to be worth the name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +42,7 @@ class Bound:
     Attributes
     ----------
     value : float
-        D, with all rounding errors of its evaluation subtracted.
+        D, with all rounding errors of its evaluation subtracted; 0 where D is below and the cost cannot be.
     kind : str
         "rigorous" (over sets that the optimum lies in) or "numerical" (over a box around the trajectory).
     stage_gaps : (T+1,) or None
@@ -102,18 +96,32 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
         return np.where(np.isinf(v), -np.inf, slope * v + 0.5 * curvature * np.where(np.isinf(v), 0.0, v) ** 2)
 
 
-def lower_bound(lift: Lift) -> Bound | None:
-    """Return D for normal multipliers, or None if the cost is not convex."""
+def lower_bound(lift: Lift, scale: float) -> Bound | None:
+    """Return D for normal multipliers, or None if the cost is not convex.
+
+    Parameters
+    ----------
+    lift : Lift
+    scale : float
+        S, what gaps are relative to.
+    """
     curvatures = _stage_curvatures(lift)
     if curvatures is None:
         return None
-    cost = lift.problem.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
-    allowed = BOUND_TOLERANCE * max(1.0, abs(cost))
-    proven = _evaluate(lift, curvatures, _enclosure(lift.problem, curvatures, cost), cost, "rigorous")
+    problem, allowed = lift.problem, GAP_TOLERANCE * scale
+    cost = problem.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
+    proven, deviations = _evaluate(lift, curvatures, stated_bounds(problem), cost, "rigorous")
     if cost - proven.value <= allowed:
         return proven
-    near = _cut(lift.problem, curvatures, _around(lift), f"{NUMERICAL_REACH:g} times the trajectory")
-    numerical = _evaluate(lift, curvatures, near, cost, "numerical")
+    nearby = nearby_bounds(problem, lift.trajectory, deviations, cost, allowed)
+    if nearby is not None:
+        proven = _better(proven, _evaluate(lift, curvatures, nearby, cost, "rigorous")[0])
+    if proven.value < 0 and _cost_is_never_negative(problem):
+        proven = replace(proven, value=0.0, sets="a cost that is never negative")
+    if cost - proven.value <= allowed:
+        return proven
+    near = _cut(problem, curvatures, _around(lift), f"{NUMERICAL_REACH:g} times the trajectory")
+    numerical, _ = _evaluate(lift, curvatures, near, cost, "numerical")
     return numerical if numerical.value - proven.value > allowed else proven
 
 
@@ -129,18 +137,30 @@ def ray_bound(lift: Lift, largest: Pair) -> Bound:
         whose components stay below these.
     """
     uncurved = np.zeros_like(lift.in_x), np.zeros_like(lift.in_u)
-    proven = _evaluate(lift, uncurved, _enclosure(lift.problem, uncurved, None), 0.0, "rigorous")
+    proven, _ = _evaluate(lift, uncurved, stated_bounds(lift.problem), 0.0, "rigorous")
+    if proven.value == -np.inf:
+        proven, _ = _evaluate(lift, uncurved, reachable_bounds(lift.problem), 0.0, "rigorous")
     if proven.value > 0:
         return proven
-    return _evaluate(lift, uncurved, _cut(lift.problem, uncurved, largest, "what is practical"), 0.0, "numerical")
+    return _evaluate(lift, uncurved, _cut(lift.problem, uncurved, largest, "what is practical"), 0.0, "numerical")[0]
 
 
-def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> Bound:
+def _better(one: Bound, other: Bound) -> Bound:
+    return other if other.value > one.value else one
+
+
+def _cost_is_never_negative(problem: OptimalControlProblem) -> bool:
+    """Whether the cost, which is convex, has no linear terms: squares, norms and penalties are never below zero."""
+    return not any(np.any(part) for part in (problem.quadratic.q, problem.quadratic.r, problem.quadratic.p))
+
+
+def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> tuple[Bound, Deviations]:
+    """Return D over a box, and what it loses on every component."""
     x, u = lift.trajectory.x, lift.trajectory.u
     slopes = lift.eta_before - lift.in_x, -lift.in_u
     terms = np.abs(lift.eta_before) + lift.in_x_terms, lift.in_u_terms
     unit = _unit_rounding(lift)
-    stage_gaps, certain = np.zeros(len(x)), 0.0
+    stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
     for signal, exact, size, curvature, (lower, upper) in zip(
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
     ):
@@ -148,19 +168,24 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
         error = unit * size.astype(np.float64) + ARITHMETIC * np.abs(slope)
         stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
         pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
-        certain -= float(np.minimum(*pessimistic).sum()) - ARITHMETIC * float((np.abs(slope) * np.abs(signal)).sum())
+        losses.append(ARITHMETIC * np.abs(slope * signal) - np.minimum(*pessimistic))
+        steepest.append(np.abs(slope) + error)
     residual = extended(x)[1:] - lift.problem.linear.successors(extended(x), extended(u))
     dynamics_term = float((lift.multipliers.eta * residual).sum())
     frequency_term = float((lift.control_signal * u).sum() + (lift.state_signal * x).sum())
     stage_term = float(sum(lifted.gap.sum() for lifted in lift.terms))
     summed = _sum_of_terms(lift, *terms) + float(sum(lifted.gap_terms.sum() for lifted in lift.terms))
-    gap = float(stage_gaps.sum())
+    gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
     finite = bool(np.isfinite(certain))
-    last = ARITHMETIC * (abs(cost) + abs(gap) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term))
-    rounding = certain - gap + unit * summed + last if finite else np.inf
-    unrounded = cost - gap + dynamics_term + frequency_term - stage_term
-    value = min(unrounded - rounding, box.level) if finite else -np.inf
-    return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
+    others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
+    last = unit * summed + ARITHMETIC * (others + (abs(gap) if finite else 0.0))
+    unlost = cost + dynamics_term + frequency_term - stage_term
+    value = min(unlost - certain - last, box.level) if finite else -np.inf
+    rounding = certain - gap + last if finite else np.inf
+    bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
+    return bound, Deviations(
+        (steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), float(cost - unlost) + last
+    )
 
 
 def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
@@ -189,30 +214,16 @@ def _stage_curvatures(lift: Lift) -> Pair | None:
     return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
-def _enclosure(problem: OptimalControlProblem, curvatures: Pair, cost: float | None) -> Enclosure:
-    """Return the stated sets; where an uncurved component is unbounded, what the data imply of it."""
-    stated = stated_bounds(problem)
-    endless = any(
-        ((np.isinf(lower) | np.isinf(upper)) & (curvature == 0)).any()
-        for (lower, upper), curvature in zip((stated.x, stated.u), curvatures, strict=True)
-    )
-    return implied_bounds(problem, curvatures[1], cost) if endless else stated
-
-
 def _around(lift: Lift) -> Pair:
-    """Return how far to look around the trajectory, per state and control component: never nearer than data say."""
-    sizes = [np.abs(signal).max(0) for signal in (lift.trajectory.x, lift.trajectory.u)]
-    x, u = (
-        np.maximum(NUMERICAL_REACH * np.maximum(size, SMALLEST_REACH * size.max()), stated)
-        for size, stated in zip(sizes, stated_sizes(lift.problem), strict=True)
-    )
-    return x, u
+    """Return how far to look around the trajectory, per state and control component."""
+    x, u = trajectory_sizes(lift.problem, lift.trajectory)
+    return NUMERICAL_REACH * x, NUMERICAL_REACH * u
 
 
 def _cut(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:
-    """Return the stated sets, cut at ``largest`` in components that nothing else bounds."""
+    """Return the stated sets, cut at ``largest`` in components without curvature whose bounds are farther away."""
     stated, pairs = stated_bounds(problem), list[Pair]()
     for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
-        low, high = np.isinf(lower) & (curvature == 0), np.isinf(upper) & (curvature == 0)
+        low, high = (lower < -size) & (curvature == 0), (upper > size) & (curvature == 0)
         pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
     return Enclosure(pairs[0], pairs[1], np.inf, follows_from)

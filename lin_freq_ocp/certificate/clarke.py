@@ -22,14 +22,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, Floors
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
 from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.scales import Floors
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, extended
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.regions import Border
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 from lin_freq_ocp.problem.stage_normals import Normal, stage_normals
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHOWN_FLIPS = 4
 """Flips that the words name; all are in the data."""
@@ -256,10 +258,15 @@ def nearest_weights(stage: BorderStage) -> Array:
 
 
 def border_facts(
-    problem: OptimalControlProblem, stages: Sequence[BorderStage], weights: Array, joint: bool, elsewhere: bool
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    stages: Sequence[BorderStage],
+    weights: Array,
+    joint: bool,
+    elsewhere: bool,
 ) -> BorderFacts:
     """Return the facts; ``joint`` is whether all conditions hold, ``elsewhere`` whether those not of borders do."""
-    sizes = np.concatenate(stated_sizes(problem))
+    sizes = np.concatenate(trajectory_sizes(problem, trajectory))
     flips = [flip for stage in stages for flip in _flips(stage, sizes)]
     checks = (
         ("flip", "no mode towards which H rises", _flip_residuals),

@@ -15,23 +15,22 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
+from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors, floors
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.problem.maps import StageMap
-from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
+from lin_freq_ocp.problem.measures import one_step_residual
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.terms import Term
 
 CONDITION_TOLERANCE = 1e-6
 """Residual over scale. Good solvers reach 1e-9; an error in a sign, an index or a row gives 1e-3 or more."""
 
-SCALE_FLOOR = 1e-4
-"""No component is measured more finely than this fraction of what its data say it can be: what should be zero holds
-rounding only."""
-
-
 MISFIT_SHARE = 1e-2
 """How much a wrong direction of a multiplier counts: its cost is of second order, and an interior-point method that
 ends with a gap of 1e-10 has directions to 1e-5."""
+
+FAR = 10.0
+"""Multiple of the sizes of the controls within which the Hamiltonian is maximised: it is concave."""
 
 TRIVIAL = 1e-9
 """What is smaller than this part of the largest multiplier of a set or a row is rounding."""
@@ -77,57 +76,22 @@ class Condition:
         """Whether the condition holds; what has overflowed does not."""
         return bool(self.residual <= self.tolerance * self.scale < np.inf)
 
+    def within(self, tolerance: float) -> Condition:
+        """Return the condition with another tolerance; one that allows for nothing or is of regions keeps its own."""
+        if self.tolerance == 0 or self.label == "S-f":
+            return self
+        return replace(self, tolerance=tolerance)
+
     @property
     def relative(self) -> float:
         """Return residual / scale (0 where both are 0)."""
         return self.residual / self.scale if self.scale > 0 else (0.0 if self.residual == 0 else np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class Floors:
-    """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
-
-    Attributes
-    ----------
-    x : (n,), u : (m,)
-        Of states and controls, from ends, references, bounds and dynamics.
-    cost : float
-        Of what one stage costs with states and controls of their natural sizes; for eta_C = 0, of the largest terms of
-        the Hamiltonian there.
-    in_x : (n,), in_u : (m,)
-        Of multipliers in the adjoint equation and in D_u H: what changes that cost by its own size.
-    terms : tuple of (dim,)
-        Of values of terms, one entry per term, with states and controls of their natural sizes.
-    """
-
-    x: Array
-    u: Array
-    cost: float
-    in_x: Array
-    in_u: Array
-    terms: tuple[Array, ...]
-
-
-def floors(lift: Lift) -> Floors:
-    """Return the least scales of a problem."""
-    problem = lift.problem
-    x, u = stated_sizes(problem)
-    T = problem.horizon
-    steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
-    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-    priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
-    cost = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
-    if lift.multipliers.eta_C == 0:  # no unit of cost: any multiple of abnormal multipliers is as good
-        before = np.abs(lift.eta_before) + lift.in_x_terms
-        cost = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
-    terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
-    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, cost, cost / x, cost / u, terms)
-
-
 def all_conditions(lift: Lift) -> tuple[Condition, ...]:
     """Judge all conditions, in the paper's order."""
     problem, (x, u), least = lift.problem, (lift.trajectory.x, lift.trajectory.u), floors(lift)
-    level = least.cost if lift.multipliers.eta_C == 0 else max(abs(problem.value(x, u)), least.cost)
+    level = least.level
     mu, nu = lift.multipliers.mu, lift.multipliers.nu
     return (
         non_negativity(lift),
@@ -135,7 +99,7 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
         state_equation(lift, least),
         *adjoint_and_transversality(lift, least),
         stationarity_in_u(lift, least),
-        *hamiltonian_maximum(lift, level),
+        *hamiltonian_maximum(lift, least),
         frequency("C-vi", "state frequency constraint", x, problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
         membership("S-x", "state in its set", x, problem.state_tube, least.x),
@@ -147,6 +111,7 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
             for lifted, size in zip(lift.terms, least.terms, strict=True)
             for condition in term_conditions(lifted, lift.multipliers.eta_C, level, size)
         ),
+        worth_of_residuals(lift, level),
     )
 
 
@@ -195,11 +160,12 @@ def stationarity_in_u(lift: Lift, least: Floors) -> Condition:
     )
 
 
-def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
+def hamiltonian_maximum(lift: Lift, least: Floors) -> list[Condition]:
     """C-v, where H is concave in u: max over U_t of H_t exceeds H_t(u_t) by 0 (paper, corollary for linear systems).
 
-    The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. Components that are
-    unbounded and uncurved are left to the first-order condition: there the maximum is infinite or attained everywhere.
+    The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. H is concave: what holds for
+    all v that differ from u_t by no more than FAR times the sizes of its components holds for all of U_t. How far away
+    a bound is that is not active, or whether there is one, says nothing.
     With joint rows, the maximum over {v in U_t : D v <= e - C x_t} of H is at most the maximum over U_t of
     H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
     slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. The same with the gaps of other terms of u_t.
@@ -208,17 +174,16 @@ def hamiltonian_maximum(lift: Lift, level: float) -> list[Condition]:
     curvature = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.R)
     if curvature is None:
         return []
-    tube = problem.control_tube
-    bounded = (np.isfinite(tube.lower) & np.isfinite(tube.upper)) | (curvature > 0)
-    slope = np.where(bounded, -lift.in_u, 0.0)
-    excess = -box_minimum(slope, curvature, tube.lower - u, tube.upper - u)
+    tube, reach = problem.control_tube, FAR * least.u / SCALE_FLOOR
+    low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
+    excess = -box_minimum(-lift.in_u, curvature, low, np.maximum(low, high))
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
     total = excess.sum(1)
     for lifted in lift.terms:
         if isinstance(lifted.term.map, StageMap) and lifted.term.map.D is not None:
             np.add.at(total, lifted.term.map.times, np.maximum(lifted.gap, 0.0).sum(1))
     terms = (lift.in_u_terms * np.abs(u)).sum(1)
-    scale = max(level, float(terms.max()))
+    scale = max(least.level, float(terms.max()))
     t = int(np.argmax(total))
     component = int(np.argmax(excess[t]))
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
@@ -231,11 +196,8 @@ def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array)
 
 
 def membership(label: str, name: str, signal: Array, tube: Box, least: Array) -> Condition:
-    """S-x, S-u: distance outside the set; compared with the largest bound and value of the component."""
-    bounds = [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (tube.lower, tube.upper)]
-    return worst_condition(
-        label, name, tube.violation(signal), _scales(np.maximum(np.abs(signal), np.maximum(*bounds)), least)
-    )
+    """S-x, S-u: distance outside the set; compared with the largest value of the component."""
+    return worst_condition(label, name, tube.violation(signal), _scales(np.abs(signal), least))
 
 
 def normal_cone(
@@ -243,15 +205,34 @@ def normal_cone(
 ) -> Condition:
     """N-x, N-u: sigma(mu_t) - <mu_t, x_t> = 0; compared with the largest <|mu_t|, |x_t|>, or the cost.
 
-    A multiplier against a bound that does not exist would give infinity; it counts as if that bound were as far away
-    as the component is large.
+    A multiplier against a bound that is farther away than the component is large, or does not exist, counts as if the
+    bound were that far away.
     """
     reach = np.maximum(np.abs(signal).max(0), least)
-    gap = np.abs(tube.normal_gap_terms(signal, normal))
-    gap = np.where(np.isfinite(gap), gap, np.abs(normal) * reach)
+    gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), np.abs(normal) * reach)
     scale = max(level, float((np.abs(normal) * np.abs(signal)).sum(1).max()))
     t, component = _argmax(gap)
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
+
+
+def worth_of_residuals(lift: Lift, level: float) -> Condition:
+    """S-J: what residuals of the constraints are worth, at their multipliers; compared with the terms of the cost.
+
+    Where the optimal cost is differentiable, J differs from that of the nearest feasible problem by this, to first
+    order: a residual that is small for its component is not always small for the cost. Those of one component of one
+    constraint add up with their signs.
+    """
+    multipliers, (x, u) = lift.multipliers, (lift.trajectory.x, lift.trajectory.u)
+    tubes = (x, multipliers.mu, lift.problem.state_tube), (u, multipliers.nu, lift.problem.control_tube)
+    parts = [multipliers.eta * one_step_residual(lift.problem, lift.trajectory), lift.control_signal * u]
+    parts += [lift.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
+    parts += [
+        np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)
+        for one in lift.terms
+        if one.term.hard
+    ]
+    worth = sum(float(np.abs(part.sum(0)).sum()) for part in parts)
+    return Condition("S-J", "residuals without effect on the cost", worth, level, CONDITION_TOLERANCE)
 
 
 def term_conditions(lifted: TermLift, eta_C: float, level: float, least: Array) -> list[Condition]:

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.certificate.conditions import SCALE_FLOOR
+from lin_freq_ocp.certificate.scales import SCALE_FLOOR
 from lin_freq_ocp.certificate.slopes import leaving, recession, slope_of_penalty
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.maps import TrajectoryMap
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DIRECTION_TOLERANCE = 1e-6
@@ -61,7 +62,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     Constraints that the trajectory violates count as active: the direction does not make them worse.
     """
     x, u = trajectory.x, trajectory.u
-    along, sizes = _normalised(problem, along)
+    along, sizes = _normalised(problem, along, trajectory_sizes(problem, trajectory))
     residuals = _linear_residuals(problem, along, sizes)
     slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
     scales.append(_least_slope(problem, trajectory, along, sizes))
@@ -70,7 +71,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
         residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
     for term in problem.terms:
         values, change = term.map.values(x, u), _change(term.map, along)
-        size = float((term.map.sizes(x, u) + term.penalty.sizes() + np.abs(change)).max())
+        size = float((term.map.sizes(x, u) + np.abs(change)).max())
         residuals.append(leaving(term, values, change, TOUCHING * size) / max(float(np.abs(change).max()), size))
         slopes.append(slope_of_penalty(term, values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
@@ -80,7 +81,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
 
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
     """Return the direction if every constraint holds along it for ever while the cost falls for ever; else None."""
-    along, sizes = _normalised(problem, along)
+    along, sizes = _normalised(problem, along, stated_sizes(problem))
     residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
     slopes, scales = _quadratic_slope(problem, along, at_rest)
@@ -113,10 +114,12 @@ def _steepest(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> floa
     return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
 
 
-def _normalised(problem: OptimalControlProblem, along: Trajectory) -> tuple[Trajectory, tuple[Array, Array]]:
-    """Return the direction with a largest entry of 1 in the sizes of the data, and these sizes."""
+def _normalised(
+    problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]
+) -> tuple[Trajectory, tuple[Array, Array]]:
+    """Return the direction with a largest entry of 1 in these sizes, and the sizes."""
     problem.require(along)
-    x, u = stated_sizes(problem)
+    x, u = sizes
     largest = max(float(np.abs(along.x / x).max()), float(np.abs(along.u / u).max()))
     return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along, (x, u)
 

@@ -17,20 +17,14 @@ from lin_freq_ocp.certificate.clarke import (
     nearest_weights,
     stationarity_scale,
 )
-from lin_freq_ocp.certificate.conditions import (
-    CONDITION_TOLERANCE,
-    Condition,
-    Floors,
-    all_conditions,
-    floors,
-    worst_condition,
-)
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worst_condition
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
+from lin_freq_ocp.certificate.scales import Floors, floors
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
@@ -42,7 +36,7 @@ def judge_modes(
 ) -> tuple[tuple[Condition, ...], BorderFacts]:
     """Return all conditions of a trajectory of piecewise-affine dynamics, and the facts about its borders."""
     problem.require(trajectory)
-    arrays = measured_modes(problem)
+    arrays = measured_modes(problem, trajectory)
     sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)
@@ -55,7 +49,7 @@ def judge_modes(
     elsewhere = others and _stationary(lifted, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
     conditions = (*linear, *added)
     joint = all(one.passed for one in conditions)
-    return conditions, border_facts(problem, stages, weights, joint, elsewhere)
+    return conditions, border_facts(problem, trajectory, stages, weights, joint, elsewhere)
 
 
 def _averaged(problem: OptimalControlProblem, weights: Array) -> OptimalControlProblem:

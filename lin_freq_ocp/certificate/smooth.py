@@ -16,9 +16,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lin_freq_ocp.certificate.clarke import BorderFacts, NormKink, required_slopes, stationarity_scale
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, floors
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
+from lin_freq_ocp.certificate.scales import floors
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.formula_text import text_of
 from lin_freq_ocp.problem.formulas import Formula

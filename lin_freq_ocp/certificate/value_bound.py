@@ -83,6 +83,7 @@ def value_bounds(
     multipliers: Multipliers,
     cost: float,
     gap: float,
+    scale: float,
     deadline: float = np.inf,
     progress: Callable[[int, float], None] | None = None,
 ) -> Iterator[ValueBound]:
@@ -96,6 +97,8 @@ def value_bounds(
         Of a trajectory; inf if none is known. D is a bound whatever it is, but never more than cost - gap / 2.
     gap : float
         Wanted distance from the cost.
+    scale : float
+        S, what the terms of the cost add up to: errors of the first level are relative to it.
     deadline : float
         Of ``time.perf_counter``, at which OutOfTimeError is raised.
     progress : callable, optional
@@ -110,10 +113,10 @@ def value_bounds(
     costs, T = stage_costs(problem, multipliers), problem.horizon
     cut, best = cost - gap / 2 - costs.constant, -np.inf
     stages = Stages.below(problem, costs, cut)
-    level, count = _first_level(stages, cost - costs.constant), 0
+    level, count = _first_level(stages, cost - costs.constant, scale), 0
     while level:
         count += 1
-        lost = FIRST_LOSS * max(1.0, abs(cost)) if best == -np.inf else cost - best
+        lost = FIRST_LOSS * scale if best == -np.inf else cost - best
         tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
         done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
@@ -156,11 +159,11 @@ class _Done:
     beyond_of_cells: Array
 
 
-def _first_level(stages: Stages, cost: float) -> list[_Task]:
+def _first_level(stages: Stages, cost: float, scale: float) -> list[_Task]:
     lattices = _lattices(stages)
     tasks: list[_Task] = []
     for t, (lattice, spent) in enumerate(zip(lattices, arrivals(stages, lattices), strict=True)):
-        hoped = cost - spent + CUT_MARGIN * max(1.0, abs(cost)) if np.isfinite(cost) else np.full(len(spent), np.inf)
+        hoped = cost - spent + CUT_MARGIN * scale if np.isfinite(cost) else np.full(len(spent), np.inf)
         boxes = _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice)
         tasks.append(_Task(lattice, boxes, _nothing, hoped))
     return tasks

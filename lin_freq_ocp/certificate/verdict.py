@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.clarke import BorderFacts
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
@@ -18,10 +18,8 @@ from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-
-GAP_TOLERANCE = 1e-6
-"""Relative gap (J - D)/max(1, |J|) up to which a feasible point is called globally optimal."""
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
 
@@ -40,6 +38,8 @@ class Certificate:
         All that was checked, in the paper's order.
     cost : float
         J of the trajectory.
+    cost_scale : float
+        S, what the terms of the cost add up to in absolute value: what the gap is relative to.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
         search over modes may add one, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
@@ -54,6 +54,7 @@ class Certificate:
     normal: bool | None
     conditions: tuple[Condition, ...]
     cost: float
+    cost_scale: float
     bound: Bound | None
     descent: Direction | None = None
     borders: BorderFacts | None = None
@@ -65,8 +66,11 @@ class Certificate:
 
     @property
     def gap(self) -> float | None:
-        """Return (J - D) / max(1, |J|)."""
-        return None if self.lower_bound is None else (self.cost - self.lower_bound) / max(1.0, abs(self.cost))
+        """Return (J - D) / S; 0 where both J - D and S are zero."""
+        if self.lower_bound is None:
+            return None
+        difference = self.cost - self.lower_bound
+        return 0.0 if difference == 0 else difference / self.cost_scale if self.cost_scale > 0 else np.inf
 
     @property
     def stage_gaps(self) -> Array | None:
@@ -84,13 +88,29 @@ class Certificate:
 
     @property
     def globally_optimal(self) -> bool:
-        """Whether the trajectory is feasible and its gap to the bound is within tolerance.
+        """Whether the trajectory is feasible and its gap to a rigorous bound is within GAP_TOLERANCE."""
+        return self.proven_within(GAP_TOLERANCE)
 
-        A numerical bound says nothing of what lies outside its box: then the maximum principle must be satisfied, too.
+    def proven_within(self, gap: float) -> bool:
+        """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
+
+        A numerical bound says nothing of what lies outside its box, and proves nothing. Residuals must not be worth
+        more than the gap, either (condition S-J).
         """
-        if self.bound is None or self.gap is None or not self.feasible:
+        if self.bound is None or self.gap is None or self.bound.kind != "rigorous" or not self.feasible:
             return False
-        return self.gap <= GAP_TOLERANCE and (self.bound.kind == "rigorous" or self.pmp == "satisfied")
+        worth = max((one.relative for one in self.conditions if one.label == "S-J"), default=0.0)
+        return self.gap <= gap and worth <= gap
+
+    def status_within(self, gap: float) -> str:
+        """Return "optimal", as ``proven_within`` says, else "locally_optimal" or "numerical_error".
+
+        Locally optimal means that the maximum principle is satisfied with normal multipliers: where the dynamics are
+        linear, no feasible direction lowers the cost to first order; where they have modes, it is necessary only.
+        """
+        if self.proven_within(gap):
+            return "optimal"
+        return "locally_optimal" if self.pmp == "satisfied" and self.normal else "numerical_error"
 
     @property
     def failed(self) -> tuple[Condition, ...]:
@@ -124,8 +144,21 @@ class Certificate:
         return f"cost {self.cost:.12g}, bound {_number(self.lower_bound)}, gap {_number(self.gap, '.2e')}"
 
 
-def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Certificate:
+def judge(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    tolerance: float = CONDITION_TOLERANCE,
+) -> Certificate:
     """Judge a trajectory and multipliers from any source against the maximum principle.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    trajectory : Trajectory
+    multipliers : Multipliers
+    tolerance : float
+        Residuals over scales up to which conditions hold. Facts about borders of modes keep theirs.
 
     With piecewise-affine dynamics, the state equation is that of a mode that holds, and all else is said of the linear
     dynamics averaged by ``multipliers.weights``, or, where they are None, by those that fit best (docs/borders.md).
@@ -144,13 +177,15 @@ def judge(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: M
             _require_no_weights(multipliers)
             lifted, borders = lift(problem, trajectory, multipliers), None
             conditions = all_conditions(lifted)
-            bound = lower_bound(lifted) if multipliers.eta_C == 1 else None
+            bound = lower_bound(lifted, cost_scale(problem, trajectory)) if multipliers.eta_C == 1 else None
+        conditions = tuple(one.within(tolerance) for one in conditions)
         pmp = "satisfied" if all(condition.passed for condition in conditions) else "violated"
         return Certificate(
             pmp=pmp if borders is None or borders.jumping is None else "not_applicable",
             normal=multipliers.eta_C == 1,
             conditions=conditions,
             cost=problem.value(trajectory.x, trajectory.u),
+            cost_scale=cost_scale(problem, trajectory),
             bound=bound,
             borders=borders,
         )

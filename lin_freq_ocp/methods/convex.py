@@ -20,6 +20,9 @@ from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
 SOLVED_TOLERANCE = 1e-6
 """Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
 
+NOISE = 1e-10
+"""What a solver leaves, on a program scaled to order 1, of states and controls that are zero."""
+
 UNBOUNDED_TOLERANCE = 1e-6
 """Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
 
@@ -58,6 +61,16 @@ def require_convex(problem: OptimalControlProblem) -> None:
             f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
             "certify() judges trajectories of nonconvex problems too."
         )
+
+
+def without_noise(transcription: LinearTranscription, z: Array) -> Array:
+    """Return a point of the scaled program, with components that are below NOISE at all times at their references."""
+    problem, clean = transcription.problem, z.copy()
+    ends = (problem.horizon + 1) * problem.state_dim, transcription.signals
+    for part, count in ((clean[: ends[0]], problem.state_dim), (clean[ends[0] : ends[1]], problem.control_dim)):
+        signal = part.reshape(-1, count)
+        signal[:, np.abs(signal).max(0) <= NOISE] = 0.0
+    return clean
 
 
 def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
@@ -135,6 +148,7 @@ def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Pr
         return Candidate("unbounded", None, None, None, None, solution.words, descent=along)
     if z is None or y is None:
         return Candidate("numerical_error", None, None, None, None, solution.words)
+    z = without_noise(transcription, z)
     if not program.P.nnz and not program.q.any():
         y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
     residuals = program.residuals(z, y)

@@ -23,10 +23,10 @@ from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex import scaled_program
 from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
@@ -164,7 +164,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     if isinstance(problem.dynamics, PiecewiseSmoothDynamics):
         problem = problem.affine_at(trajectory)
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-        problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
+        problem = problem.with_modes(measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

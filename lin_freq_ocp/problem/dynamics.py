@@ -255,6 +255,10 @@ class LinearDynamics:
         A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
         return A, B, np.abs(self.offset).reshape(-1, n).max(0)
 
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains``, which are the same along all trajectories."""
+        return self.gains()
+
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
         return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))

@@ -10,9 +10,9 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.maps import StageMap
-from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
+from lin_freq_ocp.problem.sizes import NO_GAIN
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ZERO_PADDING = 16
@@ -23,10 +23,6 @@ REPLAY_LIMIT = 1e-3
 
 WEIGHTY = 0.1
 """A component with less than this part of a row's largest coefficient is not what the row's limit is about."""
-
-NO_GAIN = 1e-14
-"""Entries of a row of [A, B] below this part of its largest one are rounding, as in a linearisation where a state is
-zero up to rounding: no size follows from them."""
 
 
 @dataclass(frozen=True)
@@ -170,11 +166,6 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
         sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
-
-
-def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
-    """Return the modes of a problem at all times, which measure components by what the problem says of their sizes."""
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem))
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

@@ -240,6 +240,10 @@ class PiecewiseAffineDynamics:
         A, B, d = (np.max([part[k] for part in parts], axis=0) for k in range(3))
         return A, B, d
 
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains``, which are the same along all trajectories."""
+        return self.gains()
+
     def along(self, sequence: Indices) -> LinearDynamics:
         """Return the time-varying linear dynamics of a mode sequence (T,)."""
         arrays, times = self.arrays(len(sequence)), np.arange(len(sequence))

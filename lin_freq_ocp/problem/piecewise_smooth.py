@@ -224,6 +224,11 @@ class PiecewiseSmoothDynamics:
         constant = np.nan_to_num(np.abs([one.values[0] for one in found.f]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
 
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return the largest derivatives along a trajectory, (n, n) and (n, m), and the largest constants, (n,)."""
+        A, B, d = (np.nan_to_num(part, posinf=0.0) for part in self.affine_at(x, u).gains())
+        return A, B, d
+
     def jets_at(self, y: Array, selections: Mapping[Formula, Array] | None = None) -> ModeJets:
         """Return all modes with derivatives at points y = (x, u), (points, n + m)."""
         parts = [

@@ -9,10 +9,10 @@ import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.maps import StageMap
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.penalties import Below
 from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -60,7 +60,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
     Balls, cones and soft sets are not among them: their multipliers stay what they are.
     """
     found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
-    sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
+    sizes, signals = trajectory_sizes(problem, trajectory), (trajectory.x[:-1], trajectory.u)
     tubes, first = (problem.state_tube, problem.control_tube), 0
     for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
         for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):
@@ -86,8 +86,8 @@ def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple
     if not isinstance(term.map, StageMap) or not isinstance(term.penalty, Below) or not term.hard:
         return
     values = term.map.values(trajectory.x, trajectory.u)
-    sizes = term.map.sizes(trajectory.x, trajectory.u) + np.broadcast_to(term.penalty.sizes(), values.shape)
-    near = TOUCHING * np.where(sizes.max(0) > 0, sizes.max(0), 1.0)
+    sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
+    near = TOUCHING * np.where(sizes > 0, sizes, 1.0)
     for group, row in np.argwhere(values >= term.penalty.limit - near):
         if term.map.times[group] < horizon:
             parts = [

@@ -16,10 +16,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, Certificate
+from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.sensitivities import bin_prices
+from lin_freq_ocp.problem.sizes import GAP_TOLERANCE
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.mode_panels import mode_legend
@@ -96,7 +97,7 @@ def result_scene(result: Result) -> Scene:
     """Return the solution as a scene; SolveError if it has no trajectory."""
     if result.trajectory is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
-    label = "optimal" if result.status == "optimal" else "best point"
+    label = result.status.replace("_", " ") if "optimal" in result.status else "best point"
     return Scene(result.problem, (_solved(label, result),))
 
 
@@ -197,7 +198,7 @@ def gap_figure(scene: Scene, certificate: Certificate) -> Figure | None:
         return None
     figure = new_figure(0.85 * ROW_HEIGHT)
     ax = figure.add_subplot()
-    allowed = GAP_TOLERANCE * max(1.0, abs(certificate.cost))
+    allowed = GAP_TOLERANCE * certificate.cost_scale
     floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
     times, low = scene.time.factor * np.arange(len(gaps)), gaps < floor
     ax.plot(*thinned(times[~low], gaps[~low]), "o", color=CONSTRAINED, markersize=3.2, markeredgewidth=0)

@@ -13,10 +13,10 @@ from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formula_text import text_of
 from lin_freq_ocp.problem.formulas import Formula
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
@@ -70,7 +70,7 @@ def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Ind
     if len(mode_names(problem)) < 2:
         return None
     smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem)
+    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem, trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
@@ -99,7 +99,7 @@ def kinks(
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     selections = _selections(problem, trajectory, borders)
     affine = problem.affine_at(trajectory, selections) if selections is not None else problem
-    arrays = measured_modes(affine)
+    arrays = measured_modes(affine, trajectory)
     lifted = lift(replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u))), trajectory, multipliers)
     required = required_slopes(lifted)[:, :n]
     centre, radius = _pulled(affine, multipliers), 0.0

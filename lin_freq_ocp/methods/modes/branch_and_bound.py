@@ -22,6 +22,7 @@ from lin_freq_ocp.problem.mode_reach import Reach
 from lin_freq_ocp.problem.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import cost_scale
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 
@@ -49,7 +50,7 @@ class BranchAndBound:
         self._duals: list[Duals | None] = []
         self._heap: list[tuple[float, int, Relaxed]] = []
         self._best: Indices | None = None
-        self._cost = np.inf
+        self._cost, self._scale = np.inf, 0.0
         self._tried: set[bytes] = set()
         self._solved = 0
         self._setup = time.perf_counter() - self._started
@@ -177,6 +178,7 @@ class BranchAndBound:
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
         self._cost, self._best = answer.bound, sequence
+        self._scale = cost_scale(self.problem, answer.trajectory)
         for flipped in self._flips(sequence, answer.trajectory, answer.duals):
             self._try(flipped)
             if self._best is not sequence:
@@ -217,7 +219,7 @@ class BranchAndBound:
     def _cutoff(self) -> float:
         if not np.isfinite(self._cost):
             return np.inf
-        return self._cost - SHARE_OF_GAP * self.limits.gap * max(1.0, abs(self._cost))
+        return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
 
     def _relaxed(self, reach: Reach) -> Relaxed:
         self._solved += 1

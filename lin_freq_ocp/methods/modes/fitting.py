@@ -34,9 +34,9 @@ from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear import LinearTranscription
@@ -126,7 +126,7 @@ class _Place:
 
     @classmethod
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _Place:
-        arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+        arrays, x, u = measured_modes(problem, trajectory), trajectory.x, trajectory.u
         sequence, meeting = arrays.sequence(x, u), arrays.meeting(x, u)
         transcription, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))

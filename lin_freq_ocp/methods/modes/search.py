@@ -14,7 +14,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
 
 GAP = 1e-6
-"""Relative gap (J - D)/max(1, |J|) at which the search ends, unless another is asked for."""
+"""Relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,8 @@ class SearchProgress:
     seconds: float
 
     def __str__(self) -> str:
-        gap = (self.cost - self.lower_bound) / max(1.0, abs(self.cost)) if np.isfinite(self.cost) else np.inf
         best = f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet"
-        return f"{best}, bound {self.lower_bound:.6g}, gap {gap:.1e}, {self.nodes} nodes, {self.open} open"
+        return f"{best}, bound {self.lower_bound:.6g}, {self.nodes} nodes, {self.open} open"
 
 
 @dataclass(frozen=True, eq=False)

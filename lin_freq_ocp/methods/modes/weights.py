@@ -20,8 +20,8 @@ from scipy.optimize import nnls
 
 from lin_freq_ocp.problem.affine_mode import REGION
 from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.measures import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -58,7 +58,7 @@ def weighted(
         Without REGION, with weights of the modes that meet at each time. They are the nearest to Clarke's rule that
         there are with this adjoint: whether near enough, the judge says.
     """
-    arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+    arrays, x, u = measured_modes(problem, trajectory), trajectory.x, trajectory.u
     times, meeting = np.arange(problem.horizon), arrays.meeting(x, u)
     meeting[times, sequence] = True
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)

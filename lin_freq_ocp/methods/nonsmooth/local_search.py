@@ -12,9 +12,11 @@ from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
 from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import cost_scale
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
@@ -81,6 +83,7 @@ class LocalSearch:
     def __post_init__(self):
         self._end = time.perf_counter() + self.seconds
         self._known: set[tuple[bytes, bytes]] = set()
+        self._units = stated_sizes(self.problem)[1]
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best."""
@@ -126,13 +129,13 @@ class LocalSearch:
         return False
 
     def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES) -> None:
-        key = sequence.tobytes(), np.round(start.u, 6).tobytes()
+        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes()
         if self._late() or key in self._known:
             return
         self._known.add(key)
         self.tried += 1
         found = local_optimum(self.problem, start, sequence, prices)
-        if found is not None and (self.best is None or _better(found, self.best)):
+        if found is not None and (self.best is None or _better(self.problem, found, self.best)):
             self.best = found
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
@@ -170,9 +173,9 @@ def _middle(box: Box, share: Array) -> Array:
     return low + share * (high - low)
 
 
-def _better(one: LocalOptimum, other: LocalOptimum) -> bool:
+def _better(problem: OptimalControlProblem, one: LocalOptimum, other: LocalOptimum) -> bool:
     if one.feasible != other.feasible:
         return one.feasible
     if not one.feasible:
         return one.violation < other.violation
-    return one.cost < other.cost - BETTER * max(1.0, abs(other.cost))
+    return one.cost < other.cost - BETTER * cost_scale(problem, other.trajectory)

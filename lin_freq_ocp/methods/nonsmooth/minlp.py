@@ -31,9 +31,9 @@ class GlobalClaim(SolverClaim):
 
     excluded: bool = False
 
-    def mismatches(self, cost: float) -> list[str]:
-        """Return what the claim gets wrong, if a trajectory of that cost was found from its point."""
-        allowed = AGREEMENT * max(1.0, abs(cost)) + POINT_TOLERANCE * self.slope
+    def mismatches(self, cost: float, scale: float) -> list[str]:
+        """Return what the claim gets wrong, if its point led to a trajectory of that cost; ``scale`` is S."""
+        allowed = AGREEMENT * scale + POINT_TOLERANCE * self.slope
         return self.differences(cost, allowed, "the trajectory it leads to")
 
 

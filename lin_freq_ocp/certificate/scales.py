@@ -1,0 +1,60 @@
+"""What the judge measures residuals, gaps and slopes by: sizes of the trajectory, and what the cost's terms add up to.
+
+All of it follows the units of states, controls and cost, and nothing of it comes from bounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.sizes import cost_scale, trajectory_sizes
+
+SCALE_FLOOR = 1e-4
+"""No component is measured more finely than this fraction of its size: what should be zero holds rounding only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
+
+    Attributes
+    ----------
+    x : (n,), u : (m,)
+        Of states and controls.
+    level : float
+        What multipliers times signals are compared with: S of ``cost_scale``, but at least SCALE_FLOOR of what a stage
+        costs with states and controls of their natural sizes; for eta_C = 0, which has no unit of cost, SCALE_FLOOR of
+        the largest terms of the Hamiltonian.
+    in_x : (n,), in_u : (m,)
+        Of multipliers in the adjoint equation and in D_u H: what changes the cost of a stage by its own size.
+    terms : tuple of (dim,)
+        Of values of terms, one entry per term, with states and controls of their natural sizes.
+    """
+
+    x: Array
+    u: Array
+    level: float
+    in_x: Array
+    in_u: Array
+    terms: tuple[Array, ...]
+
+
+def floors(lift: Lift) -> Floors:
+    """Return the least scales of a problem along a trajectory."""
+    problem, T = lift.problem, lift.problem.horizon
+    x, u = trajectory_sizes(problem, lift.trajectory)
+    steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
+    terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
+    if lift.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
+        before = np.abs(lift.eta_before) + lift.in_x_terms
+        level = stage = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
+    else:
+        in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
+        stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+        level = max(cost_scale(problem, lift.trajectory), stage)
+    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)
