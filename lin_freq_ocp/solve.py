@@ -27,6 +27,7 @@ from lin_freq_ocp.errors import (
 )
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.free_of_cost import free_of_cost
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
@@ -53,6 +54,9 @@ DIVERGED = 1e6
 
 EXPLAIN_SECONDS = 5.0
 """Time for saying why a problem has no solution, unless a time limit leaves less."""
+
+LOOSEST = 1e-2
+"""The judge forgives what a tolerance allows, up to here: beyond, nothing would be said of the point."""
 
 METHODS = ("auto", "convex", "spectral", *MODE_METHODS, *SMOOTH_METHODS)
 
@@ -96,8 +100,9 @@ def solve(
         Seconds for the solver.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
-        bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default; 1e-4 with
-        piecewise-smooth dynamics. Of "minlp": the relative gap asked of the solver, 1e-6 by default.
+        bounds to stop at. Both: above 1e-6, also what the judge forgives, up to 1e-2. Over modes: the relative gap to
+        prove, 1e-6 by default; 1e-4 with piecewise-smooth dynamics. Of "minlp": the relative gap asked of the solver,
+        1e-6 by default.
     throw : bool
         Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
     node_limit : int, optional
@@ -224,7 +229,13 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
         candidate = _accounted(problem, candidate, time_limit)
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
-    return _judged(problem, candidate, "convex", backend, tolerance)
+    result = _judged(problem, candidate, "convex", backend, tolerance)
+    if result.status in ("locally_optimal", "numerical_error") and result.trajectory is not None:
+        free = free_of_cost(problem, result.trajectory)
+        other = result if free is None else _judged(problem, free, "convex", backend, tolerance)
+        if other.status == "optimal":
+            return replace(other, seconds=result.seconds)
+    return result
 
 
 def settled(status: str, words: str, certificate: Certificate, gap: float) -> tuple[str, str]:
@@ -272,9 +283,10 @@ def _judged(
     clock = time.perf_counter()
     status, words, conflict, ray, certificate = candidate.status, candidate.words, None, None, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
-        allowed = max(CONDITION_TOLERANCE, tolerance or 0.0)
+        allowed = min(max(CONDITION_TOLERANCE, tolerance or 0.0), LOOSEST)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
-        status, words = settled(status, words, certificate, allowed)
+        if not candidate.interrupted:
+            status, words = settled(status, words, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
     if status == "unbounded":
         words = _fall(problem, direction) if direction else f"{words}, without a verified direction"

@@ -21,7 +21,7 @@ from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
-from lin_freq_ocp.problem.measures import measured_modes
+from lin_freq_ocp.problem.sizes import measured_modes
 
 KINDS = ("one kink", "two parallel kinks", "two crossing kinks", "three wedges")
 
@@ -210,7 +210,7 @@ def followed(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: l
 
 def tried(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result, facts: BorderFacts):
     """Yield what each flip turned out to be, and words if that is not what was said."""
-    arrays = measured_modes(problem)
+    arrays = measured_modes(problem, result.trajectory)
     meeting = arrays.meeting(result.trajectory.x, result.trajectory.u)
     said = {(flip.time, flip.mode): flip.rate for flip in facts.flips}
     unique = None

@@ -92,7 +92,7 @@ def test_the_rate_of_a_flip_is_the_fall_of_the_cost():
     problem = kinks.valley()
     certificate = lfo.certify(problem, [[-1.0], [4.0]])
     rates = {flip.mode: flip.rate for flip in certificate.borders.flips}
-    size = 20.0  # of x, its bound, along which alone the direction goes: eta_0 and the cost of u_0 are in p
+    size = 5.0  # of x, its largest value, along which alone the direction goes: eta_0 and the cost of u_0 are in p
     assert rates == pytest.approx({1: 2.5 * size, 0: 1.5 * size}, rel=1e-6)
     step = 1e-4
     for mode, sign in ((1, 1.0), (0, -1.0)):
@@ -339,7 +339,7 @@ def test_a_search_may_add_its_bound():
     for below, optimal in ((1e-9, True), (1.0, False)):
         bound = Bound(certificate.cost - below, "rigorous", sets="the leaves of a search tree")
         bounded = replace(certificate, bound=bound)
-        assert bounded.gap == pytest.approx(below / abs(certificate.cost))
+        assert bounded.gap == pytest.approx(below / certificate.cost_scale)
         assert bounded.globally_optimal == optimal
         assert bounded.stage_gaps is None
 

@@ -259,7 +259,7 @@ def test_an_interrupt_keeps_what_was_found():
     assert result.lower_bound < result.cost
     bounds = [one.lower_bound for one in seen if np.isfinite(one.cost)]
     assert bounds == sorted(bounds)
-    assert "gap" in str(seen[-1])
+    assert "open" in str(seen[-1])
 
 
 def test_the_same_search_twice_is_the_same():

@@ -5,7 +5,7 @@ import pytest
 from reference import time_varying
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.reach import OUTWARD, implied_bounds
+from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
 
 T = 30
@@ -30,7 +30,7 @@ def problem(kind, **changes):
 def test_forward_reach_is_the_tight_interval(kind):
     """Against the worst controls and start for each component and time, by the adjoint of the map to that component."""
     task = problem(kind)
-    enclosure = implied_bounds(task, np.zeros((T, 1)), None)
+    enclosure = reachable_bounds(task)
     assert "forward reach" in enclosure.follows_from
     for t in (1, 7, T):
         for i in range(2):
@@ -50,7 +50,7 @@ def test_forward_reach_is_the_tight_interval(kind):
 @pytest.mark.parametrize("kind", ["constant", "time-varying"])
 def test_forward_reach_holds_random_trajectories(kind):
     task, rng = problem(kind), np.random.default_rng(1)
-    lower, upper = implied_bounds(task, np.zeros((T, 1)), None).x
+    lower, upper = reachable_bounds(task).x
     for _ in range(50):
         u = np.where(rng.random((T, 1)) < 0.5, task.control_tube.lower, task.control_tube.upper)
         x = lfo.simulate(task, u, rng.uniform(task.initial_state.lower, task.initial_state.upper)).x
@@ -58,44 +58,67 @@ def test_forward_reach_holds_random_trajectories(kind):
         assert (x <= upper).all()
 
 
-def test_the_level_set_is_met_by_one_large_control():
-    """All of the cost J in one control: |u - u_ref| = sqrt(2 J / m)."""
-    task = problem("constant", control_set=None, cost=lfo.QuadraticCost(R=3.0, u_ref=[0.5]))
-    enclosure = implied_bounds(task, np.full((T, 1), 3.0), 6.0)
-    u = np.full((T, 1), 0.5)
-    u[4] += 2.0
-    assert task.cost.value(np.zeros((T + 1, 2)), u) == pytest.approx(6.0)
-    assert enclosure.u[1][4, 0] == pytest.approx(u[4, 0])
-    assert enclosure.u[1][4, 0] >= u[4, 0]
-    assert enclosure.u[0][4, 0] == pytest.approx(0.5 - 2.0)
-    assert enclosure.level == OUTWARD * 6.0
+SOUND = {
+    "one state without a price": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(Q=np.diag([1.0, 0]), R=1.0)},
+    "box around the start": {
+        "initial_state": lfo.Box([0.5, -0.5], [1.0, 0.5]),
+        "cost": lfo.QuadraticCost(R=1.0, P=1.0),
+    },
+    "linear terms": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(R=1.0, q=[0.3, -0.2], r=[0.5], p=[1.0, 0])},
+    "controls without a price": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(Q=1.0, P=1.0)},
+}
 
 
-def test_no_level_set_with_linear_terms():
-    task = problem("constant", control_set=None, cost=lfo.QuadraticCost(R=3.0, r=[1.0]))
-    enclosure = implied_bounds(task, np.full((T, 1), 3.0), 6.0)
-    assert np.isinf(enclosure.u[1]).all()
-    assert enclosure.level == np.inf
+@pytest.mark.parametrize("name", SOUND)
+def test_without_any_bound_the_bound_is_rigorous_and_random_trajectories_cost_more(name):
+    """What costs no more than the trajectory stays near it: by curvature, and by the dynamics where there is none."""
+    task = problem("constant", **{"control_set": None, "initial_state": None, **SOUND[name]})
+    result = lfo.solve(task)
+    assert result.status == "optimal"
+    assert result.certificate.bound.sets == "what costs no more than the trajectory"
+    rng, (x, u) = np.random.default_rng(4), (result.trajectory.x, result.control)
+    for size in 10.0 ** rng.uniform(-8, 3, 60):
+        start = x[0] if task.initial_box.fixed.all() else task.initial_box.project(x[0] + size * rng.standard_normal(2))
+        other = lfo.simulate(task, u + size * rng.standard_normal(u.shape), start)
+        assert task.value(other.x, other.u) >= result.lower_bound
+
+
+def test_a_start_that_nothing_holds_leaves_the_bound_numerical():
+    """x_0 costs nothing and is held by nothing but x_T, which hardly depends on it: the optimum is far away."""
+    far = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.5]], [[1.0]]),
+        31,
+        lfo.QuadraticCost(R=1.0, p=[1.0]),
+        lfo.Box(-1, 1),
+        terminal_state=lfo.Box(-0.9, -0.7),
+    )
+    near = lfo.simulate(far, np.r_[np.zeros(30), -0.7][:, None], [0.0])
+    certificate = lfo.certify(far, near)
+    assert certificate.bound.kind == "numerical"
+    assert not certificate.globally_optimal
+    cheaper = lfo.simulate(far, np.zeros((31, 1)), [-0.9 * 2.0**31])
+    assert far.value(cheaper.x, cheaper.u) == pytest.approx(-0.9)
 
 
 def test_a_trajectory_cheaper_than_the_optimum_proves_nothing():
-    """u = 0 costs nothing and goes nowhere: its level set is empty, and no bound over it is called rigorous."""
+    """u = 0 costs nothing and goes nowhere."""
     task = lfo.library.pendulum(state_bounds=(None,) * 4, control_bound=None)
     result = lfo.solve(task)
     nowhere = lfo.simulate(task, np.zeros((240, 1)))
-    bound = judge(task, nowhere, result.multipliers).bound
-    assert bound.kind == "numerical"
-    assert bound.value <= result.cost
+    certificate = judge(task, nowhere, result.multipliers)
+    assert certificate.bound.kind == "numerical" or certificate.bound.value <= certificate.cost
+    assert certificate.lower_bound <= result.cost
+    assert not certificate.globally_optimal
 
 
-def test_over_a_level_set_no_more_than_the_level_is_proven():
+def test_near_a_trajectory_no_more_than_its_cost_is_proven():
     """Half of the optimal control costs a quarter: what costs more than that was not looked at."""
     task = lfo.library.pendulum(state_bounds=(None,) * 4, control_bound=None)
     result = lfo.solve(task)
     half = lfo.simulate(task, result.control / 2)
     certificate = judge(task, half, result.multipliers)
     assert certificate.cost == pytest.approx(result.cost / 4)
-    assert certificate.bound.kind == "numerical" or certificate.bound.value <= OUTWARD * certificate.cost
+    assert certificate.bound.kind == "numerical" or certificate.bound.value <= certificate.cost
     assert not certificate.globally_optimal
 
 

@@ -448,7 +448,7 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
     compared = {"classical", "constrained", "filtered"}
     assert set(RESULT["properties"]) - compared == set(result_summary(solved))
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
-    assert RESULT["properties"]["status"]["enum"] == ["optimal", *ERRORS]
+    assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", *ERRORS]
     for part, kind in (
         ("measures", Measures),
         ("conflict", Conflict),

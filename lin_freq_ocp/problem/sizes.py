@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.mode_arrays import ModeArrays
 
 if TYPE_CHECKING:
@@ -33,8 +33,9 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     """Return sizes of states, (n,), and controls, (m,), all above zero.
 
     A component is as large as its largest value, its fixed ends, references and offsets. One that has no data of its
-    own and stays near zero is as large as what changes the others by their own sizes within the horizon; a state, no
-    larger than what the others make of it in a step. 1 where the trajectory is zero and nothing else is said.
+    own and stays near zero is as large as what changes the others by their own sizes within the horizon (a state, no
+    larger than what the others make of it in a step), else as what changes the cost by all that it adds up to. 1 where
+    the trajectory is zero and nothing else is said.
     """
     n = problem.state_dim
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
@@ -42,15 +43,44 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     known = np.maximum(own, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
     gain = np.hstack([A, B])
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
-    effect = problem.horizon * gain
-    effect[:, :n] *= 1.0 - np.eye(n)
-    useful = (known[:n, None] > 0) & (effect > 0)
-    needed = np.divide(known[:n, None], effect, out=np.full(effect.shape, np.inf), where=useful).min(0)
-    needed = np.where(np.isfinite(needed) & (own == 0) & ~_has_slope(problem), needed, 0.0)
-    needed[:n] = np.minimum(needed[:n], gain @ known)
+    anchored = (own > 0) | _has_slope(problem)
+    needed = _needed(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
+    sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), gain @ sizes))
+    alone = ~anchored & (needed == 0)
+    sizes = np.where(alone, np.maximum(sizes, _priced(problem, trajectory)), sizes)
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
+
+
+def _priced(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return what a component must be to cost what all terms of the cost add up to, 0 if it costs nothing."""
+    cost = problem.quadratic
+    curvature = np.concatenate(
+        [np.diagonal(part, axis1=-2, axis2=-1).reshape(-1, part.shape[-1]).max(0) for part in (cost.Q, cost.R)]
+    )
+    total = _sum_of_terms(problem, trajectory) / problem.horizon
+    return np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
+
+
+def _needed(effect: Array, known: Array, anchored: Mask) -> Array:
+    """Return what a component must be to change those that are anchored in data by their sizes, 0 where it cannot.
+
+    effect : (n, n + m), the change of states within the horizon per unit of a component. Components that act on the
+    anchored ones are anchors of others in turn.
+    """
+    n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
+    effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
+    for _ in known:
+        useful = reached[:n, None] & (effect > 0) & ~reached
+        sizes = np.maximum(known, needed)[:n, None]
+        least = np.divide(sizes, effect, out=np.full(effect.shape, np.inf), where=useful).min(0)
+        found = np.isfinite(least)
+        needed = np.where(found, least, needed)
+        reached = reached | found
+        if not found.any():
+            break
+    return needed
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
@@ -59,12 +89,16 @@ def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     Its quadratic part is one term at each time, every linear term and every penalty one of its own. At least what
     deviations of DATA_ROUNDING cost, over GAP_TOLERANCE.
     """
+    return max(_sum_of_terms(problem, trajectory), _cost_of_rounding(problem, trajectory) / GAP_TOLERANCE)
+
+
+def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
+    """Return the sum of the absolute values of the terms of the cost."""
     cost, x, u = problem.quadratic, trajectory.x, trajectory.u
     linear = np.append((x[:-1] * cost.q).sum(1) + (u * cost.r).sum(1), x[-1] @ cost.p)
     total = float(np.abs(cost.stage_values(x, u) - linear).sum() + np.abs(x[-1] * cost.p).sum())
     total += float(np.abs(x[:-1] * cost.q).sum() + np.abs(u * cost.r).sum())
-    total += sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
-    return max(total, _cost_of_rounding(problem, trajectory) / GAP_TOLERANCE)
+    return total + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
 
 
 def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
