@@ -262,7 +262,8 @@ def _missing(certificate: Certificate) -> str:
         return "there is no bound"
     if certificate.bound.kind != "rigorous":
         return "the bound holds near the trajectory only, as something is not bounded"
-    return f"the bound leaves a gap of {certificate.gap:.1e}"
+    worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
+    return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
 
 
 def _accounted(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:

@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.piecewise_affine import REGION
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 
 
 def changed(multipliers, **fields):
@@ -92,7 +93,10 @@ def test_the_rate_of_a_flip_is_the_fall_of_the_cost():
     problem = kinks.valley()
     certificate = lfo.certify(problem, [[-1.0], [4.0]])
     rates = {flip.mode: flip.rate for flip in certificate.borders.flips}
-    size = 5.0  # of x, its largest value, along which alone the direction goes: eta_0 and the cost of u_0 are in p
+    x = lfo.simulate(problem, [[-1.0], [4.0]])
+    size = trajectory_sizes(problem, x)[
+        0
+    ].item()  # the direction goes along x alone: eta_0 and the cost of u_0 are in p
     assert rates == pytest.approx({1: 2.5 * size, 0: 1.5 * size}, rel=1e-6)
     step = 1e-4
     for mode, sign in ((1, 1.0), (0, -1.0)):

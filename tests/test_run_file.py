@@ -97,7 +97,12 @@ def test_a_run_comes_back_and_is_repeated(tmp_path, options):
         (WEAK, {}, lfo.InfeasibleError, "infeasible"),
         (DRIFTING, {}, lfo.UnboundedError, "unbounded"),
         (lfo.library.pendulum(), {"time_limit": 1e-3}, lfo.LimitError, "limit"),
-        (lfo.library.pendulum(), {"tolerance": 10.0, "method": "convex", "backend": "osqp"}, lfo.NumericalError, "numerical_error"),
+        (
+            lfo.library.pendulum(),
+            {"tolerance": 10.0, "method": "convex", "backend": "osqp"},
+            lfo.NumericalError,
+            "numerical_error",
+        ),
     ],
 )
 def test_the_result_of_an_error_can_be_dumped(tmp_path, problem, options, error, status):

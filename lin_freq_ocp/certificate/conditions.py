@@ -111,7 +111,6 @@ def all_conditions(lift: Lift) -> tuple[Condition, ...]:
             for lifted, size in zip(lift.terms, least.terms, strict=True)
             for condition in term_conditions(lifted, lift.multipliers.eta_C, level, size)
         ),
-        worth_of_residuals(lift, level),
     )
 
 
@@ -215,12 +214,12 @@ def normal_cone(
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
-def worth_of_residuals(lift: Lift, level: float) -> Condition:
-    """S-J: what residuals of the constraints are worth, at their multipliers; compared with the terms of the cost.
+def worth_of_residuals(lift: Lift) -> float:
+    """Return what residuals of the constraints are worth, at their multipliers, in units of the cost.
 
     Where the optimal cost is differentiable, J differs from that of the nearest feasible problem by this, to first
-    order: a residual that is small for its component is not always small for the cost. Those of one component of one
-    constraint add up with their signs.
+    order: a residual that is small for its component is not always small for the cost. Those of one constraint
+    add up with their signs.
     """
     multipliers, (x, u) = lift.multipliers, (lift.trajectory.x, lift.trajectory.u)
     tubes = (x, multipliers.mu, lift.problem.state_tube), (u, multipliers.nu, lift.problem.control_tube)
@@ -231,8 +230,7 @@ def worth_of_residuals(lift: Lift, level: float) -> Condition:
         for one in lift.terms
         if one.term.hard
     ]
-    worth = sum(float(np.abs(part.sum(0)).sum()) for part in parts)
-    return Condition("S-J", "residuals without effect on the cost", worth, level, CONDITION_TOLERANCE)
+    return sum(abs(float(part.sum())) for part in parts)
 
 
 def term_conditions(lifted: TermLift, eta_C: float, level: float, least: Array) -> list[Condition]:

@@ -17,7 +17,13 @@ from lin_freq_ocp.certificate.clarke import (
     nearest_weights,
     stationarity_scale,
 )
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worst_condition
+from lin_freq_ocp.certificate.conditions import (
+    CONDITION_TOLERANCE,
+    Condition,
+    all_conditions,
+    worst_condition,
+    worth_of_residuals,
+)
 from lin_freq_ocp.certificate.hamiltonian import Lift, lift
 from lin_freq_ocp.certificate.scales import Floors, floors
 from lin_freq_ocp.errors import ProblemError
@@ -33,8 +39,8 @@ OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary
 
 def judge_modes(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], BorderFacts]:
-    """Return all conditions of a trajectory of piecewise-affine dynamics, and the facts about its borders."""
+) -> tuple[tuple[Condition, ...], BorderFacts, float]:
+    """Return the conditions of a trajectory of affine modes, the facts about borders, and what residuals are worth."""
     problem.require(trajectory)
     arrays = measured_modes(problem, trajectory)
     sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
@@ -49,7 +55,8 @@ def judge_modes(
     elsewhere = others and _stationary(lifted, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
     conditions = (*linear, *added)
     joint = all(one.passed for one in conditions)
-    return conditions, border_facts(problem, trajectory, stages, weights, joint, elsewhere)
+    facts = border_facts(problem, trajectory, stages, weights, joint, elsewhere)
+    return conditions, facts, worth_of_residuals(lifted)
 
 
 def _averaged(problem: OptimalControlProblem, weights: Array) -> OptimalControlProblem:

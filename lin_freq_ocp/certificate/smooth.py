@@ -29,19 +29,20 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 def judge_smooth(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], BorderFacts]:
-    """Return all conditions of a trajectory of piecewise-smooth dynamics, and the facts about its kinks."""
+) -> tuple[tuple[Condition, ...], BorderFacts, float]:
+    """Return the conditions of a trajectory of smooth pieces, the facts about kinks, and what residuals are worth."""
     problem.require(trajectory)
     selections, kinks = _selections(problem, trajectory, multipliers)
-    conditions, facts = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
+    conditions, facts, worth = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
     rising = any(kink.rate > 0 for kink in kinks)
-    return conditions, replace(
+    facts = replace(
         facts,
         norms=kinks,
         flip_stationary=facts.flip_stationary and not rising,
         printed=facts.printed and not rising,
         regular=facts.regular and not rising,
     )
+    return conditions, facts, worth
 
 
 def _selections(

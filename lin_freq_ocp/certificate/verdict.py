@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.clarke import BorderFacts
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
@@ -40,6 +40,8 @@ class Certificate:
         J of the trajectory.
     cost_scale : float
         S, what the terms of the cost add up to in absolute value: what the gap is relative to.
+    worth_of_residuals : float
+        What residuals of constraints are worth, at their multipliers: to first order, what the cost owes to them.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
         search over modes may add one, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
@@ -55,6 +57,7 @@ class Certificate:
     conditions: tuple[Condition, ...]
     cost: float
     cost_scale: float
+    worth_of_residuals: float
     bound: Bound | None
     descent: Direction | None = None
     borders: BorderFacts | None = None
@@ -95,12 +98,11 @@ class Certificate:
         """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
 
         A numerical bound says nothing of what lies outside its box, and proves nothing. Residuals must not be worth
-        more than the gap, either (condition S-J).
+        more than the gap, either.
         """
         if self.bound is None or self.gap is None or self.bound.kind != "rigorous" or not self.feasible:
             return False
-        worth = max((one.relative for one in self.conditions if one.label == "S-J"), default=0.0)
-        return self.gap <= gap and worth <= gap
+        return self.gap <= gap and self.worth_of_residuals <= gap * self.cost_scale
 
     def status_within(self, gap: float) -> str:
         """Return "optimal", as ``proven_within`` says, else "locally_optimal" or "numerical_error".
@@ -170,13 +172,13 @@ def judge(
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
         if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-            bound, (conditions, borders) = None, judge_modes(problem, trajectory, multipliers)
+            bound, (conditions, borders, worth) = None, judge_modes(problem, trajectory, multipliers)
         elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-            bound, (conditions, borders) = None, judge_smooth(problem, trajectory, multipliers)
+            bound, (conditions, borders, worth) = None, judge_smooth(problem, trajectory, multipliers)
         else:
             _require_no_weights(multipliers)
             lifted, borders = lift(problem, trajectory, multipliers), None
-            conditions = all_conditions(lifted)
+            conditions, worth = all_conditions(lifted), worth_of_residuals(lifted)
             bound = lower_bound(lifted, cost_scale(problem, trajectory)) if multipliers.eta_C == 1 else None
         conditions = tuple(one.within(tolerance) for one in conditions)
         pmp = "satisfied" if all(condition.passed for condition in conditions) else "violated"
@@ -186,6 +188,7 @@ def judge(
             conditions=conditions,
             cost=problem.value(trajectory.x, trajectory.u),
             cost_scale=cost_scale(problem, trajectory),
+            worth_of_residuals=worth,
             bound=bound,
             borders=borders,
         )
