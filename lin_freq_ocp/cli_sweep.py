@@ -17,6 +17,7 @@ from typing import Any
 import click
 import numpy as np
 
+from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli_common import (
     INTERRUPTED,
     NOT_PROVEN,
@@ -37,12 +38,12 @@ from lin_freq_ocp.cli_common import (
     settings_option,
     time_limit_option,
     tolerance_option,
+    written,
 )
 from lin_freq_ocp.comparison.sweep import Sweep, sweep
 from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, with_values
 from lin_freq_ocp.comparison.sweep_tasks import process_pool
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.files import writing
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.sweep_file import sweep_summary
@@ -127,15 +128,14 @@ def sweep_command(
     pool = process_pool(workers) if workers > 1 else nullcontext()
     with pool as executor, _bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
-    if folder is not None:
-        _save(found, folder)
     if as_json:
         print_json(sweep_summary(found))
     else:
         from lin_freq_ocp.report.tables import sweep_table
 
         out.print(sweep_table(found))
-    return INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+    status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+    return status if folder is None else written(status, lambda: _save(found, folder))
 
 
 def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
@@ -205,8 +205,8 @@ def _save(found: Sweep, folder: Path) -> None:
     except ProblemError as error:
         complain(f"no figure: {error}")
         return
-    with writing(folder / "sweep.png"):
-        figure.savefig(folder / "sweep.png", dpi=150)
+    with replacing(folder / "sweep.png") as stream:
+        figure.savefig(stream, format="png", dpi=150)
 
 
 @contextmanager

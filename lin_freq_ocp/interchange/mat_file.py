@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
 
+from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import read_bytes, writing
+from lin_freq_ocp.interchange.files import read_bytes
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.arrays import real_array
@@ -31,7 +33,6 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         If the trajectory is not of the problem's shape, or the file cannot be written.
     """
     problem.require(trajectory)
-    path = Path(path)
     variables = {
         "x": trajectory.x,
         "u": trajectory.u,
@@ -39,8 +40,9 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }
-    with writing(path):
-        savemat(str(path), variables, appendmat=False)
+    stream = BytesIO()
+    savemat(stream, variables)
+    write_bytes(path, stream.getvalue())
 
 
 def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -85,8 +86,14 @@ def to_json(summary: Mapping[str, Any]) -> str:
 
 
 def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
-    """Write a summary as a JSON file."""
-    Path(path).write_text(to_json(summary) + "\n", encoding="utf-8")
+    """Write a summary as a JSON file.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written there.
+    """
+    write_text(path, to_json(summary) + "\n")
 
 
 def _head(problem: OptimalControlProblem) -> dict[str, Any]:

@@ -7,6 +7,7 @@ is on the disk before the next is begun; of a crash in the midst of one, what is
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -16,11 +17,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from lin_freq_ocp.atomic import write_text, writing
 from lin_freq_ocp.comparison.sweep import MEASURED, Sweep, SweepHead
 from lin_freq_ocp.comparison.sweep_grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep_point import ERROR, Row
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import read_text, writing
+from lin_freq_ocp.interchange.files import read_text
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.problem.arrays import brief
 
@@ -115,11 +117,11 @@ def load_sweep(path: str | PathLike[str]) -> Sweep:
 
 def save_sweep_csv(path: str | PathLike[str], sweep: Sweep) -> None:
     """Write a line per row, parameters first; numbers to the last bit, nothing where nothing is known."""
-    path = Path(path)
-    with writing(path), path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, [*sweep.names, *MEASURED])
-        writer.writeheader()
-        writer.writerows(sweep.table())
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [*sweep.names, *MEASURED])
+    writer.writeheader()
+    writer.writerows(sweep.table())
+    write_text(path, text.getvalue())
 
 
 def sweep_summary(sweep: Sweep) -> dict[str, Any]:
