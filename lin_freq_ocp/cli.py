@@ -68,6 +68,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
+from lin_freq_ocp.starting import leave_silently, let_commands_decide
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -252,7 +253,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
-    sys.exit(_status(arguments))
+    ours = let_commands_decide()
+    status = _status(arguments)
+    if ours:
+        leave_silently()
+    sys.exit(status)
 
 
 def _status(arguments: Sequence[str] | None) -> int:

@@ -23,6 +23,7 @@ from lin_freq_ocp.interchange.run_file import described
 from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
+from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT, INTERRUPTED = 0, 1, 2, 3, 70, 130
@@ -71,8 +72,14 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
         return builder(problem, given)()
     except ProblemError:
         raise
-    except (TypeError, ValueError) as error:  # a parameter of a wrong type, met in the midst of a formula
-        raise ProblemError("--set", f"{given}", f"parameters that {problem} can use", f"({error})") from None
+    except (
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        LookupError,
+        AttributeError,
+    ) as error:  # one of a wrong type, met in the midst of a formula
+        raise ProblemError("--set", brief(given), f"parameters that {problem} can use", f"({error})") from None
 
 
 def is_file(problem: str) -> bool:
@@ -102,13 +109,13 @@ def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for setting in settings:
         try:
-            table = tomllib.loads(setting)
-        except tomllib.TOMLDecodeError as error:
+            table = without_none(tomllib.loads(setting))
+            merge_tables(result, table)
+        except (ValueError, RecursionError) as error:  # numbers of thousands of digits and deep nesting, too
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
-            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value", advice) from None
+            raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
         if not table:
-            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value")
-        merge_tables(result, without_none(table))
+            raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value")
     return result
 
 

@@ -41,12 +41,13 @@ from lin_freq_ocp.cli_common import (
     written,
 )
 from lin_freq_ocp.comparison.sweep import Sweep, sweep
-from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, with_values
+from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, MOST_POINTS, with_values
 from lin_freq_ocp.comparison.sweep_tasks import process_pool
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.sweep_file import sweep_summary
+from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
@@ -178,8 +179,8 @@ def _values(key: str, text: str) -> list[Any]:
         if match:
             return _range(*match.groups())
         values = tomllib.loads(f"values = {text}")["values"]
-    except (tomllib.TOMLDecodeError, ValueError) as error:
-        raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"({error})") from None
+    except (ValueError, OverflowError, RecursionError) as error:
+        raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
     if not isinstance(values, list):
         raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
     return [None if value == "none" else value for value in values]
@@ -187,6 +188,8 @@ def _values(key: str, text: str) -> list[Any]:
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     """Return so many numbers from the first to the last; whole ones, if all are and both ends are written so."""
+    if int(count) > MOST_POINTS:
+        raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
     whole = [round(value) for value in values]
     written = not any(mark in first + last for mark in ".eE")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import zipfile
 import zlib
@@ -75,6 +76,24 @@ def read_bytes(path: Path) -> bytes:
         raise ProblemError(str(path), reason(error), "a file that can be read") from None
 
 
+def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> Any:
+    """Return what a JSON text says; ``infinite`` allows Infinity and NaN, which Python writes, too.
+
+    Raises
+    ------
+    ProblemError
+        If it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
+    """
+
+    def refused(constant: str) -> Any:
+        raise ValueError(f"{constant} is not JSON")
+
+    try:
+        return json.loads(text, parse_int=_whole, parse_constant=None if infinite else refused)
+    except (ValueError, RecursionError) as error:
+        raise ProblemError(field, f"{brief(text)} ({error})", "a JSON object") from None
+
+
 @contextmanager
 def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     """Open an .npz of plain numbers and text; nothing in it is executed (``allow_pickle=False``).
@@ -140,6 +159,12 @@ def require_file(field: str, path: Path) -> None:
     except (OSError, ValueError) as error:
         found = reason(error)
     raise ProblemError(field, f"{found} ({path})", "an existing file")
+
+
+def _whole(digits: str) -> int:
+    if not math.isfinite(float(digits)):
+        raise ValueError(f"a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _require_modest_npz(field: str, stream: BinaryIO) -> None:

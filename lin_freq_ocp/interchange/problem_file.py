@@ -47,11 +47,12 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
     path = Path(path)
     text = read_text(path)
     with naming(path):
-        tables = resolved(_merged(_parsed(text), overrides or {}), path.parent)
         try:
-            return problem_from_tables(tables)
+            return problem_from_tables(resolved(_merged(_parsed(text), overrides or {}), path.parent))
         except ProblemError:
             raise
+        except RecursionError:
+            raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
         except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
             raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.atomic import write_bytes, write_text
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import npz_bytes, opened_npz
+from lin_freq_ocp.interchange.csv_file import header
+from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, parsed_json
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -126,7 +127,7 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
     clock = [] if step is None else ["time [s]"]
     no_control = [""] * problem.control_dim
     table = csv.writer(text)
-    table.writerow(["t", *clock, *problem.state_names, *problem.control_names])
+    table.writerow(["t", *clock, *map(header, problem.state_names), *map(header, problem.control_names)])
     for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
         table.writerow([t, *([] if step is None else [t * step]), *x, *u])
     write_text(path, text.getvalue())
@@ -168,10 +169,7 @@ def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None
 def _summary(text: NDArray[Any] | None) -> dict[str, Any]:
     if text is None:
         return {}
-    try:
-        summary = json.loads(str(text))
-    except ValueError as error:
-        raise ProblemError("summary", f"{brief(str(text))} ({error})", "a JSON object") from None
+    summary = parsed_json("summary", str(text))
     if not isinstance(summary, dict):
         raise ProblemError("summary", brief(summary), "a JSON object")
     return summary

@@ -18,7 +18,7 @@ from typing import Any
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.environment import environment
-from lin_freq_ocp.interchange.files import DAMAGED, LARGE, require_file, require_modest
+from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
@@ -184,10 +184,7 @@ def _unpack(path: Path, folder: Path) -> None:
 
 def _run(path: Path) -> dict[str, Any]:
     with naming(path):
-        try:
-            run = json.loads(path.read_bytes())
-        except (ValueError, RecursionError) as error:
-            raise ProblemError("JSON syntax", f"{error}", "a JSON object") from None
+        run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
         require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
         if run["schema"] != SCHEMA:
             advice = "Another version of this package may have written it."
