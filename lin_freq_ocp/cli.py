@@ -24,7 +24,6 @@ from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli_common import (
     BAD_INPUT,
-    INTERRUPTED,
     NO_SOLUTION,
     NOT_PROVEN,
     PAGE,
@@ -68,10 +67,21 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
-from lin_freq_ocp.starting import leave_silently, let_commands_decide
+from lin_freq_ocp.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """Commands that Ctrl-C ends without a word; click would print an empty line."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise click.Abort from None
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="lin-freq-ocp")
 def cli() -> None:
     """Optimal control with constraints in time and in frequency, with a certificate for every answer."""

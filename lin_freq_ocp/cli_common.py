@@ -25,8 +25,9 @@ from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.starting import INTERRUPTED
 
-PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT, INTERRUPTED = 0, 1, 2, 3, 70, 130
+PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 
 PAGE = ConsoleDimensions(width=200, height=100)
 """Room for tables that go to a file or a pipe, where nothing needs to be cut off."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ import numpy as np
 
 from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli_common import (
-    INTERRUPTED,
     NOT_PROVEN,
     PROVEN,
     backend_option,
@@ -42,13 +41,14 @@ from lin_freq_ocp.cli_common import (
 )
 from lin_freq_ocp.comparison.sweep import Sweep, sweep
 from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, MOST_POINTS, with_values
-from lin_freq_ocp.comparison.sweep_tasks import process_pool
+from lin_freq_ocp.comparison.sweep_tasks import WorkerPool, process_pool
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.sweep_file import sweep_summary
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.starting import INTERRUPTED
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
 """from:to:count, linear, both ends included."""
@@ -126,9 +126,10 @@ def sweep_command(
             folder.mkdir(parents=True, exist_ok=True)
         path = folder / "sweep.jsonl"
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    pool = process_pool(workers) if workers > 1 else nullcontext()
-    with pool as executor, _bar() as tell:
+    with _pool(workers) as executor, _bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
+        if found.interrupted and executor is not None:
+            executor.abandon()
     if as_json:
         print_json(sweep_summary(found))
     else:
@@ -137,6 +138,21 @@ def sweep_command(
         out.print(sweep_table(found))
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
     return status if folder is None else written(status, lambda: _save(found, folder))
+
+
+@contextmanager
+def _pool(workers: int) -> Generator[WorkerPool | None]:
+    """Yield processes to work on, if more than one is wanted; on errors and on Ctrl-C they are not waited for."""
+    if workers == 1:
+        yield None
+        return
+    pool = process_pool(workers)
+    try:
+        yield pool
+    except BaseException:
+        pool.abandon()
+        raise
+    pool.shutdown()
 
 
 def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:

@@ -25,10 +25,12 @@ def leave_silently() -> None:
         signal.signal(signal.SIGINT, leave)
 
 
-def let_commands_decide() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again, which the commands know what to do with."""
-    if signal.getsignal(signal.SIGINT) is leave:
+def let_commands_decide() -> bool:
+    """Let Ctrl-C raise KeyboardInterrupt again, which the commands know what to do with; return whether it did not."""
+    silent = signal.getsignal(signal.SIGINT) is leave
+    if silent:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    return silent
 
 
 def _is_command_line() -> bool:
