@@ -48,7 +48,7 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }
-    stream = BytesIO()
+    stream: Any = BytesIO()  # stubs of scipy know names of files only
     savemat(stream, variables)
     write_bytes(path, stream.getvalue())
 
@@ -76,7 +76,8 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     content = read_bytes(path)
     try:
         _require_modest(str(path), content)
-        variables = loadmat(BytesIO(content))
+        stream: Any = BytesIO(content)
+        variables = loadmat(stream)
     except ProblemError:
         raise
     except Exception as error:  # whatever it meets in a file that is damaged or of another kind

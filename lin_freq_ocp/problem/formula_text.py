@@ -6,6 +6,7 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -111,8 +112,9 @@ class _Reader:
         return node.args if isinstance(node, ast.Call) else []
 
     def _made(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
-        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
-            return self._number(lambda: float(node.value))
+        value = node.value if isinstance(node, ast.Constant) else None
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            return self._number(partial(float, value))
         if isinstance(node, ast.Name):
             if node.id in self._known:
                 return self._known[node.id]
