@@ -6,6 +6,11 @@ Read in the order of the data: ``problem`` describes, ``transcription`` turns a 
 ``interchange`` carries it in and out of files.
 """
 
+from lin_freq_ocp.starting import leave_silently
+
+leave_silently()  # before what follows, which takes a second
+
+# isort: split
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare

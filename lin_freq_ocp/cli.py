@@ -1,8 +1,8 @@
 """The command line: lin-freq-ocp list | solve | compare | sweep | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
-unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input; 3 a point without such a proof; 130
-interrupted.
+unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
+without such a proof, or too little memory; 70 a fault of this program; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import inspect
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli_common import (
     BAD_INPUT,
-    INTERRUPTED,
     NO_SOLUTION,
     NOT_PROVEN,
     PAGE,
@@ -32,6 +32,8 @@ from lin_freq_ocp.cli_common import (
     build,
     complain,
     err,
+    error_status,
+    error_words,
     json_option,
     method_option,
     out,
@@ -40,14 +42,16 @@ from lin_freq_ocp.cli_common import (
     progress,
     require_folder,
     require_writable,
+    say,
     search_progress,
     settings_option,
     time_limit_option,
     tolerance_option,
+    written,
 )
 from lin_freq_ocp.cli_sweep import sweep_command
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError, UnsupportedError
+from lin_freq_ocp.errors import BandWarning, ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.interchange.rerun import rerun, rerun_summary
 from lin_freq_ocp.interchange.run_file import dumping_errors, load_run
 from lin_freq_ocp.interchange.summary import (
@@ -63,9 +67,21 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
+from lin_freq_ocp.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """Commands that Ctrl-C ends without a word; click would print an empty line."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise click.Abort from None
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="lin-freq-ocp")
 def cli() -> None:
     """Optimal control with constraints in time and in frequency, with a certificate for every answer."""
@@ -125,19 +141,18 @@ def solve_command(
         if result.status == "infeasible":
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
-    if dump is not None:
-        result.dump(dump)
-    if save is not None and result.trajectory is not None:
-        result.save(save)
-    elif save is not None:
-        complain(f"nothing saved to {save}: there is no trajectory.")
     if as_json:
         print_json(result_summary(result))
     else:
         out.print(escape(str(result)), highlight=False)
         _print_conflict(result)
         _print_certificate(description, result.certificate)
-    return exit_status(result)
+    writes: list[Callable[[], None]] = [] if dump is None else [partial(result.dump, dump)]
+    if save is not None and result.trajectory is not None:
+        writes.append(partial(result.save, save))
+    elif save is not None:
+        complain(f"nothing saved to {save}: there is no trajectory.")
+    return written(exit_status(result), *writes)
 
 
 @cli.command("compare")
@@ -165,7 +180,6 @@ def compare_command(
     try:
         with progress(f"comparing {description.name or problem}"):
             comparison = compare(description, names, backend, time_limit)
-            page = None if folder is None or comparison.constrained.interrupted else comparison.save(folder)
     except SolveError as error:
         if not as_json or error.result is None:
             raise
@@ -175,9 +189,10 @@ def compare_command(
         print_json(comparison_summary(comparison))
     else:
         _print_comparison(comparison)
-        if page is not None:
-            click.echo(f"report: {page}")
-    return exit_status(comparison.constrained)
+    status = exit_status(comparison.constrained)
+    if folder is None or comparison.constrained.interrupted:
+        return status
+    return written(status, lambda: _save_report(comparison, folder, as_json))
 
 
 @cli.command("certify")
@@ -211,9 +226,9 @@ def rerun_command(file: str, as_json: bool) -> int:
         print_json(rerun_summary(comparison))
     else:
         out.print(str(comparison), markup=False, highlight=False)
-    if comparison.result is None:
-        return BAD_INPUT if isinstance(comparison.error, LinFreqOCPError) else NOT_PROVEN
-    return exit_status(comparison.result)
+    if comparison.error is not None:
+        return error_status(comparison.error)
+    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
 
 
 @cli.command("init")
@@ -221,7 +236,7 @@ def rerun_command(file: str, as_json: bool) -> int:
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
     init_problem_file(file)
-    click.echo(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
 
 
@@ -248,7 +263,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
-    sys.exit(_status(arguments))
+    ours = let_commands_decide()
+    status = _status(arguments)
+    if ours:
+        leave_silently()
+    sys.exit(status)
 
 
 def _status(arguments: Sequence[str] | None) -> int:
@@ -264,12 +283,10 @@ def _status(arguments: Sequence[str] | None) -> int:
     except SolveError as error:
         complain(error)
         return NOT_PROVEN if error.result is None else exit_status(error.result)
-    except (LinFreqOCPError, OSError) as error:
-        complain(error)
-        return BAD_INPUT
-    except MemoryError as error:
-        complain(f"not enough memory for a problem of this size ({error}).")
-        return NOT_PROVEN
+    except Exception as error:
+        if error_status(error) != INTERRUPTED:
+            complain(error_words(error))
+        return error_status(error)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -295,19 +312,26 @@ def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, c
     """Say whether there are others, or the direction that proves that there are none, and what holds at borders."""
     descent = certificate.descent
     if certificate.borders is not None:
-        click.echo(f"borders     {certificate.borders}")
+        say(f"borders     {certificate.borders}")
     if descent is not None:
         control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
         proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
-        click.echo(
+        say(
             f"descent     {proven}: along a verified direction, which changes {control} most at "
             f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
         try:
-            click.echo(f"multipliers {uniqueness(problem, trajectory)}")
+            say(f"multipliers {uniqueness(problem, trajectory)}")
         except UnsupportedError:  # too many to count in a moment
             return
+
+
+def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
+    with progress("drawing the report"):
+        page = comparison.save(folder)
+    if not quiet:
+        say(f"report: {page}")
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -17,14 +17,17 @@ from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp import library
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line, suggestion
 from lin_freq_ocp.interchange.problem_file import read_problem
+from lin_freq_ocp.interchange.run_file import described
 from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
+from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.starting import INTERRUPTED
 
-PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
+PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 
 PAGE = ConsoleDimensions(width=200, height=100)
 """Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
@@ -70,8 +73,14 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
         return builder(problem, given)()
     except ProblemError:
         raise
-    except (TypeError, ValueError) as error:  # a parameter of a wrong type, met in the midst of a formula
-        raise ProblemError("--set", f"{given}", f"parameters that {problem} can use", f"({error})") from None
+    except (
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        LookupError,
+        AttributeError,
+    ) as error:  # one of a wrong type, met in the midst of a formula
+        raise ProblemError("--set", brief(given), f"parameters that {problem} can use", f"({error})") from None
 
 
 def is_file(problem: str) -> bool:
@@ -101,13 +110,13 @@ def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for setting in settings:
         try:
-            table = tomllib.loads(setting)
-        except tomllib.TOMLDecodeError as error:
+            table = without_none(tomllib.loads(setting))
+            merge_tables(result, table)
+        except (ValueError, RecursionError) as error:  # numbers of thousands of digits and deep nesting, too
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
-            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value", advice) from None
+            raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
         if not table:
-            raise ProblemError("--set", repr(setting), "KEY=VALUE with a TOML value")
-        merge_tables(result, without_none(table))
+            raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value")
     return result
 
 
@@ -147,6 +156,49 @@ def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
             into[key] = value
 
 
+def written(status: int, *writes: Callable[[], object]) -> int:
+    """Write files once the answer is printed; one that fails is complained of, and the status is that of bad input."""
+    for write in writes:
+        try:
+            write()
+        except (LinFreqOCPError, OSError) as error:
+            complain(error)
+            status = BAD_INPUT
+    return status
+
+
+def error_status(error: BaseException) -> int:
+    """Return the exit status of an error that has no result: whose fault it is."""
+    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
+        return INTERRUPTED
+    if isinstance(error, MemoryError):
+        return NOT_PROVEN
+    return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
+
+
+def error_words(error: Exception) -> str:
+    """Return what is said of an error; of one that nobody foresaw, that it is a fault of ours, and what to send."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory for a problem of this size ({error})."
+    if error_status(error) != FAULT:
+        return str(error)
+    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
+    place = next(iter(described(error)["places"][::-1]), "no place")
+    return (
+        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {place}). "
+        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
+    )
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: compiled code makes errors of its own of it."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def complain(error: Exception | str) -> None:
     """Say on stderr what is wrong."""
     err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
@@ -167,6 +219,14 @@ def search_progress(what: str) -> Generator[Callable[[SearchProgress | SmoothPro
         yield lambda reached: status.update(escape(f"{what}: {reached}"))
 
 
+def say(text: str) -> None:
+    """Print a line on stdout, or on nothing, where the reader has left: click would make that the status 1."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        out.on_broken_pipe()
+
+
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
-    click.echo(to_json(summary))
+    say(to_json(summary))

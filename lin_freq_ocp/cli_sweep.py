@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ from typing import Any
 import click
 import numpy as np
 
+from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli_common import (
-    INTERRUPTED,
     NOT_PROVEN,
     PROVEN,
     backend_option,
@@ -37,16 +37,18 @@ from lin_freq_ocp.cli_common import (
     settings_option,
     time_limit_option,
     tolerance_option,
+    written,
 )
 from lin_freq_ocp.comparison.sweep import Sweep, sweep
-from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, with_values
-from lin_freq_ocp.comparison.sweep_tasks import process_pool
+from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, MOST_POINTS, with_values
+from lin_freq_ocp.comparison.sweep_tasks import WorkerPool, process_pool
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.files import writing
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.sweep_file import sweep_summary
+from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.starting import INTERRUPTED
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
 """from:to:count, linear, both ends included."""
@@ -124,18 +126,33 @@ def sweep_command(
             folder.mkdir(parents=True, exist_ok=True)
         path = folder / "sweep.jsonl"
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    pool = process_pool(workers) if workers > 1 else nullcontext()
-    with pool as executor, _bar() as tell:
+    with _pool(workers) as executor, _bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
-    if folder is not None:
-        _save(found, folder)
+        if found.interrupted and executor is not None:
+            executor.abandon()
     if as_json:
         print_json(sweep_summary(found))
     else:
         from lin_freq_ocp.report.tables import sweep_table
 
         out.print(sweep_table(found))
-    return INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+    status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+    return status if folder is None else written(status, lambda: _save(found, folder))
+
+
+@contextmanager
+def _pool(workers: int) -> Generator[WorkerPool | None]:
+    """Yield processes to work on, if more than one is wanted; on errors and on Ctrl-C they are not waited for."""
+    if workers == 1:
+        yield None
+        return
+    pool = process_pool(workers)
+    try:
+        yield pool
+    except BaseException:
+        pool.abandon()
+        raise
+    pool.shutdown()
 
 
 def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
@@ -178,8 +195,8 @@ def _values(key: str, text: str) -> list[Any]:
         if match:
             return _range(*match.groups())
         values = tomllib.loads(f"values = {text}")["values"]
-    except (tomllib.TOMLDecodeError, ValueError) as error:
-        raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"({error})") from None
+    except (ValueError, OverflowError, RecursionError) as error:
+        raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
     if not isinstance(values, list):
         raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
     return [None if value == "none" else value for value in values]
@@ -187,6 +204,8 @@ def _values(key: str, text: str) -> list[Any]:
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     """Return so many numbers from the first to the last; whole ones, if all are and both ends are written so."""
+    if int(count) > MOST_POINTS:
+        raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
     whole = [round(value) for value in values]
     written = not any(mark in first + last for mark in ".eE")
@@ -205,8 +224,8 @@ def _save(found: Sweep, folder: Path) -> None:
     except ProblemError as error:
         complain(f"no figure: {error}")
         return
-    with writing(folder / "sweep.png"):
-        figure.savefig(folder / "sweep.png", dpi=150)
+    with replacing(folder / "sweep.png") as stream:
+        figure.savefig(stream, format="png", dpi=150)
 
 
 @contextmanager

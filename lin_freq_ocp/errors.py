@@ -28,6 +28,10 @@ class ProblemError(LinFreqOCPError, ValueError):
         self.field, self.got, self.expected, self.advice = field, got, expected, advice
         super().__init__(f"{field}: got {got}; expected {expected}." + (f" {advice}" if advice else ""))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes an equal error in another process: pickle would call the class with the message alone."""
+        return type(self), (self.field, self.got, self.expected, self.advice), self.__dict__
+
 
 class UnsupportedError(LinFreqOCPError):
     """A valid problem that the chosen method cannot take; the message says why and what can."""

@@ -143,4 +143,60 @@ def test_texts_are_formulas(text, value):
 def test_texts_that_say_anything_else_are_refused(text):
     with pytest.raises(lfo.ProblemError) as caught:
         formula_from_text("f[0]", text, (N, M))
-    assert caught.value.field in ("f[0]", "formula")
+    assert caught.value.field == "f[0]"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("0**-1", "0**-1 * x_0", "0.0**-0.5", "(-2)**0.5 * x_0", "9**9**9", "10**400", "0x" + "f" * 400),
+        *(
+            "1e999 * x_0",
+            "log(0) + x_0",
+            "sqrt(-1) * x_0",
+            "exp(1e9)",
+            "0 / 0",
+            "x_0 / 0",
+            "x_0 / (x_0 - x_0)",
+            "x_0 / 1e-320",
+        ),
+        *("1e300 * x_0 * 1e300", "1" * 5000, "1" * 5000 + " * x_0", "(" * 1500 + "x_0" + ")" * 1500),
+        *(
+            "-" * 9000 + "x_0",
+            "sin(" * 300 + "x_0" + ")" * 300,
+            "+".join(["x_0"] * 20_000),
+            "x_0**" * 5000 + "2",
+            "x_0 " * 50_000,
+        ),
+    ],
+)
+def test_texts_without_a_value_or_without_end_are_refused(text):
+    with pytest.raises(lfo.ProblemError) as caught:
+        formula_from_text("dynamics.f[0]", text, (2, 1))
+    assert caught.value.field == "dynamics.f[0]"
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("join", [" + ", " - ", " * "])
+def test_long_formulas_are_read(join):
+    """As numpy has it, summed in the same order; the parser nests them as deeply as they are long."""
+    rng = np.random.default_rng(3)
+    factors, phases = rng.uniform(0.9, 1.1, (2, 1200))
+    terms = [f"({a:.3f} + sin(x_0 - {b:.3f}) / 100)" for a, b in zip(factors, phases, strict=True)]
+    formula = formula_from_text("f", join.join(terms), (1, 1))
+    x = np.linspace(-1, 1, 5)
+    parts = [a + np.sin(x - b) / 100 for a, b in zip(factors.round(3), phases.round(3), strict=True)]
+    expected = {" + ": np.sum, " - ": lambda p, axis: p[0] - np.sum(p[1:], axis), " * ": np.prod}[join](parts, axis=0)
+    found = values_of([formula], np.stack([x, 0 * x], axis=1))[:, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+
+
+def test_a_problem_with_long_formulas_is_solved():
+    """The sum of 1200 times x_0 / 1200 is x_0: the optimum is that of the short formula."""
+    found = []
+    for text in ("x_0", " + ".join(["x_0 / 1200"] * 1200)):
+        dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([f"{text} + u_0 - 0.1 * x_0**2"], 1, 1)
+        ends = {"initial_state": [1.0], "terminal_state": [0.0]}
+        found.append(lfo.solve(lfo.OptimalControlProblem(dynamics, 5, lfo.QuadraticCost(R=1.0), **ends), throw=False))
+    assert found[0].cost == pytest.approx(found[1].cost, rel=1e-9)
+    assert found[0].status == found[1].status

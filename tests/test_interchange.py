@@ -122,7 +122,7 @@ def everything_at_once(horizon: int) -> OptimalControlProblem:
             rng.normal(size=(T, n, m)),
             offset=rng.normal(size=(T, n)),
             sampling_time=1 / 3,
-            state_names=["höhe [m]", 'a "quoted" [1]', "line\nbreak, [\n1,\n]"],
+            state_names=["höhe [m]", 'a "quoted" [1]', "brackets, [ 1, ]"],
             control_names=["u\\v", "w"],
         ),
         horizon=T,
@@ -220,7 +220,7 @@ def problems(draw) -> OptimalControlProblem:
         initial_state=draw(st.sampled_from([None, np.zeros(n)])),
         control_spectrum=draw(st.lists(band, max_size=3)),
         stage_rows=draw(st.sampled_from([None, StageRows(matrix(2, n), matrix(2, m), draw(limits))])),
-        name=draw(st.text()),
+        name=draw(st.text().filter(str.isprintable)),
     )
 
 

@@ -29,6 +29,9 @@ Parameters = dict[str, Any]
 CUTOFFS = ("cutoff", "cutoff_hz")
 """Of a problem: low passes that take the place of its ``control_spectrum``; in rad/sample, and in Hz."""
 
+MOST_POINTS = 10**6
+"""Points of one grid: more are a slip of the pen, and would not fit into memory."""
+
 PLAIN = (bool, int, float, str, type(None))
 
 
@@ -50,7 +53,16 @@ def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
 
 
 def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
-    """Return the points of the full product, by their keys; the last parameter changes fastest."""
+    """Return the points of the full product, by their keys; the last parameter changes fastest.
+
+    Raises
+    ------
+    ProblemError
+        If they are too many.
+    """
+    count = math.prod(map(len, values.values()))
+    if count > MOST_POINTS:
+        raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
     points = [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
     return {point_key(plain_parameters(point)): point for point in points}
 

@@ -7,9 +7,12 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from multiprocessing import get_all_start_methods, get_context
+from contextlib import contextmanager
+from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
 from queue import SimpleQueue
+from typing import Any
 
+from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.comparison.sweep_grid import Parameters
 from lin_freq_ocp.comparison.sweep_point import INTERRUPTED, Row, failed_point, solve_point
 
@@ -42,7 +45,27 @@ def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | 
         yield from _apart(task, left)
 
 
-def process_pool(workers: int) -> ProcessPoolExecutor:
+class WorkerPool(ProcessPoolExecutor):
+    """Worker processes that leave Ctrl-C, which a terminal sends to every one of its processes, to this one."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a task; Ctrl-C while processes start, in the midst of talking to them, acts when they have."""
+        with interrupts_noted() as interrupt:
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                if interrupt.is_set():
+                    raise KeyboardInterrupt
+
+    def abandon(self) -> None:
+        """End all processes at once: nobody waits for what they compute."""
+        processes = list((self._processes or {}).values())
+        self.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+
+
+def process_pool(workers: int) -> WorkerPool:
     """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it.
 
     Where the system can fork, they are copies of one process that has imported the package once for all of them.
@@ -50,9 +73,22 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     if "forkserver" in get_all_start_methods():
         context = get_context("forkserver")
         context.set_forkserver_preload(["__main__", solve_point.__module__])
+        resource_tracker.ensure_running()  # which would let Ctrl-C through again, if it were started within
+        with _blocked_interrupts():  # from their first instruction on: processes inherit what is blocked
+            forkserver.ensure_running()
     else:
         context = get_context("spawn")
-    return ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    return WorkerPool(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+
+
+@contextmanager
+def _blocked_interrupts() -> Generator[None]:
+    """Let Ctrl-C wait, here and in processes that are started within."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _here(task: Task, points: Mapping[str, Parameters]) -> Finished:
@@ -120,8 +156,10 @@ def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
                 pool.shutdown()
                 pool = process_pool(1)
             yield key, _lost(parameters, outcome) if isinstance(outcome, str) else outcome
-    finally:
-        pool.shutdown(cancel_futures=True)
+    except BaseException:  # Ctrl-C, or nobody wants the points that are left
+        pool.abandon()
+        raise
+    pool.shutdown()
 
 
 def _outcome(future: Future[Row], wait: bool = False) -> Row | str:

@@ -23,6 +23,9 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 STEP, SECONDS = "t", "time [s]"
 """The columns that count the steps and the seconds; either may be missing."""
 
+FORMULAS = ("=", "+", "-", "@", "'")
+"""How a cell begins that a spreadsheet evaluates, and what keeps it from that."""
+
 
 def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
     """Read a trajectory from a table: a header, then one row for each time 0 .. T.
@@ -66,6 +69,14 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         return trajectory_from_signals(problem, x, table.numbers(controls, T))
 
 
+def header(name: str) -> str:
+    """Return a name as the head of a column: behind an apostrophe, if a spreadsheet would take it for a formula.
+
+    A name that begins with an apostrophe gets one more, so that no two names get the same head.
+    """
+    return f"'{name}" if name.lstrip()[:1] in FORMULAS else name
+
+
 @dataclass(frozen=True)
 class _Table:
     """A header, and cells with the line that each row stands on."""
@@ -78,7 +89,7 @@ class _Table:
         """Return the column of a name; or, where the problem has no other such name, of the name without its unit."""
         short = name.split(" [")[0]
         alone = sum(other.split(" [")[0] == short for other in among) == 1
-        for wanted in (name, short) if alone else (name,):
+        for wanted in map(str.strip, (header(name), name, header(short), short) if alone else (header(name), name)):
             if wanted in self.head:
                 if self.head.count(wanted) > 1:
                     raise ProblemError(f"column {wanted!r}", f"{self.head.count(wanted)} of them", "one")

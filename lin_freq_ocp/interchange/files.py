@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import json
+import math
 import zipfile
 import zlib
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
+from lin_freq_ocp.atomic import reason
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import brief
+
+NPY_MAGIC = b"\x93NUMPY"
+"""How every .npy begins, and every entry of an .npz."""
+
+MOST_ENTRIES = 10_000
+"""Files in an archive."""
+
+MOST_BYTES = 2**34
+"""What an archive may unpack to: 16 GiB, more than any answer of this package."""
+
+LARGE, MOST_COMPRESSED = 2**28, 100
+"""Above 256 MiB, what is packed tighter than 1 to 100 is refused; zeros reach 1 to 1000."""
 
 DAMAGED = (
     OSError,
@@ -55,49 +72,82 @@ def read_bytes(path: Path) -> bytes:
     require_file(str(path), path)
     try:
         return path.read_bytes()
-    except OSError as error:
-        raise ProblemError(str(path), _reason(error), "a file that can be read") from None
+    except (OSError, MemoryError) as error:
+        raise ProblemError(str(path), reason(error), "a file that can be read") from None
+
+
+def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> Any:
+    """Return what a JSON text says; ``infinite`` allows Infinity and NaN, which Python writes, too.
+
+    Raises
+    ------
+    ProblemError
+        If it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
+    """
+
+    def refused(constant: str) -> Any:
+        raise ValueError(f"{constant} is not JSON")
+
+    try:
+        return json.loads(text, parse_int=_whole, parse_constant=None if infinite else refused)
+    except (ValueError, RecursionError) as error:
+        raise ProblemError(field, f"{brief(text)} ({error})", "a JSON object") from None
 
 
 @contextmanager
 def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     """Open an .npz of plain numbers and text; nothing in it is executed (``allow_pickle=False``).
 
+    Before anything is unpacked, the sizes that it declares are looked at, and no more than these is ever unpacked.
+
     Raises
     ------
     ProblemError
-        With this field, here or while its arrays are taken out, if it is not such a file.
+        With this field, here or while its arrays are taken out, if it is not such a file, or unpacks to too much.
     """
     require_file(field, path)
     try:
         with path.open("rb") as stream:
-            archive = np.load(stream, allow_pickle=False)
-            if not isinstance(archive, NpzFile):
+            if stream.read(len(NPY_MAGIC)) == NPY_MAGIC:
                 raise ProblemError(
                     field, f"a single array in {path.name}", "an .npz file", "Write it with numpy.savez."
                 )
+            _require_modest_npz(field, stream)
+            stream.seek(0)
+            archive = np.load(stream, allow_pickle=False)
             with archive:
                 yield archive
     except ProblemError:
         raise
     except DAMAGED as error:
-        reason = _reason(error).partition(". ")[0]  # what follows is advice to trust the file
-        raise ProblemError(field, f"{path.name}, unreadable ({reason})", "an .npz file of plain arrays") from None
+        words = reason(error).partition(". ")[0]  # what follows is advice to trust the file
+        raise ProblemError(field, f"{path.name}, unreadable ({words})", "an .npz file of plain arrays") from None
 
 
-def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays under their names to exactly this path."""
-    with writing(path), path.open("wb") as stream:
-        np.savez(stream, **arrays)
+def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None:
+    """Raise ProblemError for an archive that unpacks to more than memory or disk can be expected to hold.
+
+    Parameters
+    ----------
+    field : str
+    entries : int
+        Files or variables in it.
+    unpacked, packed : int
+        Bytes, by what the archive itself says, and as it is.
+    """
+    if entries > MOST_ENTRIES:
+        raise ProblemError(field, f"{entries} entries", f"an archive of at most {MOST_ENTRIES}")
+    if unpacked > MOST_BYTES or unpacked > max(LARGE, MOST_COMPRESSED * packed):
+        got = f"{packed} bytes that unpack to {unpacked} or more"
+        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times what they are packed"
+        raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
-@contextmanager
-def writing(path: Path) -> Generator[None]:
-    """Turn failures to write into a ProblemError with the path as its field."""
-    try:
-        yield
-    except OSError as error:
-        raise ProblemError(str(path), _reason(error), "a file that can be written") from None
+def npz_bytes(arrays: Mapping[str, Any]) -> bytes:
+    """Return what an .npz of these arrays holds, without compression."""
+    stream = BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
 
 
 def require_file(field: str, path: Path) -> None:
@@ -107,9 +157,35 @@ def require_file(field: str, path: Path) -> None:
         if path.is_file():
             return
     except (OSError, ValueError) as error:
-        found = _reason(error)
+        found = reason(error)
     raise ProblemError(field, f"{found} ({path})", "an existing file")
 
 
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+def _whole(digits: str) -> int:
+    if not math.isfinite(float(digits)):
+        raise ValueError(f"a number of {len(digits)} digits")
+    return int(digits)
+
+
+def _require_modest_npz(field: str, stream: BinaryIO) -> None:
+    """Raise ProblemError if an archive is a bomb, or an array in it says that it is larger than its entry."""
+    with zipfile.ZipFile(stream) as archive:
+        entries = archive.infolist()
+        packed = stream.seek(0, SEEK_END)
+        require_modest(field, len(entries), sum(one.file_size for one in entries), packed)
+        for one in entries:
+            with archive.open(one) as array:
+                if array.read(len(NPY_MAGIC)) != NPY_MAGIC:
+                    raise ProblemError(field, f"{one.filename}, which is no array", "an .npz file of plain arrays")
+                array.seek(0)
+                shape, size = _declared(array)
+                if size > one.file_size - array.tell() or min(shape, default=0) < 0:
+                    raise ProblemError(field, f"{one.filename} of shape {brief(shape)}", "as many numbers as it says")
+
+
+def _declared(array: IO[bytes]) -> tuple[tuple[int, ...], int]:
+    """Return the shape and the bytes that the header of an .npy declares, and leave the stream behind it."""
+    first = np.lib.format.read_magic(array) == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(array)
+    return shape, math.prod(shape) * dtype.itemsize

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,13 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
 
+from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import read_bytes, writing
+from lin_freq_ocp.interchange.files import read_bytes, require_modest
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.arrays import real_array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+COMPRESSED = 15
+"""The type of an element that is compressed."""
+
+PIECE = 2**22
+"""Bytes that are unpacked at once."""
 
 
 def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
@@ -31,7 +41,6 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         If the trajectory is not of the problem's shape, or the file cannot be written.
     """
     problem.require(trajectory)
-    path = Path(path)
     variables = {
         "x": trajectory.x,
         "u": trajectory.u,
@@ -39,8 +48,9 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }
-    with writing(path):
-        savemat(str(path), variables, appendmat=False)
+    stream: Any = BytesIO()  # stubs of scipy know names of files only
+    savemat(stream, variables)
+    write_bytes(path, stream.getvalue())
 
 
 def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
@@ -63,9 +73,13 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         If it is no such file, or a variable does not fit: the field names file and variable.
     """
     path = Path(path)
-    read_bytes(path)  # for what can be said of a file that is not there
+    content = read_bytes(path)
     try:
-        variables = loadmat(str(path), appendmat=False)
+        _require_modest(str(path), content)
+        stream: Any = BytesIO(content)
+        variables = loadmat(stream)
+    except ProblemError:
+        raise
     except Exception as error:  # whatever it meets in a file that is damaged or of another kind
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
@@ -79,6 +93,27 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         if "t" in signals:
             _require_times(signals["t"], len(signals.get("x", signals["u"])), problem.sampling_time)
         return trajectory
+
+
+def _require_modest(field: str, content: bytes) -> None:
+    """Raise ProblemError if compressed variables of a file of version 5 or 7 unpack to too much.
+
+    Unlike a zip archive it does not declare sizes: its variables are unpacked piece by piece, and not kept.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+    place, entries, unpacked = 128, 0, 0
+    while order is not None and place + 8 <= len(content):
+        kind, size = struct.unpack_from(f"{order}II", content, place)
+        place += 8
+        entries, unpacked = entries + 1, unpacked + size
+        if kind == COMPRESSED:
+            unpacker, rest = zlib.decompressobj(), content[place : place + size]
+            while rest and not unpacker.eof:
+                unpacked += len(unpacker.decompress(rest, PIECE))
+                rest = unpacker.unconsumed_tail
+                require_modest(field, entries, unpacked, len(content))
+        require_modest(field, entries, 0, len(content))
+        place += size
 
 
 def _matrix(name: str, value: Any) -> NDArray[Any]:

@@ -12,9 +12,10 @@ from typing import Any
 import tomli_w
 from numpy.typing import NDArray
 
+from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.array_references import resolved, stored
-from lin_freq_ocp.interchange.files import read_text, write_npz, writing
+from lin_freq_ocp.interchange.files import npz_bytes, read_text
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.problem_tables import problem_from_tables, tables_from_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -46,11 +47,12 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
     path = Path(path)
     text = read_text(path)
     with naming(path):
-        tables = resolved(_merged(_parsed(text), overrides or {}), path.parent)
         try:
-            return problem_from_tables(tables)
+            return problem_from_tables(resolved(_merged(_parsed(text), overrides or {}), path.parent))
         except ProblemError:
             raise
+        except RecursionError:
+            raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
         except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
             raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
 
@@ -75,13 +77,16 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
         If it cannot be written there.
     """
     path = Path(path)
+    for name, content in problem_files(problem, path.name).items():
+        write_bytes(path.parent / name, content)
+
+
+def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
+    """Return the contents of what ``write_problem`` writes, by their names; the arrays come before what needs them."""
     arrays: dict[str, NDArray[Any]] = {}
-    beside = path.parent / (path.stem + ARRAYS_SUFFIX)
-    tables = stored(tables_from_problem(problem), beside.name, arrays)
-    if arrays:
-        write_npz(beside, arrays)
-    with writing(path):
-        path.write_text(_ROW.sub(_on_one_line, tomli_w.dumps(tables)), encoding="utf-8", newline="\n")
+    beside = Path(name).stem + ARRAYS_SUFFIX
+    text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(tables_from_problem(problem), beside, arrays)))
+    return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
 def _parsed(text: str) -> dict[str, Any]:

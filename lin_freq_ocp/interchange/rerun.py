@@ -8,7 +8,7 @@ from typing import Any
 
 from lin_freq_ocp.interchange.environment import environment
 from lin_freq_ocp.interchange.run_file import SavedRun, described
-from lin_freq_ocp.interchange.summary import result_summary
+from lin_freq_ocp.interchange.summary import finite, result_summary
 from lin_freq_ocp.result import Result
 
 SAME_COST = 1e-6
@@ -77,13 +77,9 @@ def rerun(run: SavedRun) -> Rerun:
 
 def rerun_summary(comparison: Rerun) -> dict[str, Any]:
     """Return the JSON object of ``lin-freq-ocp rerun --json``."""
-    return {
-        "schema": 1,
-        "then": comparison.then,
-        "now": comparison.now,
-        "differences": list(comparison.differences),
-        "environment": {name: list(pair) for name, pair in comparison.versions.items()},
-    }
+    versions = {name: list(pair) for name, pair in comparison.versions.items()}
+    summary = {"schema": 1, "then": comparison.then, "now": comparison.now}
+    return finite(summary | {"differences": list(comparison.differences), "environment": versions})
 
 
 def _outcome(summary: Mapping[str, Any] | None, error: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lin_freq_ocp.atomic import write_bytes, write_text
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import opened_npz, write_npz, writing
+from lin_freq_ocp.interchange.csv_file import header
+from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, parsed_json
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -75,13 +78,18 @@ def save_solution(
     ProblemError
         If it cannot be written there.
     """
+    write_bytes(path, solution_bytes(trajectory, multipliers, summary))
+
+
+def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summary: Mapping[str, Any]) -> bytes:
+    """Return what ``save_solution`` writes."""
     fields: dict[str, Any] = {"x": trajectory.x, "u": trajectory.u}
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
         fields |= {STAGE + name: weights for name, weights in multipliers.stage.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
     fields |= {"schema": SCHEMA, "summary": json.dumps(dict(summary))}
-    write_npz(Path(path), {name: np.asarray(value) for name, value in fields.items()})
+    return npz_bytes({name: np.asarray(value) for name, value in fields.items()})
 
 
 def load_solution(path: str | PathLike[str]) -> SavedSolution:
@@ -115,14 +123,14 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         If the trajectory is not of the problem's shape, or the file cannot be written.
     """
     problem.require(trajectory)
-    path, step = Path(path), problem.sampling_time
+    step, text = problem.sampling_time, io.StringIO()
     clock = [] if step is None else ["time [s]"]
     no_control = [""] * problem.control_dim
-    with writing(path), path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(["t", *clock, *problem.state_names, *problem.control_names])
-        for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
-            table.writerow([t, *([] if step is None else [t * step]), *x, *u])
+    table = csv.writer(text)
+    table.writerow(["t", *clock, *map(header, problem.state_names), *map(header, problem.control_names)])
+    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
+        table.writerow([t, *([] if step is None else [t * step]), *x, *u])
+    write_text(path, text.getvalue())
 
 
 def _require_schema(schema: NDArray[Any] | None) -> None:
@@ -161,10 +169,7 @@ def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None
 def _summary(text: NDArray[Any] | None) -> dict[str, Any]:
     if text is None:
         return {}
-    try:
-        summary = json.loads(str(text))
-    except ValueError as error:
-        raise ProblemError("summary", f"{brief(str(text))} ({error})", "a JSON object") from None
+    summary = parsed_json("summary", str(text))
     if not isinstance(summary, dict):
         raise ProblemError("summary", brief(summary), "a JSON object")
     return summary

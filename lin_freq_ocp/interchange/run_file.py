@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import traceback
+import warnings
 import zipfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -14,13 +15,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.environment import environment
-from lin_freq_ocp.interchange.files import DAMAGED, require_file, writing
+from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import naming
-from lin_freq_ocp.interchange.problem_file import ARRAYS_SUFFIX, read_problem, write_problem
-from lin_freq_ocp.interchange.results import SavedSolution, load_solution, save_solution
+from lin_freq_ocp.interchange.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
+from lin_freq_ocp.interchange.results import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.interchange.summary import result_summary
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -93,7 +95,6 @@ def dump_run(
     ProblemError
         If it cannot be written there.
     """
-    path, buffer = Path(path), io.BytesIO()
     summary = None if result is None else result_summary(result)
     run = {
         "schema": SCHEMA,
@@ -102,28 +103,31 @@ def dump_run(
         "summary": summary,
         "error": None if error is None else described(error),
     }
-    with TemporaryDirectory() as name, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        folder = Path(name)
-        write_problem(problem, folder / PROBLEM)
-        if result is not None and result.trajectory is not None and summary is not None:
-            save_solution(folder / SOLUTION, result.trajectory, result.multipliers, summary)
-        (folder / RUN).write_text(json.dumps(run, indent=2, default=float) + "\n", encoding="utf-8")
-        for file in sorted(folder.iterdir()):
-            archive.write(file, file.name)
-    with writing(path):
-        path.write_bytes(buffer.getvalue())
+    contents = problem_files(problem, PROBLEM)
+    if result is not None and result.trajectory is not None and summary is not None:
+        contents[SOLUTION] = solution_bytes(result.trajectory, result.multipliers, summary)
+    contents[RUN] = (json.dumps(run, indent=2, default=float) + "\n").encode()
+    large = sum(map(len, contents.values())) > LARGE  # what is large and full of zeros would be taken for a bomb
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED if large else zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(contents):
+            archive.writestr(name, contents[name])
+    write_bytes(path, buffer.getvalue())
 
 
 @contextmanager
 def dumping_errors(
     path: str | PathLike[str] | None, problem: OptimalControlProblem, options: Mapping[str, Any]
 ) -> Generator[None]:
-    """Dump the run to the path, if any, when an error ends it; the error goes on."""
+    """Dump the run to the path, if any, when an error ends it; the error goes on, even if that fails."""
     try:
         yield
     except Exception as error:
         if path is not None:
-            dump_run(path, problem, options, error=error)
+            try:
+                dump_run(path, problem, options, error=error)
+            except Exception as failed:  # it must not take the place of the error that is to be told
+                warnings.warn(f"nothing dumped: {failed}", RuntimeWarning, stacklevel=2)
         raise
 
 
@@ -162,7 +166,9 @@ def _unpack(path: Path, folder: Path) -> None:
     require_file(str(path), path)
     try:
         with zipfile.ZipFile(path) as archive:
-            present = {one.filename: one for one in archive.infolist()}
+            entries = archive.infolist()
+            require_modest(str(path), len(entries), sum(one.file_size for one in entries), path.stat().st_size)
+            present = {one.filename: one for one in entries}
             for name in (PROBLEM, ARRAYS, SOLUTION, RUN):
                 if name in present and present[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ProblemError(f"{path.name}: {name}", "another compression", "deflate, or none")
@@ -178,10 +184,7 @@ def _unpack(path: Path, folder: Path) -> None:
 
 def _run(path: Path) -> dict[str, Any]:
     with naming(path):
-        try:
-            run = json.loads(path.read_bytes())
-        except (ValueError, RecursionError) as error:
-            raise ProblemError("JSON syntax", f"{error}", "a JSON object") from None
+        run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
         require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
         if run["schema"] != SCHEMA:
             advice = "Another version of this package may have written it."

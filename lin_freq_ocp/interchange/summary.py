@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -26,7 +27,7 @@ def result_summary(result: Result) -> dict[str, Any]:
     conflict = None
     if result.conflict is not None:
         conflict = [{"block": one.block, "share": one.share, "times": list(one.times)} for one in result.conflict]
-    return _finite(
+    return finite(
         {
             **_head(result.problem),
             "status": result.status,
@@ -49,7 +50,7 @@ def result_summary(result: Result) -> dict[str, Any]:
 
 def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> dict[str, Any]:
     """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
-    return _finite({**_head(problem), **_values(certificate), "certificate": _certificate(certificate)})
+    return finite({**_head(problem), **_values(certificate), "certificate": _certificate(certificate)})
 
 
 def comparison_summary(comparison: Comparison) -> dict[str, Any]:
@@ -64,7 +65,7 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         for one in comparison.filtered
     }
     base: dict[str, Any] = result_summary(comparison.constrained)
-    return _finite(
+    return finite(
         {
             **base,
             "classical": _measures(comparison.classical_measures),
@@ -85,8 +86,14 @@ def to_json(summary: Mapping[str, Any]) -> str:
 
 
 def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
-    """Write a summary as a JSON file."""
-    Path(path).write_text(to_json(summary) + "\n", encoding="utf-8")
+    """Write a summary as a JSON file.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written there.
+    """
+    write_text(path, to_json(summary) + "\n")
 
 
 def _head(problem: OptimalControlProblem) -> dict[str, Any]:
@@ -165,12 +172,12 @@ def _measures(measures: Measures | None) -> dict[str, Any] | None:
     return None if measures is None else asdict(measures)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Replace what JSON cannot say, NaN and infinity, by null."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

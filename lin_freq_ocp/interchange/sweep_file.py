@@ -7,6 +7,7 @@ is on the disk before the next is begun; of a crash in the midst of one, what is
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -16,11 +17,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from lin_freq_ocp.atomic import write_text, writing
 from lin_freq_ocp.comparison.sweep import MEASURED, Sweep, SweepHead
 from lin_freq_ocp.comparison.sweep_grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep_point import ERROR, Row
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import read_text, writing
+from lin_freq_ocp.interchange.csv_file import header
+from lin_freq_ocp.interchange.files import parsed_json, read_text
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.problem.arrays import brief
 
@@ -33,6 +36,17 @@ BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]
 """How every file begins, and by what one that ends within its first line is known."""
 
 HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
+
+HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
+
+NUMBER = int | float | None
+
+ROW_KINDS = {"parameters": dict, "status": str, "proven": bool, "global": bool | None} | {
+    **dict.fromkeys(("cost", "lower_bound", "gap", "seconds"), NUMBER),
+    **dict.fromkeys(("pmp", "method", "backend", "message"), str | None),
+}
+"""What a row holds under each key."""
+
 DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
 ANOTHER_PATH = "Give another path, or remove the file."
 
@@ -115,11 +129,16 @@ def load_sweep(path: str | PathLike[str]) -> Sweep:
 
 def save_sweep_csv(path: str | PathLike[str], sweep: Sweep) -> None:
     """Write a line per row, parameters first; numbers to the last bit, nothing where nothing is known."""
-    path = Path(path)
-    with writing(path), path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, [*sweep.names, *MEASURED])
-        writer.writeheader()
-        writer.writerows(sweep.table())
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(map(header, (*sweep.names, *MEASURED)))
+    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    write_text(path, text.getvalue())
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
+    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
 
 
 def sweep_summary(sweep: Sweep) -> dict[str, Any]:
@@ -145,19 +164,33 @@ def _lines(path: Path) -> list[dict[str, Any]]:
         raise _no_sweep(path)
     lines = [_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
     require_keys(path.name, lines[0], HEAD_KEYS)
+    for key, kind in HEAD_KINDS.items():
+        _require_kind(path.name, lines[0], key, kind)
     return lines
 
 
 def _line(path: Path, number: int, text: str) -> dict[str, Any]:
-    try:
-        line = json.loads(text)
-    except ValueError as error:
-        raise ProblemError(f"{path}, line {number}", f"{brief(text)} ({error})", "a JSON object") from None
+    line = parsed_json(f"{path}, line {number}", text)
     place = f"{path.name}, line {number}"
     require_keys(place, line, optional=() if not isinstance(line, dict) else line)
-    if number > 1 and "grid" not in line:
+    if "grid" in line:
+        _require_grid(place, line["grid"])
+    elif number > 1:
         require_keys(place, line, ("parameters", *MEASURED))
+        for key, kind in ROW_KINDS.items():
+            _require_kind(place, line, key, kind)
     return line
+
+
+def _require_grid(place: str, grid: Any) -> None:
+    if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
+        raise ProblemError(f"{place}.grid", brief(grid), "a list of values for each parameter")
+
+
+def _require_kind(place: str, line: Mapping[str, Any], key: str, kind: Any) -> None:
+    value = line[key]
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+        raise ProblemError(f"{place}.{key}", brief(value), "what a sweep writes there")
 
 
 def _rows(path: Path, lines: Sequence[Mapping[str, Any]]) -> list[Any]:

@@ -6,8 +6,8 @@ from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 
+from lin_freq_ocp.atomic import writing
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import writing
 
 
 def template() -> str:
@@ -26,7 +26,12 @@ def init_problem_file(path: str | PathLike[str]) -> None:
     path = Path(path)
     with writing(path):
         try:
-            with path.open("x", encoding="utf-8", newline="\n") as stream:
-                stream.write(template())
+            stream = path.open("x", encoding="utf-8", newline="\n")
         except FileExistsError:
             raise ProblemError(str(path), "a file that exists already", "a new name", "It is left as it is.") from None
+        try:
+            with stream:
+                stream.write(template())
+        except OSError:
+            path.unlink()  # half a file would be in the way of the next attempt
+            raise

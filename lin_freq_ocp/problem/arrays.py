@@ -103,6 +103,9 @@ def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> t
         or not all(isinstance(name, str) and name.strip() for name in given)
     ):
         raise ProblemError(field, brief(given), f"a list of {count} names")
+    unseen = [name for name in given if not name.isprintable()]
+    if unseen:
+        raise ProblemError(field, brief(unseen[0]), "names of printable characters")
     if len(given) != count or len(set(given)) != count:
         raise ProblemError(
             field, brief(list(given)), f"{count} different names", 'One per component, such as "position [m]".'
@@ -112,5 +115,8 @@ def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> t
 
 def brief(value: Any, length: int = 80) -> str:
     """Return a value as an error message shows it."""
-    text = repr(value).replace("\n", " ")
+    try:
+        text = repr(value).replace("\n", " ")
+    except (ValueError, RecursionError):  # whole numbers of thousands of digits; nesting without end
+        text = f"a value of type {type(value).__name__} that cannot be shown"
     return text if len(text) <= length else text[: length - 3] + "..."

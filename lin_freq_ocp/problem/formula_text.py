@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
+import math
+import operator
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.formulas import (
     MAXIMUM,
     MINIMUM,
@@ -25,8 +29,17 @@ from lin_freq_ocp.problem.formulas import (
     signals,
 )
 
-LONGEST = 10_000
-"""Characters of one formula: deeper nesting than Python's parser takes does not fit in."""
+LONGEST = 100_000
+"""Characters of one formula."""
+
+ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+"""Of numbers alone."""
 
 EXPECTED = (
     "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
@@ -55,48 +68,92 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
         raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST}")
     try:
         tree = ast.parse(text.strip(), mode="eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ProblemError(field, repr(text), EXPECTED) from None
+    except (SyntaxError, ValueError):
+        raise ProblemError(field, brief(text), EXPECTED) from None
+    except (RecursionError, MemoryError):  # the parser's words for it
+        raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
     x, u = signals(*dimensions)
     known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
-    made = _Reader(field, text, known).read(tree.body)
-    return made if isinstance(made, Formula) else x[0] * 0.0 + made
+    try:
+        with np.errstate(all="ignore"):
+            made = _Reader(text, known).read(tree.body)
+            formula = made if isinstance(made, Formula) else x[0] * 0.0 + made
+    except ProblemError as error:
+        raise ProblemError(field, error.got, error.expected, error.advice) from None
+    if not all(np.isfinite(one.data).all() for one in in_order([formula])):
+        raise ProblemError(field, brief(text), "coefficients that are finite numbers")
+    return formula
 
 
 class _Reader:
-    """Reads one text."""
+    """Reads one text; errors are about "formula", which the caller replaces by the field."""
 
-    def __init__(self, field: str, text: str, known: dict[str, Formula]):
-        self._field, self._text, self._known = field, text, known
+    def __init__(self, text: str, known: dict[str, Formula]):
+        self._text, self._known = text, known
 
-    def read(self, node: ast.expr) -> Formula | float:
-        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
-            return float(node.value)
+    def read(self, root: ast.expr) -> Formula | float:
+        """Return what a node says, from the innermost outwards: a long sum is nested as deeply as it is long."""
+        made: dict[ast.expr, Formula | float] = {}
+        stack = [(root, False)]
+        while stack:
+            node, ready = stack.pop()
+            parts = self._parts(node)
+            if ready or not parts:
+                made[node] = self._made(node, [made[part] for part in parts])
+            else:
+                stack += [(node, True), *((part, False) for part in reversed(parts))]
+        return made[root]
+
+    def _parts(self, node: ast.expr) -> list[ast.expr]:
+        if isinstance(node, ast.UnaryOp):
+            return [node.operand]
+        if isinstance(node, ast.BinOp):
+            return [node.left, node.right]
+        return node.args if isinstance(node, ast.Call) else []
+
+    def _made(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
+        value = node.value if isinstance(node, ast.Constant) else None
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            return self._number(partial(float, value))
         if isinstance(node, ast.Name):
             if node.id in self._known:
                 return self._known[node.id]
-            raise ProblemError(self._field, repr(node.id), f"one of {', '.join(self._known)}")
+            raise ProblemError("formula", repr(node.id), f"one of {', '.join(self._known)}")
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-            operand = self.read(node.operand)
-            return -operand if isinstance(node.op, ast.USub) else operand
+            return -parts[0] if isinstance(node.op, ast.USub) else parts[0]
         if isinstance(node, ast.BinOp):
-            return self._operation(node.op, self.read(node.left), self.read(node.right))
+            return self._operation(node.op, *parts)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-            return self._call(node.func.id, [self.read(one) for one in node.args])
-        raise ProblemError(self._field, repr(self._text), EXPECTED)
+            return self._call(node.func.id, parts)
+        raise self._other()
 
-    def _operation(self, operator: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
-        if isinstance(operator, ast.Add):
+    def _number(self, compute: Callable[[], float]) -> float:
+        """Return a finite number; Python has errors of several kinds, and complex numbers, where there is none."""
+        try:
+            value = compute()
+        except (ArithmeticError, ValueError):
+            value = math.nan
+        if isinstance(value, complex) or not math.isfinite(value):
+            raise ProblemError("formula", brief(self._text), "finite real numbers in all its parts")
+        return value
+
+    def _other(self) -> ProblemError:
+        return ProblemError("formula", brief(self._text), EXPECTED)
+
+    def _operation(self, sign: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
+        if isinstance(left, float) and isinstance(right, float) and type(sign) in ARITHMETIC:
+            return self._number(lambda: ARITHMETIC[type(sign)](left, right))
+        if isinstance(sign, ast.Add):
             return left + right
-        if isinstance(operator, ast.Sub):
+        if isinstance(sign, ast.Sub):
             return left - right
-        if isinstance(operator, ast.Mult):
+        if isinstance(sign, ast.Mult):
             return left * right
-        if isinstance(operator, ast.Div) and (isinstance(right, Formula) or right):
+        if isinstance(sign, ast.Div):
             return left / right
-        if isinstance(operator, ast.Pow) and isinstance(right, float):
+        if isinstance(sign, ast.Pow) and isinstance(right, float):
             return left ** (int(right) if right.is_integer() else right)
-        raise ProblemError(self._field, repr(self._text), EXPECTED)
+        raise self._other()
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
         formulas = [one for one in arguments if isinstance(one, Formula)]
@@ -109,8 +166,8 @@ class _Reader:
             return abs(one) if name == "abs" else getattr(one, name)()
         numbers = [one for one in arguments if isinstance(one, float)]
         if len(arguments) == 1 and numbers and name in ("abs", *SMOOTH):
-            return float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0]))
-        raise ProblemError(self._field, repr(self._text), EXPECTED)
+            return self._number(lambda: float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0])))
+        raise self._other()
 
 
 def source_of(one: Formula, field: str = "formula") -> str:

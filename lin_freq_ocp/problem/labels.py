@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import names, positive_number
+from lin_freq_ocp.problem.arrays import brief, names, positive_number
 
 
 def signal_labels(
@@ -26,16 +26,30 @@ def signal_labels(
     }
 
 
+def printable(field: str, name: Any) -> str:
+    """Return a name, or "" for none.
+
+    Raises
+    ------
+    ProblemError
+        If it is no text of printable characters: others would make one thing look like another, or end a line.
+    """
+    if not isinstance(name, str) or not name.isprintable():
+        raise ProblemError(field, brief(name), "a name of printable characters")
+    return name
+
+
 def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
     """Return the names of modes, "mode i" where none is given.
 
     Raises
     ------
     ProblemError
-        If two are the same.
+        If two are the same, or one is no text of printable characters.
     """
     found: dict[str, None] = {}
     for i, name in enumerate(given):
+        printable(f"dynamics.modes[{i}].name", name)
         label = name or f"mode {i}"
         if label in found:
             raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")

@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_int
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula
+from lin_freq_ocp.problem.labels import printable
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
@@ -83,6 +84,7 @@ class OptimalControlProblem:
         cost = as_cost(self.cost)
         if cost is None:
             raise ProblemError("cost", brief(self.cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+        printable("name", self.name)
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon

@@ -17,8 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import Comparison
-from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.report import figures, words
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.facts import problem_facts
@@ -62,17 +62,14 @@ def save_report(comparison: Comparison, folder: str | Path) -> Path:
         If the folder cannot be written.
     """
     folder = Path(folder)
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        drawings = draw(comparison)
-        for drawing in drawings:
-            (folder / f"{drawing.name}.svg").write_text(drawing.svg, encoding="utf-8", newline="\n")
-            (folder / f"{drawing.name}.png").write_bytes(drawing.png)
-        path = folder / "index.html"
-        path.write_text(render(comparison, drawings), encoding="utf-8", newline="\n")
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise ProblemError("folder", f"{folder} ({reason})", "a folder that can be written") from None
+    drawings = draw(comparison)
+    for drawing in drawings:
+        write_text(folder / f"{drawing.name}.svg", drawing.svg)
+        write_bytes(folder / f"{drawing.name}.png", drawing.png)
+    path = folder / "index.html"
+    write_text(path, render(comparison, drawings))
     return path
 
 

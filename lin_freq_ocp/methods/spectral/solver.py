@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -73,6 +74,7 @@ class SpectralSolver:
 
     Everything that does not depend on ends, references, linear costs, offsets and bounds is computed here, and kept.
     All linear algebra runs on one BLAS thread: its matrices are small, and threads made T = 1000 take 12 s, not 0.3 s.
+    Threads may share one solver, whose solves then follow one another: what is kept is changed by each of them.
 
     Parameters
     ----------
@@ -93,7 +95,16 @@ class SpectralSolver:
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
         self.problem = problem
+        self._turn = threading.Lock()
         self._set_up(natural_units(problem))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs; a lock stays where it is."""
+        return {name: value for name, value in self.__dict__.items() if name != "_turn"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what ``__getstate__`` returned, with a lock of its own."""
+        self.__dict__.update(state, _turn=threading.Lock())
 
     def solve(
         self,
@@ -120,18 +131,25 @@ class SpectralSolver:
         tolerance : float, optional
             Relative violation of bounds to stop at.
         time_limit : float, optional
-            Seconds; acts between rounds.
+            Seconds; acts between rounds. It does not count the wait for a solve of another thread.
 
         Raises
         ------
         ProblemError
             If new data do not fit the problem, or the tolerance or time limit is not above zero.
         """
-        started = time.perf_counter()
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
                 positive_number(field, value)
-        problem, lti = self._with(initial_state, terminal_state, references, bounds)
+        with self._turn:
+            return self._solved((initial_state, terminal_state, references, bounds), warm_start, tolerance, time_limit)
+
+    def _solved(
+        self, data: tuple[Any, ...], warm_start: SpectralSolution | None, tolerance: float | None, limit: float | None
+    ) -> SpectralSolution:
+        """Solve with the ends, references and bounds in ``data``, while no other thread does."""
+        started = time.perf_counter()
+        problem, lti = self._with(*data)
         if warm_start is not None:
             self._require_own(warm_start)
         allowed = tolerance or VIOLATION_TOLERANCE
@@ -140,7 +158,7 @@ class SpectralSolver:
             interrupts_noted() as interrupt,
             np.errstate(all="ignore"),
         ):  # what overflows is no answer
-            stop = deadline(time_limit, interrupt.is_set)
+            stop = deadline(limit, interrupt.is_set)
             first = None if warm_start is None else warm_start.active
             answer = self._exchange(lti, first, allowed, stop)
             y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
@@ -261,18 +279,40 @@ class SpectralSolver:
         )
 
 
+class _BlasThreads:
+    """Counts who wants one BLAS thread; the last one to leave restores what the first one found."""
+
+    def __init__(self) -> None:
+        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
+
+    def enter(self) -> None:
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                threads = [(library, library.num_threads) for library in _blas_libraries()]
+                self._before = [(library, before) for library, before in threads if before != 1]
+                for library, _ in self._before:
+                    library.set_num_threads(1)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if not self._users:
+                for library, before in self._before:
+                    library.set_num_threads(before)
+
+
+_blas_threads = _BlasThreads()
+
+
 @contextmanager
 def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread."""
-    threads = [(library, library.num_threads) for library in _blas_libraries()]
-    several = [(library, before) for library, before in threads if before != 1]
-    for library, _ in several:
-        library.set_num_threads(1)
+    """Let linear algebra use one thread, as long as any thread of this process is within."""
+    _blas_threads.enter()
     try:
         yield
     finally:
-        for library, before in several:
-            library.set_num_threads(before)
+        _blas_threads.leave()
 
 
 @cache

@@ -1,0 +1,42 @@
+"""Ctrl-C while the command line imports what it needs: out at once, with its status and without a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from pathlib import PurePath
+from typing import Any
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+def leave(number: int, frame: Any) -> None:
+    """Leave now: nothing is open, and KeyboardInterrupt in the midst of an import becomes other errors on its way."""
+    os._exit(INTERRUPTED)
+
+
+def leave_silently() -> None:
+    """Let Ctrl-C end this process without a word, if it is the command line and nobody ignores Ctrl-C for it."""
+    main = threading.current_thread() is threading.main_thread()
+    if main and _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, leave)
+
+
+def let_commands_decide() -> bool:
+    """Let Ctrl-C raise KeyboardInterrupt again, which the commands know what to do with; return whether it did not."""
+    silent = signal.getsignal(signal.SIGINT) is leave
+    if silent:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return silent
+
+
+def _is_command_line() -> bool:
+    """Whether this process was started as ``lin-freq-ocp`` or ``python -m lin_freq_ocp``."""
+    program = sys.argv[0] if sys.argv else ""
+    if program == "-m":  # a package is imported before Python knows the path of what it is to run
+        given = sys.orig_argv
+        return "lin_freq_ocp" in (given[given.index("-m") + 1 :] if "-m" in given else [])[:1]
+    return PurePath(program).stem == "lin-freq-ocp"

@@ -1,0 +1,95 @@
+"""Ctrl-C at any moment of the command line, sent to all its processes as a terminal does: 130, and not a word."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from lin_freq_ocp import starting
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
+
+SWEEP = ("sweep", "pendulum", "--grid", "cutoff=0.5:3:400", "--workers", "2")
+
+
+def children(process):
+    return Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+
+
+def interrupted(arguments, ready, delay=0.0):
+    """Send Ctrl-C a while after something has happened; return exit status, stdout and stderr of our own words."""
+    command = [sys.executable, "-X", "importtime", "-m", "lin_freq_ocp", *arguments]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **streams, text=True, start_new_session=True) as process:
+        try:
+            ready(process)
+            time.sleep(delay)
+            os.killpg(process.pid, signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    return process.returncode, out, [line for line in err.splitlines() if not line.startswith("import time:")]
+
+
+def imported(module):
+    """Return what waits until a process has imported a module."""
+
+    def ready(process):
+        for line in process.stderr:
+            if line.rstrip().endswith(f" {module}"):
+                return
+
+    return ready
+
+
+def working(process):
+    """Wait until processes to work on have been asked for, which then import what they need."""
+    imported("lin_freq_ocp.cli")(process)
+    while not len(children(process)) > 1:
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("module", ["lin_freq_ocp.starting", "numpy", "lin_freq_ocp.problem.arrays"])
+def test_during_imports(module):
+    assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_while_workers_start(delay):
+    status, _, words = interrupted(SWEEP, working, delay)
+    assert (status, words) == (130, [])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "ours"),
+    [
+        (["/usr/bin/lin-freq-ocp", "solve"], True),
+        (["-m", "solve"], True),
+        (["my_script.py", "-m", "lin_freq_ocp"], False),
+        (["/usr/bin/pytest", "lin-freq-ocp"], False),
+        (["-c"], False),
+        ([], False),
+    ],
+)
+def test_scripts_that_import_the_package_keep_their_ctrl_c(monkeypatch, arguments, ours):
+    monkeypatch.setattr(sys, "argv", arguments)
+    monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "lin_freq_ocp", "solve"])
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        starting.leave_silently()
+        assert (signal.getsignal(signal.SIGINT) is starting.leave) == ours
+        assert starting.let_commands_decide() == ours
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_other_modules_keep_their_ctrl_c(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["-m"])
+    monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "my_module", "lin_freq_ocp"])
+    starting.leave_silently()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
