@@ -6,8 +6,9 @@ import inspect
 import os
 import sys
 import tomllib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,11 @@ from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp import library
+from lin_freq_ocp.comparison.sweep_grid import CUTOFFS
 from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.problem_file import read_problem
+from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
@@ -65,13 +69,91 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
     """
     given = parsed_settings(settings)
     if is_file(problem):
-        return read_problem(problem, given)
+        return ProblemFile.read(problem, given).problem
     try:
         return builder(problem, given)()
     except ProblemError:
         raise
     except (TypeError, ValueError) as error:  # a parameter of a wrong type, met in the midst of a formula
         raise ProblemError("--set", f"{given}", f"parameters that {problem} can use", f"({error})") from None
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem file as a function of its keys; those of tables with dots, ``control_set.upper``.
+
+    ``cutoff`` (rad/sample) and ``cutoff_hz`` stand for a low pass of all controls in place of the file's
+    ``control_spectrum``, as in ``lfo.sweep``.
+
+    Attributes
+    ----------
+    path : Path
+        Read anew for every point; not part of what is compared when a sweep is resumed.
+    settings : dict
+        Values that take precedence over the file's.
+    problem : OptimalControlProblem
+        What the file describes; read first, so that a file with a fault is no sweep of errors.
+    """
+
+    path: Path = field(compare=False)
+    settings: Mapping[str, Any]
+    problem: OptimalControlProblem
+
+    @classmethod
+    def read(cls, path: str, settings: Mapping[str, Any]) -> ProblemFile:
+        """Read the file, with these settings.
+
+        Raises
+        ------
+        ProblemError
+            If a setting has an unknown key, two set the same, or the file describes no problem.
+        """
+        with naming(Path(path)):
+            require_keys_of_file(settings)
+        return cls(Path(path), settings, read_problem(path, file_tables(settings)))
+
+    @property
+    def name(self) -> str:
+        """Return the name of the problem, or else that of the file."""
+        return self.problem.name or self.path.stem
+
+    def __call__(self, **parameters: Any) -> OptimalControlProblem:
+        """Return the problem with these values, which take precedence over the settings."""
+        replaced = SPECTRA if any(key in SPECTRA for key in parameters) else ()
+        tables = _copied({key: value for key, value in self.settings.items() if key not in replaced})
+        for key, value in parameters.items():
+            merge_tables(tables, _nested(key, value))
+        return read_problem(self.path, file_tables(tables))
+
+
+FILE_KEYS = (*REQUIRED_KEYS, *OPTIONAL_KEYS, *CUTOFFS)
+"""What --set and --grid can change in a problem file, at the top; within tables, keys are written with dots."""
+
+SPECTRA = ("control_spectrum", *CUTOFFS)
+"""Keys that all set the frequency constraints of the controls."""
+
+
+def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
+    """Raise ProblemError unless problem files have these keys, or they stand for one, each of another field."""
+    for key in keys:
+        first = key.partition(".")[0]
+        if first not in FILE_KEYS:
+            known = f"one of {', '.join(FILE_KEYS)}"
+            advice = suggestion(first, FILE_KEYS) or "Those of tables are written with dots, such as control_set.upper."
+            raise ProblemError(f"{option}{key}", "an unknown key", known, advice)
+    given = [key for key in SPECTRA if key in keys]
+    if len(given) > 1:
+        raise ProblemError(f"{option}{given[1]}", f"{given[0]}, too", "one of them", "Both set the same.")
+
+
+def file_tables(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as the tables of a problem file: a cut-off as the low pass that it stands for."""
+    tables = {key: value for key, value in settings.items() if key not in CUTOFFS}
+    for key in CUTOFFS:
+        if key in settings:
+            low_pass = {"kind": "low_pass", key: settings[key]}
+            tables["control_spectrum"] = None if settings[key] is None else [low_pass]
+    return tables
 
 
 def is_file(problem: str) -> bool:
@@ -145,6 +227,16 @@ def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
             merge_tables(into[key], value)
         else:
             into[key] = value
+
+
+def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables that can be changed without changing the given ones."""
+    return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in table.items()}
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    first, _, rest = key.partition(".")
+    return {first: _nested(rest, value) if rest else value}
 
 
 def complain(error: Exception | str) -> None:
