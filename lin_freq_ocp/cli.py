@@ -39,15 +39,16 @@ from lin_freq_ocp.cli_common import (
     problem_argument,
     progress,
     require_folder,
-    require_writable,
+    say,
     search_progress,
     settings_option,
     time_limit_option,
     tolerance_option,
 )
+from lin_freq_ocp.cli_outputs import Outputs, output_options
 from lin_freq_ocp.cli_sweep import sweep_command
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, SolveError, UnsupportedError
+from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, SolveError, UnsupportedError
 from lin_freq_ocp.interchange.rerun import rerun, rerun_summary
 from lin_freq_ocp.interchange.run_file import dumping_errors, load_run
 from lin_freq_ocp.interchange.summary import (
@@ -94,9 +95,9 @@ def list_command() -> int:
 @time_limit_option
 @tolerance_option
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
-@click.option("--save", type=click.Path(path_type=Path), help="Write trajectory and multipliers to this .npz file.")
-@click.option("--dump", type=click.Path(path_type=Path), help="Write the whole run to this .zip file; see rerun.")
+@output_options
 @json_option
+@click.option("--trajectory", "with_trajectory", is_flag=True, help="With --json: the times, x and u, too.")
 def solve_command(
     problem: str,
     settings: tuple[str, ...],
@@ -105,39 +106,34 @@ def solve_command(
     time_limit: float | None,
     tolerance: float | None,
     node_limit: int | None,
-    save: Path | None,
-    dump: Path | None,
     as_json: bool,
+    with_trajectory: bool,
+    **files: Path | None,
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
-    description = build(problem, settings)
-    for option, file in (("--save", save), ("--dump", dump)):
-        if file is not None:
-            require_writable(option, file, problem)
-    if save is not None and dump is not None and save.absolute() == dump.absolute():
-        raise ProblemError(f"--dump {dump}", "the file of --save", "another file")
+    description, outputs = build(problem, settings), Outputs(**files)
+    outputs.require_writable(problem)
+    if with_trajectory and not as_json:
+        raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     if node_limit is not None:
         options["node_limit"] = node_limit
-    with dumping_errors(dump, description, options):
+    with dumping_errors(outputs.dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == "infeasible":
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
-    if dump is not None:
-        result.dump(dump)
-    if save is not None and result.trajectory is not None:
-        result.save(save)
-    elif save is not None:
-        complain(f"nothing saved to {save}: there is no trajectory.")
+    failures = outputs.write(result)
     if as_json:
-        print_json(result_summary(result))
+        print_json(result_summary(result, with_trajectory))
     else:
         out.print(escape(str(result)), highlight=False)
         _print_conflict(result)
         _print_certificate(description, result.certificate)
-    return exit_status(result)
+    for failure in failures:
+        complain(failure)
+    return BAD_INPUT if failures else exit_status(result)
 
 
 @cli.command("compare")
@@ -176,7 +172,7 @@ def compare_command(
     else:
         _print_comparison(comparison)
         if page is not None:
-            click.echo(f"report: {page}")
+            say(f"report: {page}")
     return exit_status(comparison.constrained)
 
 
@@ -221,7 +217,7 @@ def rerun_command(file: str, as_json: bool) -> int:
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
     init_problem_file(file)
-    click.echo(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
 
 
@@ -295,17 +291,17 @@ def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, c
     """Say whether there are others, or the direction that proves that there are none, and what holds at borders."""
     descent = certificate.descent
     if certificate.borders is not None:
-        click.echo(f"borders     {certificate.borders}")
+        say(f"borders     {certificate.borders}")
     if descent is not None:
         control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
         proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
-        click.echo(
+        say(
             f"descent     {proven}: along a verified direction, which changes {control} most at "
             f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
         try:
-            click.echo(f"multipliers {uniqueness(problem, trajectory)}")
+            say(f"multipliers {uniqueness(problem, trajectory)}")
         except UnsupportedError:  # too many to count in a moment
             return
 

@@ -261,4 +261,12 @@ def search_progress(what: str) -> Generator[Callable[[SearchProgress | SmoothPro
 
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
-    click.echo(to_json(summary))
+    say(to_json(summary))
+
+
+def say(text: str) -> None:
+    """Print a text on stdout as it is; a reader who leaves early is no error."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        out.on_broken_pipe()

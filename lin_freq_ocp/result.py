@@ -160,11 +160,11 @@ class Result:
         return result_figure(self)
 
     def save(self, path: str | Path) -> None:
-        """Write trajectory and multipliers to an .npz file."""
-        from lin_freq_ocp.interchange.results import save_solution
+        """Write trajectory and multipliers to an .npz file, or the trajectory to a .csv or a .mat file."""
         from lin_freq_ocp.interchange.summary import result_summary
+        from lin_freq_ocp.interchange.trajectory_file import save_trajectory
 
-        save_solution(path, self._require_trajectory(), self.multipliers, result_summary(self))
+        save_trajectory(path, self.problem, self._require_trajectory(), self.multipliers, result_summary(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the trajectory as a table, one row per time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_a_grid_takes_precedence_over_a_cut_off_that_is_set(cart):
     status, out, _ = run("sweep", str(cart), "--set", "cutoff=0.3", "--grid", "cutoff_hz=[3.0]", "--json")
     assert status == 0
     alone = json.loads(run("solve", str(cart), "--set", "cutoff_hz=3", "--json")[1])
-    assert json.loads(out)["rows"][0]["cost"] == pytest.approx(alone["cost"], rel=1e-9)
+    assert json.loads(out)["points"][0]["cost"] == pytest.approx(alone["cost"], rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -78,3 +79,101 @@ def test_a_setting_that_a_file_does_not_know_is_refused(cart, settings, words):
 def test_two_cut_offs_are_no_grid(cart):
     status, _, err = run("sweep", str(cart), "--grid", "cutoff=[0.3]", "--grid", "cutoff_hz=[2.0]")
     assert (status, "--grid cutoff_hz: got cutoff, too" in err) == (2, True)
+
+
+# --- what solve writes ----------------------------------------------------------------------------------------------
+
+PNG, SVG = b"\x89PNG", b"<?xml"
+
+
+def test_the_end_of_the_name_says_how_a_trajectory_is_saved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    problem = lfo.library.pendulum()
+    expected = lfo.solve(problem).trajectory
+    for name, read in (
+        ("run.csv", lambda: lfo.read_csv("run.csv", problem)),
+        ("run.MAT", lambda: lfo.read_mat("run.MAT", problem)),
+        ("run.npz", lambda: lfo.load("run.npz").trajectory),
+        ("run", lambda: lfo.load("run").trajectory),
+    ):
+        assert run("solve", "pendulum", "--save", name)[0] == 0
+        np.testing.assert_allclose(read().x, expected.x, atol=1e-9)
+        np.testing.assert_allclose(read().u, expected.u, atol=1e-9)
+    assert run("certify", "pendulum", "run.csv")[0] == 0
+
+
+def test_the_library_saves_by_the_same_names(tmp_path):
+    problem = lfo.library.pendulum()
+    result = lfo.solve(problem)
+    result.save(tmp_path / "run.csv")
+    np.testing.assert_array_equal(lfo.read_csv(tmp_path / "run.csv", problem).x, result.trajectory.x)
+    with pytest.raises(lfo.ProblemError, match=r"run\.txt.*\.npz, \.csv or \.mat"):
+        result.save(tmp_path / "run.txt")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--save", "run.txt"), ("--save run.txt", ".npz, .csv or .mat")),
+        (("--plot", "run.doc"), ("--plot run.doc", ".png", ".svg", ".pdf")),
+        (("--plot", "run"), ("--plot run", "without a suffix")),
+        (("--csv", "a.csv", "--save", "a.csv"), ("--csv a.csv", "the file of --save", "another file")),
+        (("--csv", "nowhere/a.csv"), ("--csv nowhere/a.csv", "existing folder")),
+        (("--trajectory",), ("--trajectory needs --json", "--csv")),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_solving(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve", lambda *given, **named: pytest.fail("it was solved"))
+    status, out, err = run("solve", "pendulum", *arguments)
+    assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
+    for word in words:
+        assert word in " ".join(err.split())
+
+
+def test_picture_and_table_of_an_answer(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run("solve", "pendulum", "--plot", "a.png", "--csv", "a.txt", "--save", "a.npz", "--json")
+    assert (status, err) == (0, "")
+    assert Path("a.png").read_bytes().startswith(PNG)
+    rows = Path("a.txt").read_text(encoding="utf-8").splitlines()
+    assert (rows[0].split(",")[:3], len(rows)) == (["t", "time [s]", "position [m]"], 242)
+    np.testing.assert_allclose([float(cell) for cell in rows[1].split(",")[2:6]], [-0.15, 0.1, 0.0, 0.0], atol=1e-9)
+    assert run("solve", "absolute_value", "--plot", "a.svg")[0] == 0
+    assert Path("a.svg").read_bytes().startswith(SVG)
+
+
+def test_without_a_trajectory_there_is_no_picture(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = ("--set", "horizon=60", "--set", "control_bound=1")
+    status, out, err = run(
+        "solve", "pendulum", *settings, "--plot", "a.png", "--csv", "a.csv", "--json", "--trajectory"
+    )
+    assert (status, list(tmp_path.iterdir())) == (1, [])
+    assert "nothing drawn to a.png" in err
+    assert "nothing saved to a.csv" in err
+    assert json.loads(out)["trajectory"] is None
+
+
+def test_a_file_that_fails_keeps_nothing_back(tmp_path, monkeypatch):
+    """The answer is printed and the other files are written."""
+    monkeypatch.chdir(tmp_path)
+
+    def full(result, path):
+        raise lfo.ProblemError(str(path), "no space left on device", "a file that can be written")
+
+    monkeypatch.setattr(lfo.Result, "save", full)
+    status, out, err = run("solve", "pendulum", "--save", "a.npz", "--csv", "a.csv", "--json")
+    assert (status, json.loads(out)["status"], Path("a.csv").exists()) == (2, "optimal", True)
+    assert "error: a.npz: got no space left on device" in err
+
+
+def test_the_trajectory_as_json():
+    status, out, _ = run("solve", "pendulum", "--json", "--trajectory")
+    found, expected = json.loads(out)["trajectory"], lfo.solve(lfo.library.pendulum())
+    assert status == 0
+    np.testing.assert_allclose(found["x"], expected.trajectory.x, atol=1e-9)
+    np.testing.assert_allclose(found["u"], expected.control, atol=1e-9)
+    np.testing.assert_allclose(found["time"], 0.01 * np.arange(241))
+    assert (found["state_names"][1], found["control_names"]) == ("angle [rad]", ["force [N]"])
+    assert "trajectory" not in json.loads(run("solve", "pendulum", "--json")[1])

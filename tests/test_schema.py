@@ -389,6 +389,7 @@ def solved() -> lfo.Result:
 
 def test_the_result_of_a_solve_is_valid(solved, tmp_path):
     assert faults(RESULT, printed(result_summary(solved))) == []
+    assert faults(RESULT, printed(result_summary(solved, with_trajectory=True))) == []
     solved.save(tmp_path / "run.npz")
     settings = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
     answer = CliRunner().invoke(cli, ["certify", "double_integrator", str(tmp_path / "run.npz"), "--json", *settings])
@@ -446,7 +447,7 @@ def test_a_result_of_other_keys_is_invalid(solved, place, value):
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered"}
-    assert set(RESULT["properties"]) - compared == set(result_summary(solved))
+    assert set(RESULT["properties"]) - compared == set(result_summary(solved, with_trajectory=True))
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", *ERRORS]
     for part, kind in (
