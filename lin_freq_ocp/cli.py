@@ -17,7 +17,6 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.markup import escape
 
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -26,16 +25,18 @@ from lin_freq_ocp.cli_common import (
     INTERRUPTED,
     NO_SOLUTION,
     NOT_PROVEN,
-    PAGE,
     PROVEN,
     backend_option,
     build,
     complain,
     err,
+    fit_console,
     json_option,
     method_option,
     out,
     print_json,
+    print_lines,
+    print_table,
     problem_argument,
     progress,
     require_folder,
@@ -78,12 +79,10 @@ cli.add_command(sweep_command)
 @cli.command("list")
 def list_command() -> int:
     """List the library's problems and what each shows."""
-    from rich.table import Table
+    from lin_freq_ocp.report.narrow import terms
 
-    table = Table("name", "what it shows", box=None, header_style="bold")
-    for name, builder in library.PROBLEMS.items():
-        table.add_row(name, escape((inspect.getdoc(builder) or "").splitlines()[0]))
-    out.print(table)
+    shown = {name: (inspect.getdoc(builder) or "").splitlines()[0] for name, builder in library.PROBLEMS.items()}
+    out.print(terms(list(shown.items()), out.width))
     return PROVEN
 
 
@@ -128,7 +127,7 @@ def solve_command(
     if as_json:
         print_json(result_summary(result, with_trajectory))
     else:
-        out.print(escape(str(result)), highlight=False)
+        print_lines(str(result))
         _print_conflict(result)
         _print_certificate(description, result.certificate)
     for failure in failures:
@@ -206,7 +205,7 @@ def rerun_command(file: str, as_json: bool) -> int:
     if as_json:
         print_json(rerun_summary(comparison))
     else:
-        out.print(str(comparison), markup=False, highlight=False)
+        print_lines(str(comparison))
     if comparison.result is None:
         return BAD_INPUT if isinstance(comparison.error, LinFreqOCPError) else NOT_PROVEN
     return exit_status(comparison.result)
@@ -248,8 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _status(arguments: Sequence[str] | None) -> int:
-    if not out.is_terminal:
-        out.size = PAGE
+    fit_console()
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
     except click.ClickException as error:
@@ -275,16 +273,16 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 def _print_conflict(result: Result) -> None:
     for one in result.conflict or ():
-        out.print(f"conflict  {one}", markup=False, highlight=False)
+        print_lines(f"conflict  {one}")
     if result.explanation is not None:
-        out.print(str(result.explanation), markup=False, highlight=False)
+        print_lines(str(result.explanation))
 
 
 def _print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
     if certificate is not None:
         from lin_freq_ocp.report.tables import certificate_table
 
-        out.print(certificate_table(problem, certificate))
+        print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
 
 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
@@ -309,6 +307,6 @@ def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, c
 def _print_comparison(comparison: Comparison) -> None:
     from lin_freq_ocp.report.tables import comparison_table
 
-    out.print(escape(str(comparison.constrained)), highlight=False)
+    print_lines(str(comparison.constrained))
     _print_conflict(comparison.constrained)
-    out.print(comparison_table(comparison))
+    print_table(comparison_table(comparison))

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console, ConsoleDimensions
@@ -27,6 +27,9 @@ from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -262,6 +265,27 @@ def search_progress(what: str) -> Generator[Callable[[SearchProgress | SmoothPro
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
     say(to_json(summary))
+
+
+def fit_console() -> None:
+    """Take the width that COLUMNS says; without it, a file or a pipe has room for whole tables."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns):
+        out.width = int(columns)
+    elif not out.is_terminal:
+        out.size = PAGE
+
+
+def print_table(table: Table, spare: Sequence[str] = ()) -> None:
+    """Print a table on stdout, as wide as there is room; ``spare`` columns go first."""
+    from lin_freq_ocp.report.narrow import fitted
+
+    out.print(fitted(table, out.width, spare))
+
+
+def print_lines(text: str) -> None:
+    """Print lines on stdout, broken on a terminal only."""
+    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
 
 
 def say(text: str) -> None:

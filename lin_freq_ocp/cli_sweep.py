@@ -28,9 +28,9 @@ from lin_freq_ocp.cli_common import (
     is_file,
     json_option,
     method_option,
-    out,
     parsed_settings,
     print_json,
+    print_table,
     problem_argument,
     require_folder,
     require_keys_of_file,
@@ -96,7 +96,7 @@ def sweep_command(
     else:
         from lin_freq_ocp.report.tables import sweep_table
 
-        out.print(sweep_table(found))
+        print_table(sweep_table(found), ("seconds", "method", "gap"))
     return INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
 
 
