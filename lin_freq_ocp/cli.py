@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | solve | compare | sweep | certify | rerun | init.
+"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input; 3 a point without such a proof; 130
@@ -47,6 +47,7 @@ from lin_freq_ocp.cli_common import (
     tolerance_option,
 )
 from lin_freq_ocp.cli_outputs import Outputs, output_options
+from lin_freq_ocp.cli_show import show_command
 from lin_freq_ocp.cli_sweep import sweep_command
 from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, SolveError, UnsupportedError
@@ -74,6 +75,7 @@ def cli() -> None:
 
 
 cli.add_command(sweep_command)
+cli.add_command(show_command)
 
 
 @cli.command("list")

@@ -32,6 +32,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
 RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
 SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
+SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
 
 PARTS = PROBLEM["$defs"]
 
@@ -55,7 +56,7 @@ def properties(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     return [one for table in [*tables, *nested] for one in table.get("properties", {}).items()]
 
 
-@pytest.mark.parametrize("schema", [PROBLEM, RESULT, SWEEP])
+@pytest.mark.parametrize("schema", [PROBLEM, RESULT, SWEEP, SHOW])
 def test_a_schema_is_one_and_describes_every_key_in_one_line(schema):
     Draft202012Validator.check_schema(schema)
     for key, entry in properties(schema):
@@ -65,7 +66,7 @@ def test_a_schema_is_one_and_describes_every_key_in_one_line(schema):
 
 
 def test_every_part_of_a_schema_is_used():
-    for schema in (PROBLEM, RESULT, SWEEP):
+    for schema in (PROBLEM, RESULT, SWEEP, SHOW):
         text = json.dumps(schema)
         assert {part for part in schema["$defs"] if f'"#/$defs/{part}"' not in text} == set()
 

@@ -26,9 +26,9 @@ def result_summary(result: Result, with_trajectory: bool = False) -> dict[str, A
     conflict = None
     if result.conflict is not None:
         conflict = [{"block": one.block, "share": one.share, "times": list(one.times)} for one in result.conflict]
-    return _finite(
+    return finite(
         {
-            **_head(result.problem),
+            **head(result.problem),
             "status": result.status,
             "primal": result.primal,
             "dual": result.dual,
@@ -50,7 +50,7 @@ def result_summary(result: Result, with_trajectory: bool = False) -> dict[str, A
 
 def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> dict[str, Any]:
     """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
-    return _finite({**_head(problem), **_values(certificate), "certificate": _certificate(certificate)})
+    return finite({**head(problem), **_values(certificate), "certificate": _certificate(certificate)})
 
 
 def comparison_summary(comparison: Comparison) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         for one in comparison.filtered
     }
     base: dict[str, Any] = result_summary(comparison.constrained)
-    return _finite(
+    return finite(
         {
             **base,
             "classical": _measures(comparison.classical_measures),
@@ -90,7 +90,8 @@ def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
     Path(path).write_text(to_json(summary) + "\n", encoding="utf-8")
 
 
-def _head(problem: OptimalControlProblem) -> dict[str, Any]:
+def head(problem: OptimalControlProblem) -> dict[str, Any]:
+    """Return what every JSON object begins with."""
     return {
         "schema": SCHEMA,
         "version": version("lin-freq-ocp"),
@@ -181,12 +182,12 @@ def _measures(measures: Measures | None) -> dict[str, Any] | None:
     return None if measures is None else asdict(measures)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Replace what JSON cannot say, NaN and infinity, by null."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

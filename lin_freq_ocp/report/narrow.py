@@ -79,7 +79,8 @@ def terms(rows: Sequence[tuple[str, str]], width: int) -> RenderableType:
         return grid
     lines = list[RenderableType]()
     for term, text in rows:
-        lines += [Text(term, style="bold"), Padding(Text(text), (0, 0, 0, INDENT))]
+        lines.append(Text(term, style="bold"))
+        lines += [Padding(Text(text), (0, 0, 0, INDENT))] if text else []
     return Group(*lines)
 
 
