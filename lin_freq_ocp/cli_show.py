@@ -55,7 +55,7 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))
     out.print(terms([(one["what"], one["words"]) for one in summary["facts"]], out.width))
-    print_lines("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n")
+    out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
     out.print(terms([(_assignment(one), one.about) for one in parameters], out.width))
     return PROVEN
 

@@ -83,9 +83,7 @@ def test_tables_of_the_command_line_at_forty_columns(arguments, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     status, out, err = run(*arguments)
     assert (status, err) == (0, "")
-    before, rule, table = out.partition(
-        "\N{BOX DRAWINGS LIGHT HORIZONTAL}"
-    )  # lines of text are the terminal's to break
+    before, rule, table = out.partition("\N{BOX DRAWINGS LIGHT HORIZONTAL}")
     lines = (table if rule else before).splitlines()
-    assert max(map(len, lines[1:])) <= 40
+    assert max(map(len, lines[1:])) <= 40  # the first line is no table, and the terminal's to break
     assert "\N{HORIZONTAL ELLIPSIS}" not in out
