@@ -45,6 +45,7 @@ from lin_freq_ocp.cli_common import (
     settings_option,
     time_limit_option,
     tolerance_option,
+    written,
 )
 from lin_freq_ocp.cli_outputs import Outputs, output_options
 from lin_freq_ocp.cli_show import show_command
@@ -125,16 +126,13 @@ def solve_command(
         if result.status == "infeasible":
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
-    failures = outputs.write(result)
     if as_json:
         print_json(result_summary(result, with_trajectory))
     else:
         print_lines(str(result))
         _print_conflict(result)
         _print_certificate(description, result.certificate)
-    for failure in failures:
-        complain(failure)
-    return BAD_INPUT if failures else exit_status(result)
+    return written(exit_status(result), *outputs.writes(result))
 
 
 @cli.command("compare")

@@ -19,7 +19,7 @@ from rich.markup import escape
 
 from lin_freq_ocp import library
 from lin_freq_ocp.comparison.sweep_grid import CUTOFFS
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, suggestion
 from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.problem_file import read_problem
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
@@ -232,6 +232,17 @@ def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
             into[key] = value
 
 
+def written(status: int, *writes: Callable[[], object]) -> int:
+    """Write files once the answer is printed; one that fails is complained of, and the status is that of bad input."""
+    for write in writes:
+        try:
+            write()
+        except (LinFreqOCPError, OSError) as error:
+            complain(error)
+            status = BAD_INPUT
+    return status
+
+
 def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested tables that can be changed without changing the given ones."""
     return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in table.items()}
@@ -289,7 +300,7 @@ def print_lines(text: str) -> None:
 
 
 def say(text: str) -> None:
-    """Print a text on stdout as it is; a reader who leaves early is no error."""
+    """Print a line on stdout, or on nothing, where the reader has left: click would make that the status 1."""
     try:
         click.echo(text)
     except BrokenPipeError:

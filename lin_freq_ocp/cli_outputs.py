@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,25 +52,22 @@ class Outputs:
         if self.plot is not None:
             _require_picture(self.plot)
 
-    def write(self, result: Result) -> list[ProblemError]:
-        """Write all, and return what went wrong: a file that fails keeps neither the others nor the answer back."""
+    def writes(self, result: Result) -> list[Callable[[], None]]:
+        """Return what writes each file, and say which have nothing to hold."""
         writers: dict[str, Callable[[Path], None]] = {
             "save": result.save,
             "csv": result.to_csv,
             "plot": lambda file: _draw(result, file),
             "dump": result.dump,
         }
-        failures: list[ProblemError] = []
+        writes: list[Callable[[], None]] = []
         for name, file in self.wanted.items():
-            if name != "dump" and result.trajectory is None:
+            if name == "dump" or result.trajectory is not None:
+                writes.append(partial(writers[name], file))
+            else:
                 done = "drawn" if name == "plot" else "saved"
                 complain(f"nothing {done} to {file}: there is no trajectory.")
-                continue
-            try:
-                writers[name](file)
-            except ProblemError as error:
-                failures.append(error)
-        return failures
+        return writes
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
