@@ -7,7 +7,6 @@ interrupted.
 
 from __future__ import annotations
 
-import inspect
 import sys
 import warnings
 from collections.abc import Sequence
@@ -30,6 +29,7 @@ from lin_freq_ocp.cli_common import (
     build,
     complain,
     err,
+    first_words,
     fit_console,
     json_option,
     method_option,
@@ -84,8 +84,7 @@ def list_command() -> int:
     """List the library's problems and what each shows."""
     from lin_freq_ocp.report.narrow import terms
 
-    shown = {name: (inspect.getdoc(builder) or "").splitlines()[0] for name, builder in library.PROBLEMS.items()}
-    out.print(terms(list(shown.items()), out.width))
+    out.print(terms([(name, first_words(builder)) for name, builder in library.PROBLEMS.items()], out.width))
     return PROVEN
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
@@ -48,7 +49,20 @@ class PatientConsole(Console):
 
 out, err = PatientConsole(), Console(stderr=True)
 
-problem_argument = click.argument("problem", metavar="NAME|FILE.toml")
+
+def complete_problem(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Return what a shell offers for a problem: the library's names with what they show, and files."""
+    names = [name for name in library.PROBLEMS if name.startswith(incomplete)]
+    shown = [CompletionItem(name, help=first_words(library.PROBLEMS[name])) for name in names]
+    return [CompletionItem(incomplete, type="file"), *shown]
+
+
+def first_words(function: Callable[..., Any]) -> str:
+    """Return the first line of a docstring."""
+    return (inspect.getdoc(function) or "").partition("\n")[0]
+
+
+problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
 settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
 )
