@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+
 import pytest
 from click.shell_completion import BashComplete
-from test_cli import run
+from test_cli import COMMAND
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import cli
@@ -25,9 +28,8 @@ def test_problems_are_offered_by_name_and_files_beside_them(command):
     assert len(offered([command], "")) == len(lfo.library.PROBLEMS) + 1
 
 
-def test_the_script_for_a_shell_is_printed(monkeypatch):
-    monkeypatch.setenv(VARIABLE, "zsh_source")
-    status, out, _ = run()
-    assert status == 0
-    assert "compdef" in out
-    assert f"{VARIABLE}=zsh_complete lin-freq-ocp" in out
+def test_the_script_for_a_shell_is_printed():
+    done = subprocess.run([COMMAND], env=os.environ | {VARIABLE: "zsh_source"}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "compdef" in done.stdout
+    assert f"{VARIABLE}=zsh_complete lin-freq-ocp" in done.stdout
