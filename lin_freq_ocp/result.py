@@ -67,6 +67,17 @@ class Result:
     claimed_bound : float or None
         Of the method "minlp": the lower bound by the solver's own word, unproven; infinite where it says that there is
         no trajectory, minus infinite where it says that the cost is unbounded.
+
+    Methods
+    -------
+    plot()
+        A figure of the answer.
+    save(path)
+        Write .npz with the multipliers, or .csv or .mat, by the end of the name.
+    to_csv(path), to_mat(path), to_json(path), to_time_response()
+        The trajectory for other tools.
+    dump(path)
+        Write the whole run, to be repeated anywhere.
     """
 
     problem: OptimalControlProblem

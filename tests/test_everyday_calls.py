@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pydoc
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -90,3 +92,29 @@ def test_certify_refuses_a_result_without_a_trajectory():
     infeasible = lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1.0), throw=False)
     with pytest.raises(lfo.ProblemError, match=r"trajectory: got a result without one, which ended as 'infeasible'"):
         lfo.certify(infeasible.problem, infeasible)
+
+
+LISTED = {
+    "OptimalControlProblem": ("with_ends", "with_modes", "value"),
+    "Result": ("plot", "save", "to_csv", "to_mat", "to_json", "to_time_response", "dump"),
+    "LinearDynamics": ("from_continuous", "from_statespace", "linearised"),
+    "Box": ("contains", "project", "violation", "support"),
+    "StageRows": ("values", "slack", "violation"),
+    "QuadraticCost": ("value", "gradient"),
+    "PiecewiseAffineDynamics": ("from_guards", "from_max_min"),
+    "PiecewiseSmoothDynamics": ("from_formulas",),
+    "Sweep": ("column", "table", "plot", "to_csv"),
+    "Comparison": ("plot", "save"),
+}
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_help_begins_with_the_methods_that_users_call(name):
+    """What pydoc lists by itself is in alphabetical order, with everything that other modules ask of the class."""
+    shown = pydoc.plain(pydoc.render_doc(getattr(lfo, name)))
+    ours, rule, _ = shown.partition("Methods defined here:")
+    section = re.split(r"\n [| ]*Methods\n [| ]*-------\n", ours)
+    assert (len(section), rule != "") == (2, True)
+    listed = set(re.findall(r"(\w+)\([^)]*\)", "".join(re.findall(r"\n \|  (\S.*)", "\n" + section[1]))))
+    assert listed >= set(LISTED[name])
+    assert all(callable(getattr(getattr(lfo, name), one)) for one in listed)

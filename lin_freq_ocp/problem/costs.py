@@ -59,6 +59,15 @@ class QuadraticCost(Summable):
     ------
     ProblemError
         When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
+
+    Methods
+    -------
+    value(x, u)
+        The total cost.
+    stage_values(x, u)
+        The cost of every time.
+    gradient(x, u)
+        Its gradients in x and in u.
     """
 
     Q: Array

@@ -29,6 +29,17 @@ class Box:
     ------
     ProblemError
         If a bound is not a number, or a lower bound is above its upper bound.
+
+    Methods
+    -------
+    contains(v)
+        Whether points lie in the box.
+    violation(v)
+        By how much each component lies outside.
+    project(v)
+        The nearest point of the box.
+    support(y)
+        The largest <y, v> over the box.
     """
 
     lower: Array

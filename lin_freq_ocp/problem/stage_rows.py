@@ -38,6 +38,15 @@ class StageRows:
     Notes
     -----
     Until a problem completes it, a matrix that was not given has no columns.
+
+    Methods
+    -------
+    values(x, u)
+        C_t x_t + D_t u_t of every time.
+    slack(x, u)
+        How much each row has left.
+    violation(x, u)
+        By how much each row is violated.
     """
 
     C: Array
