@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
+import io
+from contextlib import redirect_stdout
 
 import pytest
 from click.shell_completion import BashComplete
-from test_cli import COMMAND
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import cli
@@ -28,8 +27,12 @@ def test_problems_are_offered_by_name_and_files_beside_them(command):
     assert len(offered([command], "")) == len(lfo.library.PROBLEMS) + 1
 
 
-def test_the_script_for_a_shell_is_printed():
-    done = subprocess.run([COMMAND], env=os.environ | {VARIABLE: "zsh_source"}, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "compdef" in done.stdout
-    assert f"{VARIABLE}=zsh_complete lin-freq-ocp" in done.stdout
+def test_the_script_for_a_shell_is_printed(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "zsh_source")
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
+    with redirect_stdout(stream), pytest.raises(SystemExit) as ended:
+        cli.main(())
+    script = stream.buffer.getvalue().decode()
+    assert not ended.value.code
+    assert "compdef" in script
+    assert f"{VARIABLE}=zsh_complete lin-freq-ocp" in script
