@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | solve | compare | sweep | certify | rerun | init.
+"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -7,18 +7,15 @@ without such a proof, or too little memory; 70 a fault of this program; 130 inte
 
 from __future__ import annotations
 
-import inspect
 import sys
 import warnings
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.markup import escape
 
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -26,7 +23,6 @@ from lin_freq_ocp.cli_common import (
     BAD_INPUT,
     NO_SOLUTION,
     NOT_PROVEN,
-    PAGE,
     PROVEN,
     backend_option,
     build,
@@ -34,14 +30,17 @@ from lin_freq_ocp.cli_common import (
     err,
     error_status,
     error_words,
+    first_words,
+    fit_console,
     json_option,
     method_option,
     out,
     print_json,
+    print_lines,
+    print_table,
     problem_argument,
     progress,
     require_folder,
-    require_writable,
     say,
     search_progress,
     settings_option,
@@ -49,9 +48,11 @@ from lin_freq_ocp.cli_common import (
     tolerance_option,
     written,
 )
+from lin_freq_ocp.cli_outputs import Outputs, output_options
+from lin_freq_ocp.cli_show import show_command
 from lin_freq_ocp.cli_sweep import sweep_command
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.errors import BandWarning, ProblemError, SolveError, UnsupportedError
+from lin_freq_ocp.errors import BandWarning, SolveError, UnsupportedError
 from lin_freq_ocp.interchange.rerun import rerun, rerun_summary
 from lin_freq_ocp.interchange.run_file import dumping_errors, load_run
 from lin_freq_ocp.interchange.summary import (
@@ -88,17 +89,15 @@ def cli() -> None:
 
 
 cli.add_command(sweep_command)
+cli.add_command(show_command)
 
 
 @cli.command("list")
 def list_command() -> int:
     """List the library's problems and what each shows."""
-    from rich.table import Table
+    from lin_freq_ocp.report.narrow import terms
 
-    table = Table("name", "what it shows", box=None, header_style="bold")
-    for name, builder in library.PROBLEMS.items():
-        table.add_row(name, escape((inspect.getdoc(builder) or "").splitlines()[0]))
-    out.print(table)
+    out.print(terms([(name, first_words(builder)) for name, builder in library.PROBLEMS.items()], out.width))
     return PROVEN
 
 
@@ -110,9 +109,9 @@ def list_command() -> int:
 @time_limit_option
 @tolerance_option
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
-@click.option("--save", type=click.Path(path_type=Path), help="Write trajectory and multipliers to this .npz file.")
-@click.option("--dump", type=click.Path(path_type=Path), help="Write the whole run to this .zip file; see rerun.")
+@output_options
 @json_option
+@click.option("--trajectory", "with_trajectory", is_flag=True, help="With --json: the times, x and u, too.")
 def solve_command(
     problem: str,
     settings: tuple[str, ...],
@@ -121,38 +120,31 @@ def solve_command(
     time_limit: float | None,
     tolerance: float | None,
     node_limit: int | None,
-    save: Path | None,
-    dump: Path | None,
     as_json: bool,
+    with_trajectory: bool,
+    **files: Path | None,
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
-    description = build(problem, settings)
-    for option, file in (("--save", save), ("--dump", dump)):
-        if file is not None:
-            require_writable(option, file, problem)
-    if save is not None and dump is not None and save.absolute() == dump.absolute():
-        raise ProblemError(f"--dump {dump}", "the file of --save", "another file")
+    description, outputs = build(problem, settings), Outputs(**files)
+    outputs.require_writable(problem)
+    if with_trajectory and not as_json:
+        raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     if node_limit is not None:
         options["node_limit"] = node_limit
-    with dumping_errors(dump, description, options):
+    with dumping_errors(outputs.dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == "infeasible":
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
     if as_json:
-        print_json(result_summary(result))
+        print_json(result_summary(result, with_trajectory))
     else:
-        out.print(escape(str(result)), highlight=False)
+        print_lines(str(result))
         _print_conflict(result)
         _print_certificate(description, result.certificate)
-    writes: list[Callable[[], None]] = [] if dump is None else [partial(result.dump, dump)]
-    if save is not None and result.trajectory is not None:
-        writes.append(partial(result.save, save))
-    elif save is not None:
-        complain(f"nothing saved to {save}: there is no trajectory.")
-    return written(exit_status(result), *writes)
+    return written(exit_status(result), *outputs.writes(result))
 
 
 @cli.command("compare")
@@ -225,7 +217,7 @@ def rerun_command(file: str, as_json: bool) -> int:
     if as_json:
         print_json(rerun_summary(comparison))
     else:
-        out.print(str(comparison), markup=False, highlight=False)
+        print_lines(str(comparison))
     if comparison.error is not None:
         return error_status(comparison.error)
     return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
@@ -271,8 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _status(arguments: Sequence[str] | None) -> int:
-    if not out.is_terminal:
-        out.size = PAGE
+    fit_console()
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
     except click.ClickException as error:
@@ -296,16 +287,16 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 def _print_conflict(result: Result) -> None:
     for one in result.conflict or ():
-        out.print(f"conflict  {one}", markup=False, highlight=False)
+        print_lines(f"conflict  {one}")
     if result.explanation is not None:
-        out.print(str(result.explanation), markup=False, highlight=False)
+        print_lines(str(result.explanation))
 
 
 def _print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
     if certificate is not None:
         from lin_freq_ocp.report.tables import certificate_table
 
-        out.print(certificate_table(problem, certificate))
+        print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
 
 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
@@ -337,6 +328,6 @@ def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
 def _print_comparison(comparison: Comparison) -> None:
     from lin_freq_ocp.report.tables import comparison_table
 
-    out.print(escape(str(comparison.constrained)), highlight=False)
+    print_lines(str(comparison.constrained))
     _print_conflict(comparison.constrained)
-    out.print(comparison_table(comparison))
+    print_table(comparison_table(comparison))

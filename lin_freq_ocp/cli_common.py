@@ -6,19 +6,24 @@ import inspect
 import os
 import sys
 import tomllib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp import library
+from lin_freq_ocp.comparison.sweep_grid import CUTOFFS
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line, suggestion
+from lin_freq_ocp.interchange.places import naming
 from lin_freq_ocp.interchange.problem_file import read_problem
+from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
 from lin_freq_ocp.interchange.run_file import described
 from lin_freq_ocp.interchange.summary import to_json
 from lin_freq_ocp.methods.modes.search import SearchProgress
@@ -26,6 +31,9 @@ from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.starting import INTERRUPTED
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 
@@ -44,7 +52,20 @@ class PatientConsole(Console):
 
 out, err = PatientConsole(), Console(stderr=True)
 
-problem_argument = click.argument("problem", metavar="NAME|FILE.toml")
+
+def complete_problem(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Return what a shell offers for a problem: the library's names with what they show, and files."""
+    names = [name for name in library.PROBLEMS if name.startswith(incomplete)]
+    shown = [CompletionItem(name, help=first_words(library.PROBLEMS[name])) for name in names]
+    return [CompletionItem(incomplete, type="file"), *shown]
+
+
+def first_words(function: Callable[..., Any]) -> str:
+    """Return the first line of a docstring."""
+    return (inspect.getdoc(function) or "").partition("\n")[0]
+
+
+problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
 settings_option = click.option(
     "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
 )
@@ -68,7 +89,7 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
     """
     given = parsed_settings(settings)
     if is_file(problem):
-        return read_problem(problem, given)
+        return ProblemFile.read(problem, given).problem
     try:
         return builder(problem, given)()
     except ProblemError:
@@ -81,6 +102,84 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
         AttributeError,
     ) as error:  # one of a wrong type, met in the midst of a formula
         raise ProblemError("--set", brief(given), f"parameters that {problem} can use", f"({error})") from None
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem file as a function of its keys; those of tables with dots, ``control_set.upper``.
+
+    ``cutoff`` (rad/sample) and ``cutoff_hz`` stand for a low pass of all controls in place of the file's
+    ``control_spectrum``, as in ``lfo.sweep``.
+
+    Attributes
+    ----------
+    path : Path
+        Read anew for every point; not part of what is compared when a sweep is resumed.
+    settings : dict
+        Values that take precedence over the file's.
+    problem : OptimalControlProblem
+        What the file describes; read first, so that a file with a fault is no sweep of errors.
+    """
+
+    path: Path = field(compare=False)
+    settings: Mapping[str, Any]
+    problem: OptimalControlProblem
+
+    @classmethod
+    def read(cls, path: str, settings: Mapping[str, Any]) -> ProblemFile:
+        """Read the file, with these settings.
+
+        Raises
+        ------
+        ProblemError
+            If a setting has an unknown key, two set the same, or the file describes no problem.
+        """
+        with naming(Path(path)):
+            require_keys_of_file(settings)
+        return cls(Path(path), settings, read_problem(path, file_tables(settings)))
+
+    @property
+    def name(self) -> str:
+        """Return the name of the problem, or else that of the file."""
+        return self.problem.name or self.path.stem
+
+    def __call__(self, **parameters: Any) -> OptimalControlProblem:
+        """Return the problem with these values, which take precedence over the settings."""
+        replaced = SPECTRA if any(key in SPECTRA for key in parameters) else ()
+        tables = _copied({key: value for key, value in self.settings.items() if key not in replaced})
+        for key, value in parameters.items():
+            merge_tables(tables, _nested(key, value))
+        return read_problem(self.path, file_tables(tables))
+
+
+FILE_KEYS = (*REQUIRED_KEYS, *OPTIONAL_KEYS, *CUTOFFS)
+"""What --set and --grid can change in a problem file, at the top; within tables, keys are written with dots."""
+
+SPECTRA = ("control_spectrum", *CUTOFFS)
+"""Keys that all set the frequency constraints of the controls."""
+
+
+def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
+    """Raise ProblemError unless problem files have these keys, or they stand for one, each of another field."""
+    for key in keys:
+        first = key.partition(".")[0]
+        if first not in FILE_KEYS:
+            known = f"one of {', '.join(FILE_KEYS)}"
+            advice = suggestion(first, FILE_KEYS) or "Those of tables are written with dots, such as control_set.upper."
+            raise ProblemError(f"{option}{key}", "an unknown key", known, advice)
+    given = [key for key in SPECTRA if key in keys]
+    if len(given) > 1:
+        raise ProblemError(f"{option}{given[1]}", f"{given[0]}, too", "one of them", "Both set the same.")
+
+
+def file_tables(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as the tables of a problem file: a cut-off as the low pass that it stands for."""
+    tables = {key: value for key, value in settings.items() if key not in CUTOFFS}
+    for key in CUTOFFS:
+        if key in settings:
+            low_pass = {"kind": "low_pass", key: settings[key]}
+            tables["control_spectrum"] = None if settings[key] is None else [low_pass]
+    return tables
 
 
 def is_file(problem: str) -> bool:
@@ -199,6 +298,16 @@ def _interrupted(error: BaseException | None) -> bool:
     return False
 
 
+def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables that can be changed without changing the given ones."""
+    return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in table.items()}
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    first, _, rest = key.partition(".")
+    return {first: _nested(rest, value) if rest else value}
+
+
 def complain(error: Exception | str) -> None:
     """Say on stderr what is wrong."""
     err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
@@ -230,3 +339,24 @@ def say(text: str) -> None:
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
     say(to_json(summary))
+
+
+def fit_console() -> None:
+    """Take the width that COLUMNS says; without it, a file or a pipe has room for whole tables."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns):
+        out.width = int(columns)
+    elif not out.is_terminal:
+        out.size = PAGE
+
+
+def print_table(table: Table, spare: Sequence[str] = ()) -> None:
+    """Print a table on stdout, as wide as there is room; ``spare`` columns go first."""
+    from lin_freq_ocp.report.narrow import fitted
+
+    out.print(fitted(table, out.width, spare))
+
+
+def print_lines(text: str) -> None:
+    """Print lines on stdout, broken on a terminal only."""
+    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)

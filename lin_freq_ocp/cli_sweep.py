@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,30 +20,29 @@ from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli_common import (
     NOT_PROVEN,
     PROVEN,
+    ProblemFile,
     backend_option,
     builder,
     complain,
     err,
     is_file,
     json_option,
-    merge_tables,
     method_option,
-    out,
     parsed_settings,
     print_json,
+    print_table,
     problem_argument,
     require_folder,
+    require_keys_of_file,
     settings_option,
     time_limit_option,
     tolerance_option,
     written,
 )
 from lin_freq_ocp.comparison.sweep import Sweep, sweep
-from lin_freq_ocp.comparison.sweep_grid import CUTOFFS, MOST_POINTS, with_values
+from lin_freq_ocp.comparison.sweep_grid import MOST_POINTS
 from lin_freq_ocp.comparison.sweep_tasks import WorkerPool, process_pool
-from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.problem_file import read_problem
-from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.sweep_file import sweep_summary
 from lin_freq_ocp.problem.arrays import brief
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -54,41 +52,6 @@ RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
 """from:to:count, linear, both ends included."""
 
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
-
-
-@dataclass(frozen=True)
-class ProblemFile:
-    """A problem file as a function of its keys; those of tables with dots, ``control_set.upper``.
-
-    Attributes
-    ----------
-    path : Path
-        Read anew for every point; not part of what is compared when a sweep is resumed.
-    settings : dict
-        Values that take precedence over the file's.
-    problem : OptimalControlProblem
-        What the file describes; read first, so that a file with a fault is no sweep of errors.
-    """
-
-    path: Path = field(compare=False)
-    settings: Mapping[str, Any]
-    problem: OptimalControlProblem
-
-    @property
-    def name(self) -> str:
-        """Return the name of the problem, or else that of the file."""
-        return self.problem.name or self.path.stem
-
-    def __call__(self, **parameters: Any) -> OptimalControlProblem:
-        """Return the problem with these values; ``cutoff`` and ``cutoff_hz`` as in ``lfo.sweep``."""
-        tables: dict[str, Any] = {}
-        merge_tables(tables, self.settings)
-        for key, value in parameters.items():
-            if key not in CUTOFFS:
-                merge_tables(tables, _nested(key, value))
-        cutoffs = {key: value for key, value in parameters.items() if key in CUTOFFS}
-        problem = read_problem(self.path, tables)
-        return with_values(problem, cutoffs) if cutoffs else problem
 
 
 @click.command("sweep")
@@ -135,7 +98,7 @@ def sweep_command(
     else:
         from lin_freq_ocp.report.tables import sweep_table
 
-        out.print(sweep_table(found))
+        print_table(sweep_table(found), ("seconds", "method", "gap"))
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
     return status if folder is None else written(status, lambda: _save(found, folder))
 
@@ -170,23 +133,15 @@ def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
             raise ProblemError("--grid", repr(given), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
-        _require_key(key, source)
         result[key] = _values(key, text)
+    if isinstance(source, ProblemFile):  # what functions take, the sweep looks at itself
+        require_keys_of_file(result, "--grid ")
     return result
 
 
 def _source(problem: str, settings: Sequence[str]) -> Callable[..., OptimalControlProblem]:
     given = parsed_settings(settings)
-    return (
-        ProblemFile(Path(problem), given, read_problem(problem, given)) if is_file(problem) else builder(problem, given)
-    )
-
-
-def _require_key(key: str, source: Any) -> None:
-    """Raise ProblemError if this is no key of problem files; what functions take, the sweep looks at itself."""
-    known = (*REQUIRED_KEYS, *OPTIONAL_KEYS, *CUTOFFS)
-    if isinstance(source, ProblemFile) and key.partition(".")[0] not in known:
-        raise ProblemError(f"--grid {key}", "an unknown key", f"some of {', '.join(known)}", suggestion(key, known))
+    return ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
 
 
 def _values(key: str, text: str) -> list[Any]:
@@ -210,11 +165,6 @@ def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     whole = [round(value) for value in values]
     written = not any(mark in first + last for mark in ".eE")
     return whole if written and whole == values else values
-
-
-def _nested(key: str, value: Any) -> dict[str, Any]:
-    first, _, rest = key.partition(".")
-    return {first: _nested(rest, value) if rest else value}
 
 
 def _save(found: Sweep, folder: Path) -> None:

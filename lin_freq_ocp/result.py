@@ -68,6 +68,17 @@ class Result:
     claimed_bound : float or None
         Of the method "minlp": the lower bound by the solver's own word, unproven; infinite where it says that there is
         no trajectory, minus infinite where it says that the cost is unbounded.
+
+    Methods
+    -------
+    plot()
+        A figure of the answer.
+    save(path)
+        Write .npz with the multipliers, or .csv or .mat, by the end of the name.
+    to_csv(path), to_mat(path), to_json(path), to_time_response()
+        The trajectory for other tools.
+    dump(path)
+        Write the whole run, to be repeated anywhere.
     """
 
     problem: OptimalControlProblem
@@ -161,11 +172,11 @@ class Result:
         return result_figure(self)
 
     def save(self, path: str | Path) -> None:
-        """Write trajectory and multipliers to an .npz file."""
-        from lin_freq_ocp.interchange.results import save_solution
+        """Write trajectory and multipliers to an .npz file, or the trajectory to a .csv or a .mat file."""
         from lin_freq_ocp.interchange.summary import result_summary
+        from lin_freq_ocp.interchange.trajectory_file import save_trajectory
 
-        save_solution(path, self._require_trajectory(), self.multipliers, result_summary(self))
+        save_trajectory(path, self.problem, self._require_trajectory(), self.multipliers, result_summary(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the trajectory as a table, one row per time."""

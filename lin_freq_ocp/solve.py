@@ -21,6 +21,7 @@ from lin_freq_ocp.errors import (
     LimitError,
     LinFreqOCPError,
     NumericalError,
+    ProblemError,
     SolveError,
     UnboundedError,
     UnsupportedError,
@@ -41,6 +42,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve_modes import MODE_METHODS, solve_modes
+from lin_freq_ocp.solve_options import require_taken
 from lin_freq_ocp.solve_smooth import SMOOTH_METHODS, solve_smooth
 
 PROVER = "clarabel"
@@ -123,10 +125,11 @@ def solve(
     InfeasibleError, UnboundedError, LimitError, NumericalError
         With ``throw``; a subclass of SolveError, with ``.result``.
     UnsupportedError
-        If the method or backend does not exist or cannot take this problem.
+        If the method or backend does not exist or cannot take this problem, or does not know an option.
     """
     require_problem(problem)
     require_options(method, backend, time_limit, tolerance)
+    require_taken(problem, method, {"tolerance": tolerance, "node_limit": node_limit, "executor": executor})
     _require_positive("node_limit", node_limit)
     started = time.perf_counter()
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
@@ -152,8 +155,9 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     Parameters
     ----------
     problem : OptimalControlProblem
-    trajectory : Trajectory or (T, m)
-        A trajectory, or controls alone, which are then replayed from the initial state.
+    trajectory : Trajectory, (T, m), Result or SavedSolution
+        A trajectory; or controls alone, which are then replayed from the initial state; or what solve or load returned,
+        with its trajectory and, unless others are given, its multipliers.
     multipliers : Multipliers, optional
         Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
         holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
@@ -163,9 +167,10 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     Raises
     ------
     ProblemError
-        If a shape does not fit the problem.
+        If a shape does not fit the problem, or a result has no trajectory.
     """
     require_problem(problem)
+    trajectory, multipliers = _unpacked(trajectory, multipliers)
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, trajectory)
     problem.require(trajectory)
@@ -182,6 +187,16 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
     if certificate.pmp != "satisfied":
         certificate = normal
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
+
+
+def _unpacked(given: Any, multipliers: Multipliers | None) -> tuple[Any, Multipliers | None]:
+    """Return the trajectory of what solve or load returned, and its multipliers unless there are others."""
+    if not hasattr(given, "trajectory"):
+        return given, multipliers
+    if given.trajectory is None:
+        expected = "a trajectory, controls, or a result that has a trajectory"
+        raise ProblemError("trajectory", f"a result without one, which ended as {given.status!r}", expected)
+    return given.trajectory, given.multipliers if multipliers is None else multipliers
 
 
 def _linear(

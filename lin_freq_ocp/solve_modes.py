@@ -61,10 +61,6 @@ def solve_modes(
         raise UnsupportedError(f"method: got {method!r}, which takes linear dynamics; expected one of {known}.")
     if backend != "auto" and method != "miqp":
         raise UnsupportedError(f"backend: got {backend!r}; the method {method!r} needs none: leave it 'auto'.")
-    if executor is not None and method != "branch_and_bound":
-        raise UnsupportedError(
-            f"executor: got one for the method {method!r}; only 'branch_and_bound' has parts for it."
-        )
     started = time.perf_counter()
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)

@@ -27,6 +27,7 @@ from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods import convex
 from lin_freq_ocp.methods.spectral import solver
 from lin_freq_ocp.methods.spectral.exchange import deadline
+from lin_freq_ocp.solve import ERRORS
 
 COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
 HARMLESS = ("--set", f"cutoff={np.pi!r}")

@@ -32,6 +32,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
 RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
 SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
+SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
 
 PARTS = PROBLEM["$defs"]
 
@@ -55,7 +56,7 @@ def properties(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     return [one for table in [*tables, *nested] for one in table.get("properties", {}).items()]
 
 
-@pytest.mark.parametrize("schema", [PROBLEM, RESULT, SWEEP])
+@pytest.mark.parametrize("schema", [PROBLEM, RESULT, SWEEP, SHOW])
 def test_a_schema_is_one_and_describes_every_key_in_one_line(schema):
     Draft202012Validator.check_schema(schema)
     for key, entry in properties(schema):
@@ -65,7 +66,7 @@ def test_a_schema_is_one_and_describes_every_key_in_one_line(schema):
 
 
 def test_every_part_of_a_schema_is_used():
-    for schema in (PROBLEM, RESULT, SWEEP):
+    for schema in (PROBLEM, RESULT, SWEEP, SHOW):
         text = json.dumps(schema)
         assert {part for part in schema["$defs"] if f'"#/$defs/{part}"' not in text} == set()
 
@@ -389,6 +390,7 @@ def solved() -> lfo.Result:
 
 def test_the_result_of_a_solve_is_valid(solved, tmp_path):
     assert faults(RESULT, printed(result_summary(solved))) == []
+    assert faults(RESULT, printed(result_summary(solved, with_trajectory=True))) == []
     solved.save(tmp_path / "run.npz")
     settings = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
     answer = CliRunner().invoke(cli, ["certify", "double_integrator", str(tmp_path / "run.npz"), "--json", *settings])
@@ -446,7 +448,7 @@ def test_a_result_of_other_keys_is_invalid(solved, place, value):
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered"}
-    assert set(RESULT["properties"]) - compared == set(result_summary(solved))
+    assert set(RESULT["properties"]) - compared == set(result_summary(solved, with_trajectory=True))
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", *ERRORS]
     for part, kind in (

@@ -44,6 +44,13 @@ class Comparison:
         All measured on the problem with its frequency constraints.
     filtered : tuple of Filtered
         In the order asked for.
+
+    Methods
+    -------
+    plot()
+        The four panels of the comparison.
+    save(folder)
+        Write the HTML report.
     """
 
     problem: OptimalControlProblem

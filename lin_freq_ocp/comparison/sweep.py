@@ -55,6 +55,17 @@ class Sweep:
         What solve was given.
     interrupted : bool
         Whether Ctrl-C ended it before all points were finished.
+
+    Methods
+    -------
+    column(name)
+        The values of one figure at every point.
+    table()
+        All points as flat rows, for pandas.DataFrame.
+    plot()
+        A figure of the costs.
+    to_csv(path)
+        Write the points as a table.
     """
 
     problem: str

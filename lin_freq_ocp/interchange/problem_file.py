@@ -45,16 +45,23 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
         ``"cart.toml: dynamics.A"``.
     """
     path = Path(path)
-    text = read_text(path)
+    tables = read_tables(path)
     with naming(path):
         try:
-            return problem_from_tables(resolved(_merged(_parsed(text), overrides or {}), path.parent))
+            return problem_from_tables(resolved(_merged(tables, overrides or {}), path.parent))
         except ProblemError:
             raise
         except RecursionError:
             raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
         except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
             raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
+
+
+def read_tables(path: Path) -> dict[str, Any]:
+    """Return what stands in a TOML file, be it a problem or not; ProblemError if it is no such file."""
+    text = read_text(path)
+    with naming(path):
+        return _parsed(text)
 
 
 def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:

@@ -22,14 +22,14 @@ from lin_freq_ocp.result import Result
 SCHEMA = 1
 
 
-def result_summary(result: Result) -> dict[str, Any]:
-    """Return a result as the JSON object of ``lin-freq-ocp solve --json``."""
+def result_summary(result: Result, with_trajectory: bool = False) -> dict[str, Any]:
+    """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
     conflict = None
     if result.conflict is not None:
         conflict = [{"block": one.block, "share": one.share, "times": list(one.times)} for one in result.conflict]
     return finite(
         {
-            **_head(result.problem),
+            **head(result.problem),
             "status": result.status,
             "primal": result.primal,
             "dual": result.dual,
@@ -44,13 +44,14 @@ def result_summary(result: Result) -> dict[str, Any]:
             "modes": None if result.sequence is None else [int(mode) for mode in result.sequence],
             "tree": _tree(result),
             "message": result.message or None,
+            **({"trajectory": _trajectory(result)} if with_trajectory else {}),
         }
     )
 
 
 def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> dict[str, Any]:
     """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
-    return finite({**_head(problem), **_values(certificate), "certificate": _certificate(certificate)})
+    return finite({**head(problem), **_values(certificate), "certificate": _certificate(certificate)})
 
 
 def comparison_summary(comparison: Comparison) -> dict[str, Any]:
@@ -96,7 +97,8 @@ def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
     write_text(path, to_json(summary) + "\n")
 
 
-def _head(problem: OptimalControlProblem) -> dict[str, Any]:
+def head(problem: OptimalControlProblem) -> dict[str, Any]:
+    """Return what every JSON object begins with."""
     return {
         "schema": SCHEMA,
         "version": version("lin-freq-ocp"),
@@ -159,6 +161,21 @@ def _direction(direction: Direction | None) -> dict[str, Any] | None:
     if direction is None:
         return None
     return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
+
+
+def _trajectory(result: Result) -> dict[str, Any] | None:
+    """Return times, states and controls, one row per time; the times in seconds if there is a sampling time."""
+    if result.trajectory is None:
+        return None
+    problem = result.problem
+    step = problem.sampling_time
+    return {
+        "time": None if step is None else [t * step for t in range(problem.horizon + 1)],
+        "state_names": list(problem.state_names),
+        "control_names": list(problem.control_names),
+        "x": result.trajectory.x.tolist(),
+        "u": result.trajectory.u.tolist(),
+    }
 
 
 def _tree(result: Result) -> dict[str, Any] | None:

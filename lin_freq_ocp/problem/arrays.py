@@ -68,6 +68,11 @@ def shaped(field: str, value: Any, shape: tuple[int, ...], times: int | None = N
     raise ProblemError(field, f"shape {array.shape}", expected)
 
 
+def one_component(array: Array, size: int) -> Array:
+    """Return a single number as the vector that it stands for where there is one component; else what was given."""
+    return array.reshape(1) if array.ndim == 0 and size == 1 else array
+
+
 def times_vectors(matrix: Any, vectors: Array) -> Array:
     """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
     matrix = np.asarray(matrix)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, assign, real_array, shaped, times_vectors
+from lin_freq_ocp.problem.arrays import Array, assign, one_component, real_array, shaped, times_vectors
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.nonsmooth_costs import CostSum
@@ -53,12 +53,21 @@ class QuadraticCost(Summable):
     P : float or (n, n), p : (n,)
         Terminal terms.
     x_ref : (n,) or (T+1, n), u_ref : (m,) or (T, m)
-        References.
+        References; a number, for a single component.
 
     Raises
     ------
     ProblemError
         When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
+
+    Methods
+    -------
+    value(x, u)
+        The total cost.
+    stage_values(x, u)
+        The cost of every time.
+    gradient(x, u)
+        Its gradients in x and in u.
     """
 
     Q: Array
@@ -114,6 +123,11 @@ class QuadraticCost(Summable):
                 value = np.zeros(shape)
             return shaped(f"cost.{field}", value, shape, times)
 
+        def reference(field: str, size: int, times: int) -> Array:
+            value: Array = getattr(self, field)
+            value = np.zeros(size) if value.ndim == 0 and value == 0 else one_component(value, size)
+            return shaped(f"cost.{field}", value, (size,), times)
+
         return QuadraticCost(
             Q=square("Q", n, T),
             R=square("R", m, T),
@@ -122,8 +136,8 @@ class QuadraticCost(Summable):
             r=vector("r", (m,), T),
             P=square("P", n, None),
             p=vector("p", (n,), None),
-            x_ref=vector("x_ref", (n,), T + 1),
-            u_ref=vector("u_ref", (m,), T),
+            x_ref=reference("x_ref", n, T + 1),
+            u_ref=reference("u_ref", m, T),
         )
 
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:

@@ -37,6 +37,19 @@ class LinearDynamics:
     ------
     ProblemError
         If shapes do not match, entries are not finite, or names are repeated.
+
+    Methods
+    -------
+    from_continuous(A, B, sampling_time)
+        Sample a continuous model.
+    from_statespace(plant)
+        Take a model of python-control.
+    linearised(system, x, u)
+        Linearise a nonlinear model at a point or along a trajectory.
+    at(t)
+        A_t, B_t and d_t.
+    successors(x, u)
+        The next state of every time.
     """
 
     A: Array

@@ -43,7 +43,7 @@ class OptimalControlProblem:
     control_set, state_set : set, sequence of sets, or None
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states).
     initial_state, terminal_state : (n,), set, or None
-        A point, a set, or free; taken together with the state set of that time.
+        A point (a number, for a single state), a set, or free; taken together with the state set of that time.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states.
     stage_rows : StageRows, sequence of StageRows, or None
@@ -57,6 +57,17 @@ class OptimalControlProblem:
     ------
     ProblemError
         Saying which field, what was got and what was expected.
+
+    Methods
+    -------
+    with_ends(initial_state, terminal_state)
+        The same problem between other ends.
+    with_modes(sequence)
+        The linear problem of one mode sequence.
+    value(x, u)
+        The cost of states (T+1, n) and controls (T, m).
+    dynamics_along(trajectory)
+        The linear dynamics along a trajectory.
     """
 
     dynamics: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics

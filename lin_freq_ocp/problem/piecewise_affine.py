@@ -43,6 +43,17 @@ class PiecewiseAffineDynamics:
     ------
     ProblemError
         If there is no mode, or their dimensions differ.
+
+    Methods
+    -------
+    from_guards(...)
+        Modes by the signs of guards.
+    from_max_min(...)
+        Modes of maxima and minima.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
+    along(sequence)
+        The linear dynamics of one mode sequence.
     """
 
     modes: tuple[AffineMode, ...]

@@ -133,6 +133,13 @@ class PiecewiseSmoothDynamics:
     ------
     ProblemError
         Saying which field, what was got and what was expected.
+
+    Methods
+    -------
+    from_formulas(...)
+        Modes of formulas with maxima, minima and absolute values.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
     """
 
     modes: tuple[SmoothMode, ...]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Bound, brief, real_array
+from lin_freq_ocp.problem.arrays import Bound, brief, one_component, real_array
 from lin_freq_ocp.problem.extension import FurtherStates, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets import Box
@@ -28,7 +28,7 @@ def rate_limited(
     problem : OptimalControlProblem
     limit : float or (m,)
         Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
-    previous : (m,), optional
+    previous : (m,), or a number for a single control, optional
         The control before the first, u_{-1}; without it, the first control is free of the limit.
 
     Returns
@@ -77,7 +77,7 @@ def _limits(limit: Any, m: int) -> np.ndarray:
 
 
 def _previous(previous: ArrayLike, m: int) -> np.ndarray:
-    before = real_array("previous", previous)
+    before = one_component(real_array("previous", previous), m)
     if before.shape != (m,):
         raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")
     return before

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, real_array
+from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, one_component, real_array
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.convex_sets import Intersection
@@ -23,18 +23,29 @@ class Box:
     Parameters
     ----------
     lower, upper : float, (n,) or (times, n)
-        Bounds; None, or -inf and inf, where there is none. A single number holds for every component.
+        Bounds; None, the default, or -inf and inf, where there is none. A single number holds for every component.
 
     Raises
     ------
     ProblemError
         If a bound is not a number, or a lower bound is above its upper bound.
+
+    Methods
+    -------
+    contains(v)
+        Whether points lie in the box.
+    violation(v)
+        By how much each component lies outside.
+    project(v)
+        The nearest point of the box.
+    support(y)
+        The largest <y, v> over the box.
     """
 
     lower: Array
     upper: Array
 
-    def __init__(self, lower: Bound, upper: Bound):
+    def __init__(self, lower: Bound = None, upper: Bound = None):
         low, high = _bound("lower", lower, -np.inf), _bound("upper", upper, np.inf)
         try:
             low, high = np.broadcast_arrays(low, high)
@@ -125,11 +136,11 @@ class Point(Box):
     Parameters
     ----------
     value : (n,)
-        The point.
+        The point; a number, if it has one component.
     """
 
     def __init__(self, value: ArrayLike):
-        point = real_array("Point", value)
+        point = one_component(real_array("Point", value), 1)
         if point.ndim != 1:
             raise ProblemError("Point", f"shape {point.shape}", "one number per component")
         super().__init__(point, point)
@@ -176,7 +187,7 @@ def end_set(field: str, given: Any, dimension: int) -> Any:
     expected = f"numbers, one for each of the {dimension} states, a set, or None"
     if not isinstance(box_of(given), Box):
         try:
-            point = real_array(field, given)
+            point = one_component(real_array(field, given), dimension)
         except ProblemError as error:
             if error.field == field:  # and not one of its entries
                 error = ProblemError(field, error.got, expected)

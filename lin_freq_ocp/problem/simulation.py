@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import real_array
+from lin_freq_ocp.problem.arrays import one_component, real_array
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
                 "initial_state", "None, for a problem whose initial state is not one point", "a state to start from"
             )
         initial_state = problem.initial_box.lower
-    start = real_array("initial_state", initial_state)
+    start = one_component(real_array("initial_state", initial_state), n)
     if start.shape != (n,):
         raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")
     x, step = np.empty((T + 1, n)), problem.dynamics.stepper(T)

@@ -24,7 +24,7 @@ class StageRows:
     D : (rows, m), (T, rows, m), or None
         Coefficients of the control; at least one of C and D is given.
     e : (rows,) or (T, rows)
-        Upper limits; inf where a row has none at that time.
+        Upper limits, always given; inf where a row has none at that time.
     name : str
         Under which the multipliers, and whatever is said of these rows, stand.
     penalty : float, optional
@@ -38,6 +38,15 @@ class StageRows:
     Notes
     -----
     Until a problem completes it, a matrix that was not given has no columns.
+
+    Methods
+    -------
+    values(x, u)
+        C_t x_t + D_t u_t of every time.
+    slack(x, u)
+        How much each row has left.
+    violation(x, u)
+        By how much each row is violated.
     """
 
     C: Array
@@ -48,14 +57,16 @@ class StageRows:
 
     def __init__(
         self,
-        C: ArrayLike | None,
-        D: ArrayLike | None,
-        e: ArrayLike,
+        C: ArrayLike | None = None,
+        D: ArrayLike | None = None,
+        e: ArrayLike | None = None,
         name: str = "stage rows",
         penalty: float | None = None,
     ):
         if not isinstance(name, str) or not name.strip() or not name.isprintable():
             raise ProblemError("stage_rows.name", brief(name), "a name of printable characters")
+        if e is None:
+            raise ProblemError("stage_rows.e", "nothing", "one limit per row, or (T, rows)")
         limits = real_array("stage_rows.e", e, allow_infinite=True)
         if limits.ndim not in (1, 2) or limits.shape[-1] == 0:
             raise ProblemError("stage_rows.e", f"shape {limits.shape}", "one limit per row, or (T, rows)")
