@@ -19,12 +19,12 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.problem.phrases import number, split_unit
 from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
 from lin_freq_ocp.report.mode_panels import mode_legend
 from lin_freq_ocp.report.modes import mode_sequence, sequence_of
-from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.panels import (
     control_panel,
     frequency_axis,

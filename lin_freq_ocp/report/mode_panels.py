@@ -18,9 +18,9 @@ from matplotlib.ticker import FuncFormatter
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.phrases import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.entries import CLASSICAL, CONSTRAINED, OPTIMAL, entries
 from lin_freq_ocp.report.modes import NO_MODE, Kink, Span, mode_names, mode_sequence, sequence_of, spans
-from lin_freq_ocp.report.numbers import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.scene import MARGIN, Scene
 from lin_freq_ocp.report.style import (
     COMPONENTS,

@@ -19,13 +19,14 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.facts import problem_facts
+from lin_freq_ocp.problem.phrases import number
 from lin_freq_ocp.report import figures, words
 from lin_freq_ocp.report.entries import has_stop_band, shown_filter
-from lin_freq_ocp.report.facts import problem_facts
 from lin_freq_ocp.report.mode_panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.mode_words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.modes import kinks, mode_names
-from lin_freq_ocp.report.numbers import number, rough
+from lin_freq_ocp.report.numbers import rough
 from lin_freq_ocp.report.scene import Scene
 from lin_freq_ocp.report.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows

@@ -13,8 +13,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
+from lin_freq_ocp.problem.phrases import number, split_unit
 from lin_freq_ocp.report.mode_panels import shade_modes
-from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.scene import Component, Scene, View
 from lin_freq_ocp.report.style import BAND, BOUND, INK, PAPER, Note, Trace, dress, thinned
 

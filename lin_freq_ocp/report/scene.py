@@ -11,10 +11,11 @@ import numpy as np
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import amplification
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import listed
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.report.entries import state_bounds
 from lin_freq_ocp.report.modes import STOPPED, Span, spans
-from lin_freq_ocp.report.numbers import listed, quantity, rough
+from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.style import Note, Trace
 

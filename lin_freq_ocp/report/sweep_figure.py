@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.comparison.sweep_point import Row
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.report.numbers import number
+from lin_freq_ocp.problem.phrases import number
 from lin_freq_ocp.report.style import (
     COMPONENTS,
     INK,

@@ -16,9 +16,10 @@ from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import NOTHING, number, plural, split_unit
 from lin_freq_ocp.report.entries import Entry, Excess, entries
 from lin_freq_ocp.report.modes import mode_names
-from lin_freq_ocp.report.numbers import NOTHING, aligned, number, plural, split_unit
+from lin_freq_ocp.report.numbers import aligned
 
 NOT_MEANINGFUL = "not meaningful"
 """Stands for every number that would need a replay whose rounding errors are amplified beyond use."""

@@ -12,11 +12,12 @@ from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import listed, number, plural, runs_in_words, split_unit
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
 from lin_freq_ocp.report.mode_words import border_sentences
 from lin_freq_ocp.report.modes import STOPPED
-from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
+from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
 
