@@ -10,7 +10,7 @@ from lin_freq_ocp.problem.convex_sets import ConvexSet
 from lin_freq_ocp.problem.formula_text import text_of
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.phrases import AT_MOST, first_few, interval, intervals, listed, number, plural, split_unit
+from lin_freq_ocp.problem.phrases import AT_MOST, first_few, interval, intervals, listed, number, plural, short_name
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.sets import Box
@@ -153,4 +153,4 @@ def _listed(given: Any) -> Sequence[Any]:
 
 
 def _signals(problem: OptimalControlProblem) -> tuple[str, ...]:
-    return (*(split_unit(name)[0] for name in problem.state_names), *problem.control_names)
+    return (*(short_name(name) for name in problem.state_names), *problem.control_names)

@@ -51,6 +51,11 @@ def split_unit(name: str) -> tuple[str, str]:
     return (match["name"], match["unit"]) if match else (name, "")
 
 
+def short_name(name: str) -> str:
+    """Return a component's name without its unit, in the case it was given: V is not v."""
+    return split_unit(name)[0]
+
+
 def listed(parts: Sequence[str]) -> str:
     """Return "a", "a and b", or "a, b and c"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

@@ -14,7 +14,7 @@ from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
-from lin_freq_ocp.problem.phrases import MOST_TEXT, combination, plural, split_unit
+from lin_freq_ocp.problem.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -85,8 +85,7 @@ class OutputSpectrum:
         rows = np.hstack([part for part in (self.C, self.D) if part is not None])
         offset = len(signals) - rows.shape[1] if self.C is None else 0
         parts = [
-            f"{split_unit(self.output_names[j])[0]} = {combination(rows[j], signals[offset:])}"
-            for j in sorted(set(used))
+            f"{short_name(self.output_names[j])} = {combination(rows[j], signals[offset:])}" for j in sorted(set(used))
         ]
         text = ", ".join(parts)
         return text if len(text) <= MOST_TEXT else f"{plural(len(parts), 'linear combination')} of states and controls"

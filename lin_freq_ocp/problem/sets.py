@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, real_array
-from lin_freq_ocp.problem.phrases import MOST_TEXT, intervals, plural, split_unit
+from lin_freq_ocp.problem.phrases import MOST_TEXT, intervals, plural, short_name
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.convex_sets import Intersection
@@ -124,7 +124,7 @@ class Box:
             return "no constraint"
         if len(found) == len(names) and len(set(found.values())) == 1:
             return f"every component {next(iter(found.values()))}"
-        text = ", ".join(f"{split_unit(name)[0]} {words}" for name, words in found.items())
+        text = ", ".join(f"{short_name(name)} {words}" for name, words in found.items())
         return text if len(text) <= MOST_TEXT else f"bounds on {plural(len(found), 'component')}"
 
     def __and__(self, other: Any) -> Intersection:

@@ -17,7 +17,7 @@ from scipy.signal import get_window
 
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.problem.phrases import AT_MOST, datum, first_few, number, price, split_unit
+from lin_freq_ocp.problem.phrases import AT_MOST, datum, first_few, number, price, short_name
 from lin_freq_ocp.problem.spectrum import Band, component_words, stop_band
 
 NO_LOWER_MASK = (
@@ -298,7 +298,7 @@ class LinearConstraint:
     def describe(self, names: Sequence[str]) -> str:
         """Return it in words, for a signal with components of these names."""
         rows = self.coefficients.shape[1]
-        used = [split_unit(name)[0] for name, one in zip(names, self.coefficients.any(axis=(0, 1)), strict=True) if one]
+        used = [short_name(name) for name, one in zip(names, self.coefficients.any(axis=(0, 1)), strict=True) if one]
         of = first_few(used) if used else "nothing"
         equations = "linear equation" if rows == 1 else f"{rows} linear equations"
         right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"

@@ -19,10 +19,10 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.problem.phrases import number, split_unit
+from lin_freq_ocp.problem.phrases import number, short_name, split_unit
 from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.report.entries import has_stop_band, shown_filter
+from lin_freq_ocp.report.entries import has_frequency_constraint, shown_filter, solution_label
 from lin_freq_ocp.report.mode_panels import mode_legend
 from lin_freq_ocp.report.modes import mode_sequence, sequence_of
 from lin_freq_ocp.report.panels import (
@@ -96,15 +96,14 @@ def result_scene(result: Result) -> Scene:
     """Return the solution as a scene; SolveError if it has no trajectory."""
     if result.trajectory is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
-    label = "optimal" if result.status == "optimal" else "best point"
-    return Scene(result.problem, (_solved(label, result),))
+    return Scene(result.problem, (_solved(solution_label(result), result),))
 
 
 def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> Scene:
     """Return what there is of the classical, the filtered and the constrained trajectory."""
     problem, constrained = comparison.problem, comparison.constrained
     one = shown_filter(comparison, filter_name)
-    if not has_stop_band(problem) and constrained.trajectory is not None:
+    if not has_frequency_constraint(problem) and constrained.trajectory is not None:
         return result_scene(constrained)
     traces = list[Trace]()
     if comparison.classical.trajectory is not None:
@@ -134,13 +133,9 @@ def four_panels(scene: Scene) -> Figure:
     grid = figure.add_gridspec(controls + 1, 2)
     letters = cycle(ascii_lowercase)
     for j, name in enumerate(problem.control_names):
-        short = _capital(name)
-        control_panel(figure.add_subplot(grid[j, 0]), scene, j, f"({next(letters)}) {short}")
+        control_panel(figure.add_subplot(grid[j, 0]), scene, j, f"({next(letters)}) {short_name(name)}")
         spectrum_panel(
-            figure.add_subplot(grid[j, 1]),
-            scene,
-            scene.control(j),
-            f"({next(letters)}) Spectrum of {split_unit(name)[0]}",
+            figure.add_subplot(grid[j, 1]), scene, scene.control(j), f"({next(letters)}) Spectrum of {short_name(name)}"
         )
     for column, title in zip(range(2), letters, strict=False):
         _draw_states(figure, grid, scene, column, f"({title})")
@@ -161,12 +156,12 @@ def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, lett
     names, pairs = scene.problem.state_names, phase_pairs(scene.problem.state_dim)
     if column < len(pairs):
         i, j = pairs[column]
-        title = f"{letter} {_capital(names[i])} and {split_unit(names[j])[0]}"
+        title = f"{letter} {short_name(names[i])} and {short_name(names[j])}"
         phase_panel(figure.add_subplot(grid[-1, column]), scene, i, j, title)
     elif pairs:
-        state_panel(figure.add_subplot(grid[-1, column]), scene, 0, f"{letter} {_capital(names[0])}")
+        state_panel(figure.add_subplot(grid[-1, column]), scene, 0, f"{letter} {short_name(names[0])}")
     elif column == 0:
-        state_panel(figure.add_subplot(grid[-1, :]), scene, 0, f"{letter} {_capital(names[0])}")
+        state_panel(figure.add_subplot(grid[-1, :]), scene, 0, f"{letter} {short_name(names[0])}")
 
 
 def states_figure(scene: Scene) -> Figure:
@@ -174,7 +169,7 @@ def states_figure(scene: Scene) -> Figure:
     names = scene.problem.state_names
     figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT, mode_legend(scene).height)
     for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
-        state_panel(ax, scene, i, _capital(name))
+        state_panel(ax, scene, i, short_name(name))
     _legend(figure, scene, with_ends=False, with_band=False)
     mode_legend(scene).draw(figure)
     return figure
@@ -185,7 +180,7 @@ def state_spectra_figure(scene: Scene) -> Figure:
     stopped = [int(i) for i in np.flatnonzero(scene.problem.state_band.any(0))]
     figure, panels = _two_columns(len(stopped), ROW_HEIGHT)
     for i, ax in zip(stopped, panels, strict=True):
-        spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {split_unit(scene.problem.state_names[i])[0]}")
+        spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {short_name(scene.problem.state_names[i])}")
     _legend(figure, scene, with_ends=False, with_band=True, with_bounds=False)
     return figure
 
@@ -278,7 +273,7 @@ def _draw_prices(ax: Axes, component: Component, frequency: np.ndarray, price: n
         linestyle="none",
         color=color,
         markersize=5,
-        label=split_unit(component.name)[0],
+        label=short_name(component.name),
     )
 
 
@@ -288,12 +283,6 @@ def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure,
     figure = new_figure(height * rows + LEGEND_HEIGHT + below)
     columns = min(count, 2)
     return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
-
-
-def _capital(name: str) -> str:
-    """Return a component's name without its unit, as a title begins."""
-    short = split_unit(name)[0]
-    return short[:1].upper() + short[1:] if short.isalpha() or " " in short else short
 
 
 def _has_bounds(scene: Scene) -> bool:
