@@ -433,13 +433,13 @@ def test_one_filter_can_be_chosen():
 def test_result_figure_shows_one_solution():
     result = case("state band").constrained
     figure = result.plot()
-    assert len(figure.axes) == 4
+    assert len(figure.axes) == 5
     assert result_figure(replace(result, status="limit")).legends[0].get_texts()[0].get_text() == "best point"
     with pytest.raises(SolveError, match="without a trajectory"):
         result_figure(case("infeasible").constrained)
 
 
-@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 4), (3, 4), (4, 4), (5, 4)])
+@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 5), (3, 7), (4, 8), (5, 9), (9, 6)])
 def test_any_number_of_states_can_be_drawn(n: int, panels: int):
     problem = OptimalControlProblem(
         LinearDynamics(0.9 * np.eye(n) + 0.1 * np.eye(n, k=1), np.ones((n, 1))),

@@ -166,6 +166,8 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
     if comparison.problem.state_band.any():
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
+    if scene.outputs():
+        yield "output_spectra", "Spectra of the outputs with a band", "", figures.output_spectra_figure(scene)
     if scene.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", modes_caption(rows, scene.host.label), strips_figure(scene, rows)

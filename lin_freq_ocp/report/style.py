@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 from textwrap import wrap
 from typing import Any
 
@@ -22,6 +23,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 Numbers = NDArray[np.floating[Any]]
 
 INK, MUTED, GRID, PAPER, BAND, BOUND = "#1f2328", "#59636e", "#d6dbe1", "#ffffff", "#f4e8c9", "#8c959f"
+REFERENCE = "#8250df"
 CLASSICAL, FILTERED, CONSTRAINED = "#010101", "#d55e00", "#0072b2"
 
 # Not quite black, which SVG files leave out because it is the default and which the page could then not replace.
@@ -33,6 +35,7 @@ THEMED = {
     PAPER: "paper",
     BAND: "band",
     BOUND: "bound",
+    REFERENCE: "reference",
     CLASSICAL: "classical",
     FILTERED: "filtered",
     CONSTRAINED: "constrained",
@@ -53,6 +56,10 @@ COMPONENTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """Colours and markers of the components of one signal."""
 
+SOFT: LineStyleType = (0, (4, 2.5))
+REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
+"""Lines of bounds that may be left at a price, and of what the cost draws to."""
+
 WIDTH, ROW_HEIGHT = 11.0, 3.5
 """Inches: width of a figure, height of a row of panels."""
 
@@ -60,6 +67,9 @@ MOST_POINTS = 1000
 """Of a longer signal no more is drawn: the smallest and largest value of every group of neighbours."""
 
 TITLE_SIZE, NOTE_SIZE, LABEL_SIZE, TICK_SIZE = 11, 9, 9.5, 9
+LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8
+"""Width of a legend above the panels, and of a line or marker in it."""
+
 NOTE_CHARACTERS = 70
 """Width of a note under the title of a panel in half of a figure."""
 
@@ -143,12 +153,18 @@ def new_figure(height: float) -> Figure:
     return Figure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
 
 
+def legend_rows(handles: Sequence[Artist]) -> int:
+    """Return how many rows the explanation of lines and markers takes."""
+    length = sum(len(str(one.get_label())) + HANDLE_CHARACTERS for one in handles)
+    return ceil(length / LEGEND_CHARACTERS)
+
+
 def legend_above(figure: Figure, handles: Sequence[Artist], handlelength: float | None = None) -> None:
-    """Explain lines and markers above the panels, in one row."""
+    """Explain lines and markers above the panels, in one row, or more where they are many."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
-        ncols=len(handles),
+        ncols=ceil(len(handles) / legend_rows(handles)),
         frameon=False,
         fontsize=LABEL_SIZE + 0.5,
         labelcolor=INK,
