@@ -250,4 +250,4 @@ def _spectrum_note(traces: Sequence[Trace], component: Component) -> Note:
     for trace in traces:
         peak = stopband_peak(component.of(trace)[:, None], component.stop[:, None])
         named.append(f"{number(peak, 3)} {trace.label}")
-    return Note(f"stop-band peak: {', '.join(named)}")
+    return Note(f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}")

@@ -13,7 +13,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
@@ -204,6 +204,9 @@ def dress(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence[Note
     ax.set_facecolor(PAPER)
     ax.grid(True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
+    for axis in (ax.xaxis, ax.yaxis):
+        if axis.get_scale() == "linear":  # whole numbers on the ticks: an offset apart would lie on the title
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.10g}".replace("-", "\N{MINUS SIGN}")))
     if ax.get_xscale() == "linear":
         ax.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]))
     ax.tick_params(labelsize=TICK_SIZE, colors=INK, length=3, width=0.7)
