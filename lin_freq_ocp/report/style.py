@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from math import ceil
 from textwrap import wrap
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -59,6 +61,12 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 SOFT: LineStyleType = (0, (4, 2.5))
 REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
 """Lines of bounds that may be left at a price, and of what the cost draws to."""
+
+WITHOUT_WINDOWS = frozenset({"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"})
+"""Backends of matplotlib that only write files."""
+
+NOTEBOOK_DPI = 80
+"""Pixels per inch of a figure in a notebook."""
 
 WIDTH, ROW_HEIGHT = 11.0, 3.5
 """Inches: width of a figure, height of a row of panels."""
@@ -147,10 +155,34 @@ def thinned(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
     return x[kept], y[kept]
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show as it is, and that opens a window on request; pyplot knows of it only then."""
+
+    def _repr_png_(self) -> bytes:
+        stream = BytesIO()
+        self.savefig(stream, format="png", dpi=NOTEBOOK_DPI)
+        return stream.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Open a window with the figure, and wait until it is closed, as ``matplotlib.pyplot.show`` does.
+
+        Where there is no display, a warning says so, and nothing is shown: use ``savefig``.
+        """
+        from matplotlib import pyplot
+
+        if pyplot.get_backend().lower() in WITHOUT_WINDOWS:
+            if warn:
+                warnings.warn(f"{pyplot.get_backend()} shows no windows: use savefig(path).", stacklevel=2)
+            return
+        if self.canvas.manager is None:
+            pyplot.figure(FigureClass=cast(Any, lambda *_, **__: self))
+        pyplot.show()
+
+
 def new_figure(height: float) -> Figure:
     """Return an empty figure that makes room for its labels itself."""
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1, hspace=0.04, wspace=0.03)
-    return Figure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
+    return ShownFigure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
 
 
 def legend_rows(handles: Sequence[Artist]) -> int:
