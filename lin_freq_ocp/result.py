@@ -168,7 +168,8 @@ class Result:
     def plot(self) -> Figure:
         """Return a figure of controls, their spectra, phase portraits and all states over time.
 
-        A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a window.
+        A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
+        window.
         """
         from lin_freq_ocp.report.figures import result_figure
 

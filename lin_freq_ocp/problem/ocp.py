@@ -247,7 +247,7 @@ class OptimalControlProblem:
     @property
     def times(self) -> Array:
         """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
-        return np.arange(self.horizon + 1) * (self.sampling_time or 1.0)
+        return np.arange(self.horizon + 1, dtype=np.float64) * (self.sampling_time or 1.0)
 
     @property
     def state_names(self) -> tuple[str, ...]:

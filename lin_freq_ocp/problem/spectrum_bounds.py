@@ -298,7 +298,7 @@ class LinearConstraint:
     def describe(self, names: Sequence[str]) -> str:
         """Return it in words, for a signal with components of these names."""
         rows = self.coefficients.shape[1]
-        used = [short_name(name) for name, one in zip(names, self.coefficients.any(axis=(0, 1)), strict=True) if one]
+        used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
         of = first_few(used) if used else "nothing"
         equations = "linear equation" if rows == 1 else f"{rows} linear equations"
         right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"

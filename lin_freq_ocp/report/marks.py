@@ -38,7 +38,7 @@ def references(problem: OptimalControlProblem, index: int, is_state: bool) -> li
     for reference, weighed in _weighed(problem, index, is_state):
         if reference.any():
             values = reference[..., index] * np.ones(length)
-            line = Line(np.arange(length), np.where(weighed, values, np.nan))
+            line = Line(np.arange(length, dtype=np.float64), np.where(weighed, values, np.nan))
             if weighed.any() and not any(np.array_equal(line.values, other.values, equal_nan=True) for other in found):
                 found.append(line)
     return found
@@ -105,7 +105,7 @@ def _limits(term: Term, of: StageMap, below: Below, index: int, is_state: bool) 
         used = sloped[:, row] != 0
         values = np.divide(distance[:, row], sloped[:, row], out=np.full(len(sloped), np.nan), where=used)
         if np.isfinite(values).any():
-            yield Line(of.times, values, not term.hard)
+            yield Line(of.times.astype(np.float64), values, not term.hard)
 
 
 def same_row(one: Array | None, other: Array | None) -> bool:
