@@ -14,6 +14,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.html import html_table
 from lin_freq_ocp.problem.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
     from lin_freq_ocp.explain import Explanation
 
@@ -165,8 +167,22 @@ class Result:
         figures = "no trajectory" if self.certificate is None else self.certificate.figures
         return f"Result({self.status} by {self.solver}, {figures})"
 
+    def _repr_html_(self) -> str:
+        head, *lines = str(self).splitlines()
+        rows = [(term, text.strip()) for term, text in (line.partition(" ")[::2] for line in lines)]
+        return html_table(head, rows)
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
+        return self.problem.times
+
     def plot(self) -> Figure:
-        """Return a figure of controls, spectra and states."""
+        """Return a figure of controls, their spectra, phase portraits and all states over time.
+
+        A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
+        window.
+        """
         from lin_freq_ocp.report.figures import result_figure
 
         return result_figure(self)
@@ -189,6 +205,22 @@ class Result:
         from lin_freq_ocp.interchange.mat_file import save_mat
 
         save_mat(path, self.problem, self._require_trajectory())
+
+    def to_frame(self) -> DataFrame:
+        """Return the trajectory as a ``pandas.DataFrame``: a row per time, states and controls under their names.
+
+        Its index is the time, in seconds or in steps; controls at T, where there is none, are not a number.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        SolveError
+            If there is no trajectory.
+        """
+        from lin_freq_ocp.interchange.frame import to_frame
+
+        return to_frame(self.problem, self._require_trajectory())
 
     def to_time_response(self) -> Any:
         """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""

@@ -26,14 +26,15 @@ from lin_freq_ocp.errors import ProblemError, SolveError
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.facts import problem_facts
 from lin_freq_ocp.problem.measures import padded_spectrum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import NOTHING, listed, number, runs_in_words, split_unit
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.spectrum import Band, low_pass, notch, stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report import words
 from lin_freq_ocp.report.entries import entries, shown_filter
-from lin_freq_ocp.report.facts import cost_in_words, problem_facts
 from lin_freq_ocp.report.figures import (
     comparison_figure,
     comparison_scene,
@@ -43,7 +44,7 @@ from lin_freq_ocp.report.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.report.numbers import NOTHING, aligned, listed, number, quantity, rough, runs_in_words, split_unit
+from lin_freq_ocp.report.numbers import aligned, quantity, rough
 from lin_freq_ocp.report.page import draw, render, save_report, tiles
 from lin_freq_ocp.report.scales import frequency_scale, time_scale
 from lin_freq_ocp.report.scene import view
@@ -432,13 +433,13 @@ def test_one_filter_can_be_chosen():
 def test_result_figure_shows_one_solution():
     result = case("state band").constrained
     figure = result.plot()
-    assert len(figure.axes) == 4
+    assert len(figure.axes) == 5
     assert result_figure(replace(result, status="limit")).legends[0].get_texts()[0].get_text() == "best point"
     with pytest.raises(SolveError, match="without a trajectory"):
         result_figure(case("infeasible").constrained)
 
 
-@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 4), (3, 4), (4, 4), (5, 4)])
+@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 5), (3, 7), (4, 8), (5, 9), (9, 6)])
 def test_any_number_of_states_can_be_drawn(n: int, panels: int):
     problem = OptimalControlProblem(
         LinearDynamics(0.9 * np.eye(n) + 0.1 * np.eye(n, k=1), np.ones((n, 1))),
@@ -452,7 +453,10 @@ def test_any_number_of_states_can_be_drawn(n: int, panels: int):
     assert len(figure.axes) == panels
     assert len(phase_pairs(n)) == {1: 0, 2: 1}.get(n, 2)
     assert len(states_figure(comparison_scene(compare(problem))).axes) == n
-    assert ("state: x_0", "bounds that depend on time; starts at 1; ends anywhere") in problem_facts(problem)
+    assert (
+        "state: x_0",
+        "bounds that depend on time: lower -2.6 to -2, upper 2; starts at 1; ends anywhere",
+    ) in problem_facts(problem)
 
 
 def test_positions_are_paired_with_their_speeds():
@@ -631,7 +635,8 @@ def test_problem_is_told_in_words():
     assert facts["horizon"] == "240 steps of 0.01 s (2.4 s)"
     assert facts["control: force [N]"] == "within ±5"
     assert facts["state: position [m]"] == "within ±0.2; starts at -0.15; ends at 0.15"
-    assert facts["minimise"] == "the sum of ½ u' R u, with R = 2"
+    assert facts["minimise"] == "the sum of ½ u' R u"
+    assert facts["where"] == "R = 2"
     facts = dict(problem_facts(case("state band").problem))
     assert facts[f"state: {STATES[0]}"] == "no bound; starts at 0; ends at 1"
     assert facts[f"state: {STATES[1]}"] == "from -1 to 9; starts at 0; ends at 0"
@@ -645,7 +650,9 @@ def test_costs_are_told_term_by_term():
     everything = QuadraticCost(
         Q=np.diag([1.0, 2.0]), R=3.0, S=np.ones((2, 1)), q=[1, 1], r=[1], P=2.0, p=[0, 1], x_ref=[1, 0], u_ref=[0]
     )
-    told = cost_in_words(replace(problem, cost=everything))
+    facts = problem_facts(replace(problem, cost=everything))
+    (told,) = (value for term, value in facts if term == "minimise")
+    data = " ".join(value for term, value in facts if term == "where")
     for term in (
         "(x - x_ref)' Q (x - x_ref)",
         "u' R u",
@@ -655,8 +662,9 @@ def test_costs_are_told_term_by_term():
         "P (x - x_ref) at the end",
     ):
         assert term in told
-    assert told.endswith("with R = 3 and P = 2 I")
-    assert cost_in_words(replace(problem, cost=QuadraticCost())) == "nothing: any feasible point will do"
+    for value in ("Q = diag(1, 2)", "R = 3", "S = [1; 1]", "P = 2 I", "p = (0, 1)", "x_ref = (1, 0)"):
+        assert value in data
+    assert dict(problem_facts(replace(problem, cost=QuadraticCost())))["minimise"].startswith("nothing")
 
 
 def test_axes_have_readable_units():
@@ -665,9 +673,9 @@ def test_axes_have_readable_units():
         return time_scale(problem).unit, frequency_scale(problem).unit
 
     assert scales(None) == ("steps", "rad/sample")
-    assert scales(1e-6) == ("\N{MICRO SIGN}s", "kHz")
+    assert scales(1e-6) == ("\N{MICRO SIGN}s", "Hz")
     assert scales(1e-3) == ("ms", "Hz")
-    assert scales(10.0) == ("s", "mHz")
+    assert scales(10.0) == ("s", "Hz")
     problem = double_integrator(horizon=100, sampling_time=1e-3, control_spectrum=notch(centre_hz=100, width_hz=50))
     scale = frequency_scale(problem)
     assert scale.factor * 2 * np.pi * 10 / 100 == pytest.approx(100)

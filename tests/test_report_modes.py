@@ -20,11 +20,11 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp import library, solve_smooth
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.compare import Comparison, compare
+from lin_freq_ocp.problem.facts import problem_facts
 from lin_freq_ocp.problem.measures import measure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.facts import problem_facts
 from lin_freq_ocp.report.figures import comparison_scene, result_figure, result_scene, states_figure
 from lin_freq_ocp.report.mode_panels import adjoint_figure, shade_modes, strip_rows, strips_figure
 from lin_freq_ocp.report.mode_words import adjoint_caption, border_sentences, modes_caption, search_sentences
@@ -279,9 +279,11 @@ def test_pages_of_linear_problems_have_none_of_it():
     scene = comparison_scene(case("linear"))
     assert scene.modes == ()
     assert not any(tints(ax) for ax in states_figure(scene).axes)
-    assert [name for name, _ in problem_facts(case("linear").problem)][:3] == [
+    assert [name for name, _ in problem_facts(case("linear").problem)][:5] == [
         "horizon",
         "minimise",
+        "where",
+        "dynamics",
         "control: force $a$ [N]",
     ]
 

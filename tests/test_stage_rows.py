@@ -14,8 +14,8 @@ from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.interchange.summary import comparison_summary
 from lin_freq_ocp.methods.multipliers import fit_multipliers
+from lin_freq_ocp.problem.facts import problem_facts
 from lin_freq_ocp.problem.measures import measure
-from lin_freq_ocp.report.facts import problem_facts
 from lin_freq_ocp.report.page import draw, render
 from lin_freq_ocp.report.tables import certificate_rows, comparison_rows
 from lin_freq_ocp.report.words import finding

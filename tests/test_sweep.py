@@ -426,6 +426,11 @@ def test_the_figure_shows_costs_relative_to_none_and_what_is_infeasible(serial):
     crosses = [list(line.get_xdata()) for line in ax.lines if line.get_marker() == "x"]
     infeasible = [row["parameters"]["cutoff_hz"] for row in serial.rows if row["status"] == "infeasible"]
     assert sorted(x for one in crosses for x in one) == sorted(x for x in infeasible if x is not None)
+    for line in ax.lines:
+        if line.get_marker() == "x" and len(line.get_xdata()):  # above every cost, and not among the cheapest
+            marks = ax.transAxes.inverted().transform(ax.get_xaxis_transform().transform(line.get_xydata()))[:, 1]
+            highest = ax.transAxes.inverted().transform(ax.transData.transform([(1, np.nanmax(drawn[0]))]))[0, 1]
+            assert (marks > highest).all()
 
 
 def test_figures_of_other_sweeps_are_drawn(tmp_path):
@@ -438,6 +443,18 @@ def test_figures_of_other_sweeps_are_drawn(tmp_path):
     figure.savefig(tmp_path / "sweep.svg")
     with pytest.raises(lfo.ProblemError, match="no parameter with numbers"):
         lfo.sweep(SHORT, {"terminal_state": [[1.0, 0.0]]}).plot()
+
+
+def test_a_point_that_breaks_constraints_has_no_cost():
+    found = lfo.sweep(SHORT, {"horizon": [30, 60]}, tolerance=10, method="spectral")
+    broken, good = found.rows
+    assert broken["status"] == "numerical_error"
+    assert (broken["cost"], broken["gap"]) == (None, None)
+    assert "breaks constraints" in broken["message"]
+    assert good["cost"] is not None
+    (ax,) = found.plot().axes
+    assert [line.get_label() for line in ax.lines if line.get_marker() == "$?$" and not len(line.get_xdata())]
+    assert np.isnan(ax.lines[0].get_ydata()[0])
 
 
 def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):

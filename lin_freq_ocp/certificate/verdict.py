@@ -15,6 +15,7 @@ from lin_freq_ocp.certificate.modes import judge_modes
 from lin_freq_ocp.certificate.smooth import judge_smooth
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.html import html_table
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
@@ -139,6 +140,12 @@ class Certificate:
     def __repr__(self) -> str:
         verdict = "globally optimal" if self.globally_optimal else "feasible" if self.feasible else "not feasible"
         return f"Certificate({verdict}, theorem {self.pmp}, {self.figures})"
+
+    def _repr_html_(self) -> str:
+        lines = [line.partition(" ")[::2] for line in str(self).splitlines()]
+        rows = [(term, text.strip()) for term, text in lines]
+        rows += [(one.label, f"fails: {one.name}, {one.relative:.1e} relative") for one in self.failed]
+        return html_table("Certificate", rows)
 
     @property
     def figures(self) -> str:

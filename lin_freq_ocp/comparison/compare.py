@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from lin_freq_ocp.comparison.filters import FILTERS, filtered, require_filters
 from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.problem.html import html_table
 from lin_freq_ocp.problem.measures import Measures, measure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
@@ -65,10 +66,17 @@ class Comparison:
         """Whether open-loop replays show more than amplified rounding errors."""
         return all(one.replay.meaningful for one in self.filtered)
 
+    @property
+    def _rows(self) -> list[tuple[str, str, Measures | None]]:
+        """Return of every trajectory its name, where it is from, and what was measured."""
+        return [
+            ("classical", self.classical.status, self.classical_measures),
+            *((one.name, _replayed(one.replay), one.replay.measures) for one in self.filtered),
+            ("constrained", self.constrained.status, self.constrained_measures),
+        ]
+
     def __str__(self) -> str:
-        rows = [("classical", self.classical.status, self.classical_measures)]
-        rows += [(one.name, _replayed(one.replay), one.replay.measures) for one in self.filtered]
-        rows += [("constrained", self.constrained.status, self.constrained_measures)]
+        rows = self._rows
         width = max(len(name) for name, _, _ in rows)
         return "\n".join(
             [str(self.problem), *(f"{name:{width}}  {', '.join([how, *_figures(found)])}" for name, how, found in rows)]
@@ -77,6 +85,10 @@ class Comparison:
     def __repr__(self) -> str:
         filters = ", ".join(one.name for one in self.filtered) or "none"
         return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
+
+    def _repr_html_(self) -> str:
+        rows = [(name, ", ".join([how, *_figures(found)])) for name, how, found in self._rows]
+        return html_table(str(self.problem), rows)
 
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""

@@ -5,7 +5,7 @@ Every filter is designed from the stopped bins of its control, and says in words
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.maps import SpectrumMap, SumMap
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
@@ -32,6 +33,22 @@ class FilteredControl:
     description: str
 
 
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What a filter is designed for: bins to stop (T//2 + 1, m), the controls' bounds, and the unit of frequencies.
+
+    Attributes
+    ----------
+    per_radian : float
+        The unit per rad/sample.
+    """
+
+    stop: Mask
+    tube: Box
+    unit: str
+    per_radian: float
+
+
 def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
     """Apply the named filter to a control u, shape (T, m).
 
@@ -41,7 +58,9 @@ def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredCon
         If there is no filter of that name.
     """
     require_filters([name])
-    return FILTERS[name](u, filter_stop(problem), problem.control_tube)
+    step = problem.sampling_time
+    hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))
+    return FILTERS[name](u, Wanted(filter_stop(problem), problem.control_tube, *hertz))
 
 
 def require_filters(names: Sequence[str]) -> None:
@@ -54,47 +73,78 @@ def require_filters(names: Sequence[str]) -> None:
 def filter_stop(problem: OptimalControlProblem) -> Mask:
     """Return the bins that a filter removes from the controls, shape (T//2 + 1, m): those stopped, masked or limited.
 
-    Where no control has a stop band, the filter removes the frequencies of the states' stop bands from every control,
-    as one does who must not excite them.
+    A control without a band is not filtered. Where no control has one, the filter removes the frequencies of the bands
+    on states and outputs from every control, as one does who must not excite them.
     """
     stop = problem.control_band
-    if stop.any() or not problem.state_band.any():
+    if stop.any():
         return stop
     T = problem.horizon
     k = np.arange(T // 2 + 1) / T
     removed = np.zeros(len(k), dtype=bool)
-    for i in range(problem.state_dim):
-        for first, last in stopped_runs(problem.state_band[:, i]):
-            removed |= (k >= (first - 0.5) / (T + 1)) & (k <= (last + 0.5) / (T + 1))
+    for length, band in _other_bands(problem):
+        for first, last in stopped_runs(band):
+            removed |= (k >= (first - 0.5) / length) & (k <= (last + 0.5) / length)
     return np.repeat(removed[:, None], problem.control_dim, axis=1)
 
 
-def brick_wall(u: Array, stop: Mask, tube: Box) -> FilteredControl:
+def filter_limits(problem: OptimalControlProblem) -> str:
+    """Say which frequency constraints filters of the controls do not act on; nothing where they act on all."""
+    kinds = {"state": "states", "output": "outputs"}
+    others = [
+        what for kind, what in kinds.items() if any(band.any() for _, band in _other_bands(problem, f"{kind} spectrum"))
+    ]
+    words = list[str]()
+    if others and problem.control_band.any():
+        words.append(f"bands on {' and '.join(others)} are not filtered")
+    elif others:
+        words.append(
+            f"the band is on {' and '.join(others)}, on which filters of the controls do not act; they remove its "
+            "frequencies from every control instead"
+        )
+    if any(isinstance(term.map, SumMap) for term in problem.terms):
+        words.append("linear equations over all times are nothing that a filter acts on")
+    return "; ".join(words)
+
+
+def _other_bands(problem: OptimalControlProblem, kind: str = "") -> Iterator[tuple[int, Mask]]:
+    """Yield the length of the signal and the stopped or bounded bins of every state and output, or of one kind."""
+    if kind != "output spectrum":
+        yield from ((problem.horizon + 1, problem.state_band[:, i]) for i in range(problem.state_dim))
+    for term in problem.terms:
+        if kind != "state spectrum" and term.kind == "output spectrum" and isinstance(term.map, SpectrumMap):
+            length = len(term.map.window)
+            bounded = np.zeros(length // 2 + 1, dtype=bool)
+            bounded[term.map.nearest_bins] = True
+            yield length, bounded
+
+
+def brick_wall(u: Array, wanted: Wanted) -> FilteredControl:
     """Set the stopped bins to zero."""
-    spectrum = np.where(stop, 0.0, np.fft.rfft(u, axis=0))
-    return FilteredControl(np.fft.irfft(spectrum, n=len(u), axis=0), "stopped bins set to zero")
+    spectrum = np.where(wanted.stop, 0.0, np.fft.rfft(u, axis=0))
+    return FilteredControl(np.fft.irfft(spectrum, n=len(u), axis=0), "stopped or bounded bins set to zero")
 
 
-def clipped(u: Array, stop: Mask, tube: Box) -> FilteredControl:
+def clipped(u: Array, wanted: Wanted) -> FilteredControl:
     """Set the stopped bins to zero, then cut the result off at the control bounds."""
     return FilteredControl(
-        tube.project(brick_wall(u, stop, tube).u), "stopped bins set to zero, then cut at the bounds"
+        wanted.tube.project(brick_wall(u, wanted).u), "stopped or bounded bins set to zero, then cut at the bounds"
     )
 
 
-def butterworth(u: Array, stop: Mask, tube: Box) -> FilteredControl:
+def butterworth(u: Array, wanted: Wanted) -> FilteredControl:
     """Filter causally, from rest."""
-    return _with_sections(u, stop, zero_phase=False)
+    return _with_sections(u, wanted, zero_phase=False)
 
 
-def zero_phase(u: Array, stop: Mask, tube: Box) -> FilteredControl:
+def zero_phase(u: Array, wanted: Wanted) -> FilteredControl:
     """Filter forwards and then backwards, from rest on both sides."""
-    return _with_sections(u, stop, zero_phase=True)
+    return _with_sections(u, wanted, zero_phase=True)
 
 
-def moving_average(u: Array, stop: Mask, tube: Box) -> FilteredControl:
+def moving_average(u: Array, wanted: Wanted) -> FilteredControl:
     """Average over the last samples, from rest: as many as put the first zero of the response into the stop band."""
-    result, words = np.array(u), list[str]()
+    result, stop, words = np.array(u), wanted.stop, list[str]()
     for j in range(u.shape[1]):
         for first, last in stopped_runs(stop[:, j]):
             reaches_nyquist = last == len(stop) - 1
@@ -108,7 +158,7 @@ def moving_average(u: Array, stop: Mask, tube: Box) -> FilteredControl:
 
 Kind = Literal["lowpass", "highpass", "bandstop"]
 
-FILTERS: dict[str, Callable[[Array, Mask, Box], FilteredControl]] = {
+FILTERS: dict[str, Callable[[Array, Wanted], FilteredControl]] = {
     "brickwall": brick_wall,
     "butterworth": butterworth,
     "zero_phase": zero_phase,
@@ -117,10 +167,10 @@ FILTERS: dict[str, Callable[[Array, Mask, Box], FilteredControl]] = {
 }
 
 
-def _with_sections(u: Array, stop: Mask, zero_phase: bool) -> FilteredControl:
+def _with_sections(u: Array, wanted: Wanted, zero_phase: bool) -> FilteredControl:
     from scipy import signal  # here, because it takes a second to import
 
-    result, words = np.array(u), list[str]()
+    result, stop, words = np.array(u), wanted.stop, list[str]()
     for j in range(u.shape[1]):
         for first, last in stopped_runs(stop[:, j]):
             if last - first + 1 == len(stop):
@@ -133,8 +183,8 @@ def _with_sections(u: Array, stop: Mask, zero_phase: bool) -> FilteredControl:
             result[:, j] = signal.sosfilt(sections, result[:, j])
             if zero_phase:
                 result[:, j] = signal.sosfilt(sections, result[::-1, j])[::-1]
-            edges = ", ".join(f"{np.pi * edge:.3g}" for edge in np.atleast_1d(natural))
-            words.append(f"order {min(int(order), MAX_ORDER)} {kind}, edge {edges} rad/sample")
+            edges = ", ".join(f"{wanted.per_radian * np.pi * edge:.3g}" for edge in np.atleast_1d(natural))
+            words.append(f"order {min(int(order), MAX_ORDER)} {kind}, edge {edges} {wanted.unit}")
     causality = "forwards and backwards" if zero_phase else "causal"
     return FilteredControl(result, f"Butterworth, {causality}: {_joined(words)}")
 

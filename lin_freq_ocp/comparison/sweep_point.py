@@ -22,6 +22,9 @@ ERROR = "error"
 INTERRUPTED = "interrupted"
 """Status of a point whose solve was stopped by Ctrl-C; no sweep keeps it."""
 
+BROKEN = "breaks constraints"
+"""What is said of a point whose cost is none: it may be lower than that of every solution."""
+
 Row = TypedDict(
     "Row",
     {
@@ -43,8 +46,8 @@ Row = TypedDict(
 
 parameters: their values. status: of ``Result``, or "error". proven: whether the status is proven, by the maximum
 principle or the gap, or by a ray. cost, lower_bound, gap, pmp, global, method, backend: of ``Result`` and its
-certificate. seconds: wall time for building, solving and judging. message: how it ended, what is wrong with the
-description, or that a band removes nothing or everything.
+certificate; cost and gap only of a point that satisfies every constraint. seconds: wall time for building, solving and
+judging. message: how it ended, what is wrong with the description, or that a band removes nothing or everything.
 """
 
 _building = threading.Lock()
@@ -73,15 +76,16 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         return failed_point(parameters, str(error), time.perf_counter() - started)
     except Exception as error:  # whatever a function that builds problems raises: the others are solved
         return failed_point(parameters, f"{type(error).__name__}: {error}", time.perf_counter() - started)
-    certificate = result.certificate
-    words = "; ".join([*([result.message] if result.message else []), *bands])
+    certificate, feasible = result.certificate, result.primal
+    broken = [] if feasible or result.cost is None else [f"the point found, with cost {result.cost:.6g}, {BROKEN}"]
+    words = "; ".join([*([result.message] if result.message else []), *broken, *bands])
     return {
         "parameters": plain_parameters(parameters),
         "status": INTERRUPTED if result.interrupted else result.status,
         "proven": _proven(result),
-        "cost": _finite(result.cost),
+        "cost": _finite(result.cost) if feasible else None,
         "lower_bound": _finite(result.lower_bound),
-        "gap": _finite(result.gap),
+        "gap": _finite(result.gap) if feasible else None,
         "pmp": None if certificate is None else certificate.pmp,
         "global": None if certificate is None else certificate.globally_optimal,
         "method": result.method,

@@ -16,9 +16,9 @@ from lin_freq_ocp.interchange.problem_file import read_tables
 from lin_freq_ocp.interchange.problem_tables import OPTIONAL_KEYS
 from lin_freq_ocp.interchange.summary import finite, head
 from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.facts import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.report.facts import problem_facts
 from lin_freq_ocp.report.numbers import split_unit
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)

@@ -44,7 +44,7 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
     variables = {
         "x": trajectory.x,
         "u": trajectory.u,
-        "t": np.arange(problem.horizon + 1.0)[:, None] * (problem.sampling_time or 1.0),
+        "t": problem.times[:, None],
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }

@@ -30,7 +30,7 @@ def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     problem.require(trajectory)
     return control.TimeResponseData(
-        np.arange(problem.horizon + 1) * (problem.sampling_time or 1.0),
+        problem.times,
         outputs=trajectory.x.T,
         states=trajectory.x.T,
         inputs=np.vstack([trajectory.u, np.full((1, problem.control_dim), np.nan)]).T,

@@ -24,8 +24,6 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
         trajectory = simulate(problem, u, problem.state_tube.at(0).project(near.x[0]))
     except NumericalError:
         return None
-    shapes = problem.control_stop.shape, problem.state_stop.shape
-    none = Multipliers(
-        1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), *map(np.zeros, shapes)
-    )
+    rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)
+    none = Multipliers(1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), rho_u, rho_x)
     return Candidate("optimal", trajectory, none, None, None, "controls at their references")

@@ -19,6 +19,17 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem import set_geometry
 from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_number, real_array
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty
+from lin_freq_ocp.problem.phrases import (
+    AT_MOST,
+    MOST_ROWS,
+    MOST_TEXT,
+    combination,
+    datum,
+    inequalities,
+    number,
+    price,
+    vector,
+)
 from lin_freq_ocp.problem.sets import Box, Everything
 
 HARD = np.asarray(np.inf)
@@ -57,6 +68,18 @@ class ConvexSet(ABC):
     @abstractmethod
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return what remains."""
+
+    @abstractmethod
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return the set in words that stand alone, such as "within 2 of the origin".
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of the components, with their units.
+        signal : str
+            The letter of the vector: "x" or "u".
+        """
 
     def violation(self, v: Array) -> Array:
         """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
@@ -156,6 +179,10 @@ class Polyhedron(ConvexSet):
         """Return the rows."""
         return (Part(self.F, np.zeros(len(self.F)), Below(self.g, HARD)),)
 
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return its rows."""
+        return inequalities(self.F, self.g, names, f"F {signal} {AT_MOST} g")
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Ellipsoid(ConvexSet):
@@ -190,6 +217,11 @@ class Ellipsoid(ConvexSet):
         """Return |W v - W centre| <= radius."""
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return what measures it, its radius and its centre."""
+        inside = f"({signal} - {vector(self.centre)})" if self.centre.any() else signal
+        return f"an ellipsoid: |W {inside}| {AT_MOST} {number(self.radius)} with {datum('W', self.W, 2)}"
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Ball(ConvexSet):
@@ -217,6 +249,11 @@ class Ball(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return |v - centre| <= radius."""
         return (Part(np.eye(dimension), -np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return its radius and its centre."""
+        centre = vector(self.centre) if self.centre.any() else "the origin"
+        return f"{signal} within {number(self.radius)} of {centre} (Euclidean norm)"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -258,6 +295,13 @@ class SecondOrderCone(ConvexSet):
         """Return (h'v + d, F v + g) in the standard cone."""
         return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), Cone()),)
 
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return both sides of its inequality."""
+        inner = f"|F {signal}{' + g' if self.g.any() else ''}|"
+        outer = combination(self.h, names) if np.count_nonzero(self.h) <= MOST_ROWS else f"h' {signal}"
+        constant = f" + {number(self.d)}" if self.d else ""
+        return f"a second-order cone: {inner} {AT_MOST} {outer}{constant} with {datum('F', self.F, 2)}"
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Intersection(ConvexSet):
@@ -297,6 +341,12 @@ class Intersection(ConvexSet):
         """Return the parts of all sets."""
         return tuple(part for one in self.sets if isinstance(one, ConvexSet) for part in one.parts(dimension))
 
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return all sets one by one; of many, how many there are."""
+        text = "; and ".join(one.describe(names, signal) for one in self.sets)
+        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
+        return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Soft(ConvexSet):
@@ -335,6 +385,10 @@ class Soft(ConvexSet):
             limits = np.concatenate([box.upper, -box.lower], axis=-1)
             return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), Below(limits, weight)),)
         return tuple(Part(part.F, part.c, _softened(part.penalty, weight)) for part in self.soft_set.parts(dimension))
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return the set, and the price of leaving it."""
+        return f"{self.soft_set.describe(names, signal)}{price(self.penalty)}"
 
 
 def dimension_of(one: Any) -> int | None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, assign, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.problem.phrases import datum
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.nonsmooth_costs import CostSum
@@ -99,6 +100,33 @@ class QuadraticCost(Summable):
     def zero(self) -> bool:
         """Whether all its terms are zero."""
         return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
+
+    def describe(self) -> str:
+        """Return the terms that are there as a formula; nothing if all are zero."""
+        x = "(x - x_ref)" if self.x_ref.any() else "x"
+        u = "(u - u_ref)" if self.u_ref.any() else "u"
+        half = "\N{VULGAR FRACTION ONE HALF}"
+        stage = [
+            (self.Q, f"{half} {x}' Q {x}"),
+            (self.R, f"{half} {u}' R {u}"),
+            (self.S, f"{x}' S {u}"),
+            (self.q, "q' x"),
+            (self.r, "r' u"),
+        ]
+        terminal = [(self.P, f"{half} {x}' P {x} at the end"), (self.p, "p' x at the end")]
+        summed = [words for values, words in stage if values.any()]
+        parts = [f"the sum of {' + '.join(summed)}"] if summed else []
+        return " + ".join([*parts, *(words for values, words in terminal if values.any())])
+
+    def describe_data(self) -> list[str]:
+        """Return what stands for every letter of the formula."""
+        used = {"x_ref": self.Q.any() or self.P.any() or self.S.any(), "u_ref": self.R.any() or self.S.any()}
+        dimensions = {"Q": 2, "R": 2, "S": 2, "P": 2, "q": 1, "r": 1, "p": 1, "x_ref": 1, "u_ref": 1}
+        return [
+            datum(field, getattr(self, field), count)
+            for field, count in dimensions.items()
+            if getattr(self, field).any() and used.get(field, True)
+        ]
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
         """Return the same cost with every term an array of the right shape, checked."""

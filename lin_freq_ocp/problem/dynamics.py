@@ -14,6 +14,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, assign, positive_number, real_array, times_vectors
 from lin_freq_ocp.problem.labels import signal_labels
 from lin_freq_ocp.problem.linearisation import clock, linearisation
+from lin_freq_ocp.problem.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -229,6 +230,15 @@ class LinearDynamics:
         """Whether A or B depends on time."""
         return self.A.ndim == 3 or self.B.ndim == 3
 
+    def describe(self) -> str:
+        """Return the map as a formula, what depends on time, and the offset."""
+        known = " + d" if self.offset.any() else ""
+        text = f"linear: A x + B u{known}, {plural(self.state_dim, 'state')}, {plural(self.control_dim, 'control')}"
+        varying = [
+            f"{name} depends on time" for name, one in (("A", self.A), ("B", self.B)) if one.ndim == 3 and _varies(one)
+        ]
+        return "; ".join([text, *varying, *([datum("d", self.offset, 1)] if known else [])])
+
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
         for field, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
@@ -275,3 +285,7 @@ class LinearDynamics:
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
         return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))
+
+
+def _varies(matrices: Array) -> bool:
+    return bool((matrices != matrices[0]).any())

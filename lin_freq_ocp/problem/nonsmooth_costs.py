@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, assign, brief, real_array, shaped
 from lin_freq_ocp.problem.costs import QuadraticCost, Summable
 from lin_freq_ocp.problem.maps import StageMap
 from lin_freq_ocp.problem.penalties import Norm
+from lin_freq_ocp.problem.phrases import datum, listed, span, vector
 from lin_freq_ocp.problem.terms import Term
 
 
@@ -40,6 +41,24 @@ class _NormCost(Summable):
             if (arrays[field] < 0).any():
                 raise ProblemError(f"{type(self).__name__}.{field}", brief(given[field]), "weights of zero or above")
         assign(self, **arrays)
+
+    def describe(self) -> str:
+        """Return in words what is summed, and with which weights; nothing if all are zero."""
+        weighted = (("states", self.x), ("controls", self.u), ("terminal state", self.terminal))
+        parts = [_weighted(what, weights) for what, weights in weighted if weights.any()]
+        if not parts:
+            return ""
+        kind = "the sum of absolute values" if isinstance(self, L1Cost) else "the largest absolute value"
+        references = [
+            datum(field, values, 1)
+            for field, values, used in (
+                ("x_ref", self.x_ref, self.x.any() or self.terminal.any()),
+                ("u_ref", self.u_ref, self.u.any()),
+            )
+            if used and values.any()
+        ]
+        deviations = f" of deviations from {listed(references)}" if references else ""
+        return f"{kind}{deviations} at each time: {listed(parts)}"
 
     def terms(self, n: int, m: int, horizon: int, place: str, name: str) -> list[Term]:
         """Return its terms with v = weight * deviation, checked against the problem's dimensions."""
@@ -145,6 +164,12 @@ class CostSum(Summable):
             before = sum(type(other) is type(cost) for other in self.norms[:i])
             found += cost.terms(n, m, horizon, f"cost.norms[{i}]", kind + (f" {before + 1}" if before else ""))
         return found
+
+
+def _weighted(what: str, weights: Array) -> str:
+    if weights.ndim == 2 and (weights != weights[0]).any():
+        return f"{what} with weights that depend on time,{span(weights)}"
+    return f"{what} with weights {vector(weights[0] if weights.ndim == 2 else weights)}"
 
 
 def as_cost(cost: Any) -> QuadraticCost | CostSum | None:

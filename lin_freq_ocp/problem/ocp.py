@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula
+from lin_freq_ocp.problem.html import html_table
 from lin_freq_ocp.problem.labels import printable
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
@@ -255,6 +258,11 @@ class OptimalControlProblem:
         return self.dynamics.sampling_time
 
     @property
+    def times(self) -> Array:
+        """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
+        return np.arange(self.horizon + 1, dtype=np.float64) * (self.sampling_time or 1.0)
+
+    @property
     def state_names(self) -> tuple[str, ...]:
         """Return the names of the state components, with units."""
         return tuple(self.dynamics.state_names or ())
@@ -375,6 +383,11 @@ class OptimalControlProblem:
 
     def __repr__(self) -> str:
         return f"OptimalControlProblem({self})"
+
+    def _repr_html_(self) -> str:
+        from lin_freq_ocp.problem.facts import problem_facts
+
+        return html_table(self.name or "Optimal control problem", problem_facts(self))
 
 
 def require_problem(problem: Any) -> None:

@@ -14,6 +14,7 @@ from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
+from lin_freq_ocp.problem.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -75,6 +76,19 @@ class OutputSpectrum:
             constraints=listed,
             output_names=names("output_spectrum.output_names", output_names, count, "y"),
         )
+
+    def describe(self, signals: Sequence[str]) -> str:
+        """Return the outputs that are constrained, for states and then controls of these names."""
+        used = list[int]()
+        for one in self.constraints:
+            used += component_indices("output_spectrum", one.component, self.output_names)
+        rows = np.hstack([part for part in (self.C, self.D) if part is not None])
+        offset = len(signals) - rows.shape[1] if self.C is None else 0
+        parts = [
+            f"{short_name(self.output_names[j])} = {combination(rows[j], signals[offset:])}" for j in sorted(set(used))
+        ]
+        text = ", ".join(parts)
+        return text if len(text) <= MOST_TEXT else f"{plural(len(parts), 'linear combination')} of states and controls"
 
 
 def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:

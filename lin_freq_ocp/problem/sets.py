@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Bound, Mask, assign, brief, frozen, one_component, real_array
+from lin_freq_ocp.problem.phrases import MOST_TEXT, intervals, plural, short_name
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.convex_sets import Intersection
@@ -123,6 +124,19 @@ class Box:
     def normal_gap(self, v: Array, y: Array) -> Array:
         """Return sigma(y) - <y, v>: zero iff y lies in the normal cone of the box at v (v in the box)."""
         return self.normal_gap_terms(v, y).sum(axis=-1)
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return it in words, for components of these names; see ``ConvexSet.describe``."""
+        box = self.at_dimension(len(names), "names")
+        bounds = np.atleast_2d(box.lower), np.atleast_2d(box.upper)
+        parts = {name: intervals(*(bound[:, i] for bound in bounds)) for i, name in enumerate(names)}
+        found = {name: words for name, words in parts.items() if words != "no bound"}
+        if not found:
+            return "no constraint"
+        if len(found) == len(names) and len(set(found.values())) == 1:
+            return f"every component {next(iter(found.values()))}"
+        text = ", ".join(f"{short_name(name)} {words}" for name, words in found.items())
+        return text if len(text) <= MOST_TEXT else f"bounds on {plural(len(found), 'component')}"
 
     def __and__(self, other: Any) -> Intersection:
         from lin_freq_ocp.problem.convex_sets import Intersection

@@ -130,7 +130,7 @@ def _own_sizes(problem: OptimalControlProblem, offset: Array) -> Array:
     return np.append(x, np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0))
 
 
-def _has_slope(problem: OptimalControlProblem) -> Array:
+def _has_slope(problem: OptimalControlProblem) -> Mask:
     """Return which states and controls the quadratic cost has a linear term in, (n + m,)."""
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     in_x = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p)

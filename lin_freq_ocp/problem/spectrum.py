@@ -15,6 +15,10 @@ from scipy import fft
 
 from lin_freq_ocp.errors import BandWarning, ProblemError
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask, brief, real_array
+from lin_freq_ocp.problem.phrases import number, runs_in_words, runs_of, split_unit
+
+MIRRORED = ", and their mirror images"
+"""What goes with every bin of a real signal."""
 
 BIN_TOLERANCE = 1e-9
 """A cut-off within this distance of a bin (in bins, relative to the bin number above 1) falls on it, and keeps it."""
@@ -46,6 +50,25 @@ class Band:
         """Return the lower and upper edge in ``unit``, of a band given by frequencies."""
         first, second = self.edges
         return (first - second / 2, first + second / 2) if self.kind == "notch" else (first, second)
+
+    @property
+    def removed(self) -> str:
+        """Return in words which bins it removes."""
+        if self.unit == "bins":
+            bins = np.unique([int(edge) for edge in self.edges])
+            return f"bins {runs_in_words(runs_of(bins))}" if len(bins) > 1 else f"bin {bins[0]}"
+        low, high = (number(edge) for edge in self.limits)
+        return {
+            "low_pass": f"the bins above {high} {self.unit}",
+            "high_pass": f"the bins below {low} {self.unit}",
+            "band_pass": f"the bins below {low} and above {high} {self.unit}",
+            "notch": f"the bins between {low} and {high} {self.unit}",
+        }[self.kind]
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        kind = self.kind.replace("_", " ")
+        return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero{MIRRORED}"
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
@@ -223,6 +246,13 @@ def bands_of(stop: Mask) -> list[Band]:
     """Return bands that remove just these bins (k, components)."""
     components = np.flatnonzero(stop.any(0))
     return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
+
+
+def component_words(component: int | str | None, names: Sequence[str]) -> str:
+    """Return the name of a component, without its unit, or that all are meant."""
+    if component is None and len(names) > 1:
+        return "every component"
+    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
 
 
 def time_signal(rho: ComplexArray, length: int) -> Array:

@@ -6,7 +6,7 @@ grid than the DFT's (``oversampling``), or with a window, they are the cure for 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any, Self
@@ -17,7 +17,8 @@ from scipy.signal import get_window
 
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.problem.spectrum import Band, stop_band
+from lin_freq_ocp.problem.phrases import AT_MOST, datum, first_few, number, price, short_name
+from lin_freq_ocp.problem.spectrum import Band, component_words, stop_band
 
 NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
@@ -76,6 +77,14 @@ class _SpectrumBound:
         alone = copy(self)
         assign(alone, component=component)
         return alone
+
+    @property
+    def where(self) -> str:
+        """Return in words where it holds: the bins, the window and the grid, and what leaving it costs."""
+        window = "given" if not isinstance(self.window, str) else self.window
+        windowed = "" if self.window is None else f"; window {window}"
+        finer = "" if self.oversampling == 1 else f"; on a grid {self.oversampling} times as fine"
+        return f"{self.band.removed}{windowed}{finer}"
 
     def samples(self, length: int, field: str) -> Array:
         """Return the window of a signal, (length,)."""
@@ -168,6 +177,14 @@ class MagnitudeBound(_SpectrumBound):
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
 
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        low, high = (number(float(limit)) for limit in (self.limit.min(), self.limit.max()))
+        limit = low if low == high else f"{low} to {high} (a limit for each bin)"
+        between = " and between its points" if self.between else ""
+        of = component_words(self.component, names)
+        return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
+
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
         """Return where on the grid it holds: indices within 0 .. points/2, in the order of the limits."""
         found = super().bins(length, sampling_time, field)
@@ -221,6 +238,12 @@ class EnergyBound(_SpectrumBound):
         assign(self, limit=float(energy))
         self._place(bins, band, component, penalty, window, oversampling)
 
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        of, limit = component_words(self.component, names), f"{AT_MOST} {number(self.limit)}"
+        square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
+        return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
+
     def root(self) -> Array:
         """Return the limit of the Euclidean norm of all bounded points of the grid."""
         return np.asarray(self.factor * np.sqrt(self.limit))
@@ -271,6 +294,16 @@ class LinearConstraint:
             got = f"{right[row]:g} for row {row}, which has no coefficients"
             raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
         assign(self, coefficients=matrices, constant=right, penalty=soft)
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        rows = self.coefficients.shape[1]
+        used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
+        of = first_few(used) if used else "nothing"
+        equations = "linear equation" if rows == 1 else f"{rows} linear equations"
+        right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"
+        cost = price(self.penalty, "norm")
+        return f"{equations} in {of} over all times: constant + sum of coefficients_t v_t = 0{right}{cost}"
 
 
 def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:

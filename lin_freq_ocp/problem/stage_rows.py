@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_number, real_array, shaped, times_vectors
+from lin_freq_ocp.problem.phrases import AT_MOST, inequalities, plural, price
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -134,6 +135,18 @@ class StageRows:
             times_vectors(np.swapaxes(self.C, -1, -2), weights),
             times_vectors(np.swapaxes(self.D, -1, -2), weights),
         )
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return few rows one by one, of others how many there are, for states and then controls of these names."""
+        symbols = f"C x + D u {AT_MOST} e"
+        varying = self.time_varying or (self.e.ndim == 2 and bool((self.e != self.e[0]).any()))
+        if varying:
+            text = f"{plural(self.rows, 'row')} {symbols}, which depend on time"
+        else:
+            limits = self.e if self.e.ndim == 1 else self.e[0]
+            coefficients = [matrix if matrix.ndim == 2 else matrix[0] for matrix in (self.C, self.D)]
+            text = inequalities(np.hstack(coefficients), limits, names, symbols)
+        return f"{text}{price(self.penalty, 'excess of a row')}"
 
     def magnitudes(self) -> StageRows:
         """Return the rows of |C|, |D|, |e|: their values bound the sums of the absolute values of all terms."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.compare import Comparison, Filtered
+from lin_freq_ocp.comparison.filters import filter_stop
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import Measures, one_step_residual, stated_sizes
@@ -15,8 +16,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box, stacked
 from lin_freq_ocp.problem.terms import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.result import Result
 
-CLASSICAL, CONSTRAINED, OPTIMAL = "classical", "constrained", "optimal"
+CLASSICAL, CONSTRAINED = "classical", "constrained"
 PREFERRED_FILTER = "brickwall"
 
 
@@ -120,18 +122,16 @@ class Entry:
 def entries(comparison: Comparison) -> tuple[Entry, ...]:
     """Return the classical trajectory, what every filter makes of it, and the constrained one, which is the last.
 
-    Without any stop band all of these are one trajectory, which is returned alone.
+    Without any frequency constraint all of these are one trajectory, which is returned alone.
     """
     problem, result = comparison.problem, comparison.constrained
-    solution = Entry(
-        CONSTRAINED if has_stop_band(problem) else OPTIMAL, problem, result.trajectory, comparison.constrained_measures
-    )
-    if not has_stop_band(problem):
-        return (solution,)
+    if not has_frequency_constraint(problem):
+        return (Entry(solution_label(result), problem, result.trajectory, comparison.constrained_measures),)
+    filtered = comparison.filtered if can_be_filtered(problem) else ()
     return (
         Entry(CLASSICAL, problem, comparison.classical.trajectory, comparison.classical_measures),
-        *(filtered_entry(problem, one) for one in comparison.filtered),
-        solution,
+        *(filtered_entry(problem, one) for one in filtered),
+        Entry(CONSTRAINED, problem, result.trajectory, comparison.constrained_measures),
     )
 
 
@@ -148,7 +148,7 @@ def shown_filter(comparison: Comparison, name: str | None = None) -> Filtered | 
     ProblemError
         If the comparison has no filter of that name.
     """
-    if not has_stop_band(comparison.problem) or (name is None and not comparison.filtered):
+    if not can_be_filtered(comparison.problem) or (name is None and not comparison.filtered):
         return None
     by_name = {one.name: one for one in comparison.filtered}
     if name is None:
@@ -158,9 +158,20 @@ def shown_filter(comparison: Comparison, name: str | None = None) -> Filtered | 
     return by_name[name]
 
 
-def has_stop_band(problem: OptimalControlProblem) -> bool:
-    """Whether any bin of any control or state is removed or bounded."""
-    return bool(problem.control_band.any() or problem.state_band.any())
+def has_frequency_constraint(problem: OptimalControlProblem) -> bool:
+    """Whether anything is asked of the spectrum of a control, a state or an output."""
+    stopped = bool(problem.control_stop.any() or problem.state_stop.any())
+    return stopped or any(term.kind.endswith("spectrum") for term in problem.terms)
+
+
+def can_be_filtered(problem: OptimalControlProblem) -> bool:
+    """Whether there is any bin that a filter of the controls could remove."""
+    return bool(filter_stop(problem).any())
+
+
+def solution_label(result: Result) -> str:
+    """Return what the solution of a problem is called where it stands alone."""
+    return {"optimal": "optimal", "locally_optimal": "locally optimal"}.get(result.status, "best point")
 
 
 def state_bounds(problem: OptimalControlProblem) -> Box:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
+from itertools import product
 from math import ceil
 from string import ascii_lowercase
 
@@ -19,13 +19,13 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.problem.phrases import NO_BOUND, number, short_name, split_unit
 from lin_freq_ocp.problem.sensitivities import bin_prices
 from lin_freq_ocp.problem.sizes import GAP_TOLERANCE
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.report.entries import has_stop_band, shown_filter
+from lin_freq_ocp.report.entries import has_frequency_constraint, shown_filter, solution_label
 from lin_freq_ocp.report.mode_panels import mode_legend
 from lin_freq_ocp.report.modes import mode_sequence, sequence_of
-from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.panels import (
     control_panel,
     frequency_axis,
@@ -33,6 +33,7 @@ from lin_freq_ocp.report.panels import (
     shade_stop_band,
     spectrum_panel,
     state_panel,
+    states_panel,
 )
 from lin_freq_ocp.report.scene import Component, Scene
 from lin_freq_ocp.report.style import (
@@ -45,11 +46,15 @@ from lin_freq_ocp.report.style import (
     MARKERS,
     MUTED,
     PAPER,
+    REFERENCE,
+    REFERENCE_LINE,
     ROW_HEIGHT,
+    SOFT,
     STYLES,
     Trace,
     dress,
     legend_above,
+    legend_rows,
     new_figure,
     thinned,
 )
@@ -57,6 +62,11 @@ from lin_freq_ocp.result import Result
 
 LEGEND_HEIGHT = 0.5
 """Inches for the legend above the panels."""
+
+STATE_ROW_HEIGHT = 0.78 * ROW_HEIGHT
+
+MOST_PANELS = 6
+"""Up to so many states have a panel each; of more, those of the same unit share one."""
 
 SMALLEST_SHOWN = 1e-6
 """Stage gaps below this fraction of the largest are rounding, and drawn at the lower edge."""
@@ -66,14 +76,14 @@ ROUNDING = 1e-12
 
 
 def result_figure(result: Result) -> Figure:
-    """Return controls, their spectra and two phase portraits of one solution.
+    """Return controls, their spectra, two phase portraits and all states in time of one solution.
 
     Raises
     ------
     SolveError
         If the result has no trajectory.
     """
-    return four_panels(result_scene(result))
+    return four_panels(result_scene(result), with_states=True)
 
 
 def comparison_figure(comparison: Comparison, filter_name: str | None = None) -> Figure:
@@ -97,15 +107,14 @@ def result_scene(result: Result) -> Scene:
     """Return the solution as a scene; SolveError if it has no trajectory."""
     if result.trajectory is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
-    label = result.status.replace("_", " ") if "optimal" in result.status else "best point"
-    return Scene(result.problem, (_solved(label, result),))
+    return Scene(result.problem, (_solved(solution_label(result), result),))
 
 
 def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> Scene:
     """Return what there is of the classical, the filtered and the constrained trajectory."""
     problem, constrained = comparison.problem, comparison.constrained
     one = shown_filter(comparison, filter_name)
-    if not has_stop_band(problem) and constrained.trajectory is not None:
+    if not has_frequency_constraint(problem) and constrained.trajectory is not None:
         return result_scene(constrained)
     traces = list[Trace]()
     if comparison.classical.trajectory is not None:
@@ -127,27 +136,47 @@ def _solved(label: str, result: Result) -> Trace:
     return Trace(label, result.trajectory, style, sequence=sequence_of(result))
 
 
-def four_panels(scene: Scene) -> Figure:
-    """Return each control in time beside its spectrum, and two views of the states below."""
+def four_panels(scene: Scene, with_states: bool = False) -> Figure:
+    """Return each control in time beside its spectrum, and two views of the states below; on request, all in time."""
     problem = scene.problem
-    controls = problem.control_dim
-    figure = new_figure(ROW_HEIGHT * (controls + 1) + LEGEND_HEIGHT + mode_legend(scene).height)
-    grid = figure.add_gridspec(controls + 1, 2)
-    letters = cycle(ascii_lowercase)
+    controls, groups = problem.control_dim, _groups_of_states(scene) if with_states else []
+    state_rows = ceil(len(groups) / 2)
+    views = 0 if with_states and problem.state_dim == 1 else 1
+    heights = [ROW_HEIGHT] * (controls + views) + [STATE_ROW_HEIGHT] * state_rows
+    legend = _legend_handles(scene, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
+    figure = new_figure(sum(heights) + LEGEND_HEIGHT * legend_rows(legend) + mode_legend(scene).height)
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    letters = (f"({''.join(one)})" for size in (1, 2) for one in product(ascii_lowercase, repeat=size))
     for j, name in enumerate(problem.control_names):
-        short = _capital(name)
-        control_panel(figure.add_subplot(grid[j, 0]), scene, j, f"({next(letters)}) {short}")
+        control_panel(figure.add_subplot(grid[j, 0]), scene, j, f"{next(letters)} {short_name(name)}")
         spectrum_panel(
-            figure.add_subplot(grid[j, 1]),
-            scene,
-            scene.control(j),
-            f"({next(letters)}) Spectrum of {split_unit(name)[0]}",
+            figure.add_subplot(grid[j, 1]), scene, scene.control(j), f"{next(letters)} Spectrum of {short_name(name)}"
         )
-    for column, title in zip(range(2), letters, strict=False):
-        _draw_states(figure, grid, scene, column, f"({title})")
-    _legend(figure, scene, with_ends=problem.state_dim > 1, with_band=bool(problem.control_band.any()))
+    if with_states and problem.state_dim == 2:
+        title = f"{next(letters)} {' and '.join(map(short_name, problem.state_names))}"
+        phase_panel(figure.add_subplot(grid[controls, :]), scene, 0, 1, title)
+    else:
+        for column in range(2 * views):
+            _draw_states(figure, grid, scene, column, controls, next(letters))
+    for k, group in enumerate(groups):
+        row, alone = controls + views + k // 2, k == len(groups) - 1 and not k % 2
+        ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
+        states_panel(ax, scene, group, next(letters))
+    legend_above(figure, legend, handlelength=2.6)
     mode_legend(scene).draw(figure)
     return figure
+
+
+def _groups_of_states(scene: Scene) -> list[list[int]]:
+    """Return the states that share a panel: few have one each, of many those of the same unit, some at a time."""
+    problem = scene.problem
+    if problem.state_dim <= MOST_PANELS or len(scene.traces) > 1:
+        return [[i] for i in range(problem.state_dim)]
+    of_unit: dict[str, list[int]] = {}
+    for i, name in enumerate(problem.state_names):
+        of_unit.setdefault(split_unit(name)[1], []).append(i)
+    size = len(COMPONENTS)
+    return [states[at : at + size] for states in of_unit.values() for at in range(0, len(states), size)]
 
 
 def phase_pairs(n: int) -> list[tuple[int, int]]:
@@ -157,25 +186,25 @@ def phase_pairs(n: int) -> list[tuple[int, int]]:
     return pairs[:2]
 
 
-def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, letter: str) -> None:
-    """Draw a phase portrait into the last row; where there are not two, the first state in time."""
+def _draw_states(figure: Figure, grid: GridSpec, scene: Scene, column: int, row: int, letter: str) -> None:
+    """Draw a phase portrait into a row; where there are not two, the first state in time."""
     names, pairs = scene.problem.state_names, phase_pairs(scene.problem.state_dim)
     if column < len(pairs):
         i, j = pairs[column]
-        title = f"{letter} {_capital(names[i])} and {split_unit(names[j])[0]}"
-        phase_panel(figure.add_subplot(grid[-1, column]), scene, i, j, title)
+        title = f"{letter} {short_name(names[i])} and {short_name(names[j])}"
+        phase_panel(figure.add_subplot(grid[row, column]), scene, i, j, title)
     elif pairs:
-        state_panel(figure.add_subplot(grid[-1, column]), scene, 0, f"{letter} {_capital(names[0])}")
+        state_panel(figure.add_subplot(grid[row, column]), scene, 0, f"{letter} {short_name(names[0])}")
     elif column == 0:
-        state_panel(figure.add_subplot(grid[-1, :]), scene, 0, f"{letter} {_capital(names[0])}")
+        state_panel(figure.add_subplot(grid[row, :]), scene, 0, f"{letter} {short_name(names[0])}")
 
 
 def states_figure(scene: Scene) -> Figure:
     """Return every state in time, within its bounds."""
     names = scene.problem.state_names
-    figure, panels = _two_columns(len(names), 0.78 * ROW_HEIGHT, mode_legend(scene).height)
+    figure, panels = _two_columns(len(names), STATE_ROW_HEIGHT, mode_legend(scene).height)
     for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
-        state_panel(ax, scene, i, _capital(name))
+        state_panel(ax, scene, i, short_name(name))
     _legend(figure, scene, with_ends=False, with_band=False)
     mode_legend(scene).draw(figure)
     return figure
@@ -186,7 +215,17 @@ def state_spectra_figure(scene: Scene) -> Figure:
     stopped = [int(i) for i in np.flatnonzero(scene.problem.state_band.any(0))]
     figure, panels = _two_columns(len(stopped), ROW_HEIGHT)
     for i, ax in zip(stopped, panels, strict=True):
-        spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {split_unit(scene.problem.state_names[i])[0]}")
+        spectrum_panel(ax, scene, scene.state(i), f"Spectrum of {short_name(scene.problem.state_names[i])}")
+    _legend(figure, scene, with_ends=False, with_band=True, with_bounds=False)
+    return figure
+
+
+def output_spectra_figure(scene: Scene) -> Figure:
+    """Return the spectra of the outputs that have a frequency constraint (there must be one)."""
+    outputs = scene.outputs()
+    figure, panels = _two_columns(len(outputs), ROW_HEIGHT)
+    for output, ax in zip(outputs, panels, strict=True):
+        spectrum_panel(ax, scene, output, f"Spectrum of {short_name(output.name)}")
     _legend(figure, scene, with_ends=False, with_band=True, with_bounds=False)
     return figure
 
@@ -279,7 +318,7 @@ def _draw_prices(ax: Axes, component: Component, frequency: np.ndarray, price: n
         linestyle="none",
         color=color,
         markersize=5,
-        label=split_unit(component.name)[0],
+        label=short_name(component.name),
     )
 
 
@@ -291,33 +330,38 @@ def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure,
     return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
 
 
-def _capital(name: str) -> str:
-    """Return a component's name without its unit, as a title begins."""
-    short = split_unit(name)[0]
-    return short[:1].upper() + short[1:] if short.isalpha() or " " in short else short
-
-
 def _has_bounds(scene: Scene) -> bool:
     boxes = scene.problem.control_tube, scene.state_bounds
-    return any(bool(np.isfinite(bound).any()) for box in boxes for bound in (box.lower, box.upper))
+    return any(bool((np.abs(bound) < NO_BOUND).any()) for box in boxes for bound in (box.lower, box.upper))
 
 
 def _legend(figure: Figure, scene: Scene, with_ends: bool, with_band: bool, with_bounds: bool = True) -> None:
     """Explain lines and markers above the panels."""
+    legend_above(figure, _legend_handles(scene, with_ends, with_band, with_bounds), handlelength=2.6)
+
+
+def _legend_handles(scene: Scene, with_ends: bool, with_band: bool, with_bounds: bool) -> list[Artist]:
     handles: list[Artist] = []
     for trace in scene.traces:
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
         handles.append(
             Line2D([], [], color=style.color, linestyle=style.line, linewidth=style.width + 0.3, label=label)
         )
-    if with_bounds and _has_bounds(scene):
+    components = scene.components()
+    rows = [line for one in components for line in one.row_bounds] if with_bounds else []
+    levels = [line for one in components for line in one.levels] if with_band else []
+    if (with_bounds and _has_bounds(scene)) or any(not line.soft for line in [*rows, *levels]):
         handles.append(Line2D([], [], color=BOUND, linewidth=1.2, label="bound"))
+    if any(line.soft for line in [*rows, *levels]):
+        handles.append(Line2D([], [], color=BOUND, linewidth=1.2, linestyle=SOFT, label="soft bound"))
+    if with_bounds and any(one.references for one in components):
+        handles.append(Line2D([], [], color=REFERENCE, linewidth=1.2, linestyle=REFERENCE_LINE, label="reference"))
     if with_band:
-        handles.append(Patch(facecolor=BAND, label="stop band"))
+        handles.append(Patch(facecolor=BAND, label="stopped or bounded bins" if levels else "stop band"))
     if with_ends:
         markers: Sequence[tuple[str, str, str]] = (("o", PAPER, "start"), ("s", INK, "end"))
         for marker, face, label in markers:
             handles.append(
                 Line2D([], [], linestyle="none", marker=marker, color=INK, markerfacecolor=face, label=label)
             )
-    legend_above(figure, handles, handlelength=2.6)
+    return handles

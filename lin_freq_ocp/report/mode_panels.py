@@ -18,9 +18,9 @@ from matplotlib.ticker import FuncFormatter
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.report.entries import CLASSICAL, CONSTRAINED, OPTIMAL, entries
+from lin_freq_ocp.problem.phrases import LARGE, SMALL, number, split_unit
+from lin_freq_ocp.report.entries import CLASSICAL, entries
 from lin_freq_ocp.report.modes import NO_MODE, Kink, Span, mode_names, mode_sequence, sequence_of, spans
-from lin_freq_ocp.report.numbers import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.scene import MARGIN, Scene
 from lin_freq_ocp.report.style import (
     COMPONENTS,
@@ -106,7 +106,7 @@ class ModeLegend:
         legend = figure.legend(
             handles=[Patch(**_look(mode)) for mode in self.modes],
             labels=["mode"] * len(self.modes),
-            title=None if self.in_one_row else plain(self.whose[:1].upper() + self.whose[1:]),
+            title=None if self.in_one_row else plain(self.whose),
             title_fontsize=LABEL_SIZE + 0.5,
             alignment="left",
             loc="outside lower left",
@@ -138,10 +138,11 @@ def _legend_of(scene: Scene, modes: set[int], whose: str) -> ModeLegend:
 def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
     """Return label and mode sequence of every trajectory of a comparison; None where its states mean nothing."""
     rows = list[tuple[str, Indices | None]]()
-    for entry in entries(comparison):
+    shown = entries(comparison)
+    for entry in shown:
         if entry.trajectory is not None:
             rows.append((entry.label, mode_sequence(entry.problem, entry.trajectory) if entry.replayed else None))
-    solved = {CLASSICAL: comparison.classical, CONSTRAINED: comparison.constrained, OPTIMAL: comparison.constrained}
+    solved = {CLASSICAL: comparison.classical, shown[-1].label: comparison.constrained}
     return [(label, sequence_of(solved[label]) if label in solved else modes) for label, modes in rows]
 
 

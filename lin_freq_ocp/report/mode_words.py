@@ -8,35 +8,14 @@ import numpy as np
 
 from lin_freq_ocp.certificate.clarke import BorderFacts, Flip
 from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.formula_text import text_of
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.report.modes import NO_MODE, mode_names
-from lin_freq_ocp.report.numbers import listed, number, plural
+from lin_freq_ocp.problem.phrases import listed, number, plural
+from lin_freq_ocp.report.modes import NO_MODE
 from lin_freq_ocp.result import Result
 
 NAMED_TIMES = 4
 """Times of which a text names what is special to each before it only counts the others."""
 
 ETA, XI, ALPHA = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}"
-
-
-def dynamics_facts(problem: OptimalControlProblem) -> list[tuple[str, str]]:
-    """Return what the dynamics are, for problems with modes; nothing for linear ones."""
-    dynamics, names = problem.dynamics, mode_names(problem)
-    if isinstance(dynamics, PiecewiseAffineDynamics):
-        kind = "an affine map in each, where G x + H u \N{LESS-THAN OR EQUAL TO} h"
-    elif isinstance(dynamics, PiecewiseSmoothDynamics):
-        kind = "a smooth map in each, where its switching functions are at most zero"
-    else:
-        return []
-    facts = [("modes", f"{len(names)}: {listed([_quoted(name) for name in names])}; {kind}")] if len(names) > 1 else []
-    if isinstance(dynamics, PiecewiseSmoothDynamics) and dynamics.norms:
-        labels = [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)]
-        shown = listed(list(dict.fromkeys(text_of(one, labels) for one in dynamics.norms)))
-        facts.append(("kinks", f"{shown}, not differentiable at zero"))
-    return facts
 
 
 def border_sentences(borders: BorderFacts) -> list[str]:

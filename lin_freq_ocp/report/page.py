@@ -19,13 +19,15 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.filters import filter_limits
+from lin_freq_ocp.problem.facts import problem_facts
+from lin_freq_ocp.problem.phrases import number
 from lin_freq_ocp.report import figures, words
-from lin_freq_ocp.report.entries import has_stop_band, shown_filter
-from lin_freq_ocp.report.facts import problem_facts
+from lin_freq_ocp.report.entries import can_be_filtered, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.mode_panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.mode_words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.modes import kinks, mode_names
-from lin_freq_ocp.report.numbers import number, rough
+from lin_freq_ocp.report.numbers import rough
 from lin_freq_ocp.report.scene import Scene
 from lin_freq_ocp.report.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
@@ -104,8 +106,10 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
         replay_is_meaningful=comparison.replay_is_meaningful,
         stopped=[one.name.replace("_", " ") for one in comparison.filtered if one.replay.stopped],
         facts=problem_facts(problem),
+        filter_limits=filter_limits(problem),
         filters=[(one.name.replace("_", " "), one.description) for one in comparison.filtered],
-        has_stop_band=has_stop_band(problem),
+        constrained=has_frequency_constraint(problem),
+        filterable=can_be_filtered(problem),
         solves=[_how(what, one) for what, one in _solves(comparison)],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
         version=version("lin-freq-ocp"),
@@ -115,19 +119,22 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
 def tiles(comparison: Comparison) -> list[tuple[str, str, str]]:
     """Return the figures of the headline: what, the number, and a word on it."""
     result, certificate = comparison.constrained, comparison.constrained.certificate
-    shown = [("cost without stop band", number(comparison.classical.cost), "")]
-    if not has_stop_band(comparison.problem):
+    shown = [("cost without frequency constraint", number(comparison.classical.cost), "")]
+    if not has_frequency_constraint(comparison.problem):
         shown = []
     if certificate is None:
         return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
-    cost, remark = "optimal cost", ""
+    cost, remark = ("optimal cost", "") if words.proven_optimal(result) else ("cost found", "not proven global")
     if certificate.borders is not None and certificate.bound is None:
         cost, remark = "cost found", "no global bound"
+    if not certificate.feasible:
+        remark = "breaks constraints"
     shown.append(("cost with the constraint" if shown else cost, number(result.cost), remark))
     kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
     shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
     if certificate.gap is not None and certificate.bound is not None:
-        shown.append(("gap to the global bound", number(certificate.gap, 2), certificate.bound.kind))
+        bound = "global bound" if certificate.bound.kind == words.RIGOROUS else "numerical bound"
+        shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
     return shown
 
 
@@ -156,6 +163,8 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
     if comparison.problem.state_band.any():
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
+    if scene.outputs():
+        yield "output_spectra", "Spectra of the outputs with a band", "", figures.output_spectra_figure(scene)
     if scene.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", modes_caption(rows, scene.host.label), strips_figure(scene, rows)
@@ -166,12 +175,12 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
         gap = figures.gap_figure(scene, result.certificate)
         if gap is not None:
             yield "gap", "Gap per stage", words.parts_of_the_gap(result.certificate), gap
-        if has_stop_band(comparison.problem):
+        if comparison.problem.control_band.any() or comparison.problem.state_band.any():
             text = (
-                "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero "
-                "(its mirror image with it): the magnitude of its multiplier."
+                "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
+                "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
             )
-            yield "price", "Price of each removed bin", text, figures.price_figure(scene, result.multipliers)
+            yield "price", "Price of each bin", text, figures.price_figure(scene, result.multipliers)
 
 
 def _adjoint(scene: Scene, result: Result) -> Iterator[tuple[str, str, str, Figure]]:
@@ -195,9 +204,9 @@ def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
 
 
 def _solves(comparison: Comparison) -> list[tuple[str, Result]]:
-    if not has_stop_band(comparison.problem):
+    if not has_frequency_constraint(comparison.problem):
         return [("the problem", comparison.constrained)]
-    return [("without the stop band", comparison.classical), ("with the constraint", comparison.constrained)]
+    return [("without the frequency constraint", comparison.classical), ("with the constraint", comparison.constrained)]
 
 
 def _how(what: str, result: Result) -> tuple[str, str, str, str, str]:

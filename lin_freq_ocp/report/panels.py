@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,36 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
+from lin_freq_ocp.problem.phrases import number, short_name, split_unit
+from lin_freq_ocp.report.marks import Line
 from lin_freq_ocp.report.mode_panels import shade_modes
-from lin_freq_ocp.report.numbers import number, split_unit
 from lin_freq_ocp.report.scene import Component, Scene, View
-from lin_freq_ocp.report.style import BAND, BOUND, INK, PAPER, Note, Trace, dress, thinned
+from lin_freq_ocp.report.style import (
+    BAND,
+    BOUND,
+    COMPONENTS,
+    INK,
+    LABEL_SIZE,
+    PAPER,
+    REFERENCE,
+    REFERENCE_LINE,
+    SOFT,
+    Note,
+    Trace,
+    dress,
+    plain,
+    thinned,
+)
+
+LABEL_CHARACTERS = 30
+"""A longer name is cut off where several share a legend."""
 
 DECADES = 5
 """Decades of a spectrum below its largest value; what is smaller is drawn at the lower edge."""
 
+
+ABOVE = 30
+"""A limit of a spectrum that is more than so many times its largest value leaves the picture."""
 
 FEW_BINS = 48
 """Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours."""
@@ -41,6 +64,26 @@ def state_panel(ax: Axes, scene: Scene, i: int, title: str) -> None:
     state = scene.state(i)
     _draw_in_time(ax, scene, state)
     dress(ax, title, scene.time.label, state.name, scene.notes([state]))
+
+
+def states_panel(ax: Axes, scene: Scene, indices: Sequence[int], letter: str) -> None:
+    """Draw some states of the host in time: one as ``state_panel`` does, more in a colour each."""
+    states = [scene.state(i) for i in indices]
+    if len(states) == 1:
+        state_panel(ax, scene, indices[0], f"{letter} {short_name(states[0].name)}")
+        return
+    shade_modes(ax, scene)
+    for state, color in zip(states, COMPONENTS, strict=False):
+        values = state.of(scene.host)
+        times = scene.time.factor * np.arange(len(values))
+        label = plain(shorten(short_name(state.name), LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}"))
+        ax.plot(*thinned(times, values), color=color, linewidth=1.5, label=label)
+    ax.margins(x=0.015)
+    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, ncols=2)
+    unit = split_unit(states[0].name)[1]
+    names = f"{short_name(states[0].name)} to {short_name(states[-1].name)}"
+    title = shorten(f"{letter} {names}", 2 * LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}")
+    dress(ax, title, scene.time.label, f"[{unit}]" if unit else "state", scene.notes(states))
 
 
 def phase_panel(ax: Axes, scene: Scene, i: int, j: int, title: str) -> None:
@@ -69,6 +112,7 @@ def spectrum_panel(ax: Axes, scene: Scene, component: Component, title: str) -> 
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
     length = len(component.of(traces[0]))
     shade_stop_band(ax, component.stop, length, scene.frequency.factor)
+    highest = _draw_levels(ax, scene, component, floor, ABOVE * top)
     for trace, spectrum in zip(traces, padded, strict=True):
         omega, magnitude = _drawn_line(*spectrum)
         ax.plot(
@@ -81,11 +125,25 @@ def spectrum_panel(ax: Axes, scene: Scene, component: Component, title: str) -> 
         _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(component.of(trace))), floor)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.set_ylim(floor / 1.6, 3 * top)
+    ax.set_ylim(floor / 1.6, 3 * max(top, highest))
     short, unit = split_unit(component.name)
     y_label = f"|DFT of {short}|" + (f" [{unit}]" if unit else "")
     dress(ax, title, scene.frequency.label, y_label, [_spectrum_note(traces, component)])
     frequency_axis(ax, scene)
+
+
+def _draw_levels(ax: Axes, scene: Scene, component: Component, floor: float, ceiling: float) -> float:
+    """Draw the limits of the spectrum, and return the highest that the axis is to show."""
+    highest = 0.0
+    for line in component.levels:
+        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
+        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
+            x, y = scene.frequency.factor * at, np.maximum(level, floor)
+            look: dict[str, Any] = {"color": BOUND, "linewidth": 1.6, "linestyle": SOFT if line.soft else "-"}
+            ax.plot(*thinned(x, y), marker="_" if len(x) == 1 else None, markersize=9, zorder=2.5, **look)
+        near = line.values[line.values <= ceiling]
+        highest = max(highest, float(near.max(initial=0.0)))
+    return highest
 
 
 def shade_stop_band(ax: Axes, stop: Mask, length: int, factor: float) -> None:
@@ -114,6 +172,10 @@ def _draw_in_time(ax: Axes, scene: Scene, component: Component) -> None:
             values = _held(np.where(np.isfinite(bound), bound, np.nan), held)
             times = scene.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
+    for line in component.row_bounds:
+        _draw_line(ax, scene, line, held, {"color": BOUND, "linewidth": 1.2, "linestyle": SOFT if line.soft else "-"})
+    for line in component.references:
+        _draw_line(ax, scene, line, held, {"color": REFERENCE, "linewidth": 1.2, "linestyle": REFERENCE_LINE})
     for trace in scene.showing(component):
         values, style = _held(component.of(trace), held), trace.style
         ax.plot(
@@ -127,6 +189,17 @@ def _draw_in_time(ax: Axes, scene: Scene, component: Component) -> None:
     seen = scene.view(component)
     ax.set_ylim(seen.low, seen.high)
     ax.margins(x=0.015)
+
+
+def _draw_line(ax: Axes, scene: Scene, line: Line, held: bool, look: dict[str, Any]) -> None:
+    """Draw what is asked of a component over time; what is asked at one time alone, as a point."""
+    values, step = line.values, 1 if held else 0
+    values = np.append(values, [values[-1]] * step)
+    times = scene.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
+    if np.isfinite(values).sum() <= 1 + step:
+        look = look | {"marker": "D", "markersize": 4.5}
+    drawing = "steps-post" if held else "default"
+    ax.plot(*thinned(times, values), drawstyle=drawing, zorder=2, **look)
 
 
 def _held(values: Array, held: bool) -> Array:
@@ -177,4 +250,4 @@ def _spectrum_note(traces: Sequence[Trace], component: Component) -> Note:
     for trace in traces:
         peak = stopband_peak(component.of(trace)[:, None], component.stop[:, None])
         named.append(f"{number(peak, 3)} {trace.label}")
-    return Note(f"stop-band peak: {', '.join(named)}")
+    return Note(f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}")

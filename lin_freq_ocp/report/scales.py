@@ -29,10 +29,8 @@ def time_scale(problem: OptimalControlProblem) -> Scale:
 
 
 def frequency_scale(problem: OptimalControlProblem) -> Scale:
-    """Return the scale from rad/sample to Hz, or rad/sample itself without a sampling time."""
+    """Return the scale from rad/sample to Hz, as cut-offs are given, or rad/sample itself without a sampling time."""
     step = problem.sampling_time
     if step is None:
         return Scale(1.0, "rad/sample", "frequency [rad/sample]")
-    nyquist = 0.5 / step
-    factor, unit = (1e-3, "kHz") if nyquist >= 1e4 else (1.0, "Hz") if nyquist >= 1 else (1e3, "mHz")
-    return Scale(factor / (2 * np.pi * step), unit, f"frequency [{unit}]")
+    return Scale(1 / (2 * np.pi * step), "Hz", "frequency [Hz]")

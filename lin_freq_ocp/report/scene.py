@@ -9,12 +9,16 @@ from functools import cached_property
 import numpy as np
 
 from lin_freq_ocp.problem.arrays import Array, Mask
+from lin_freq_ocp.problem.maps import SpectrumMap
 from lin_freq_ocp.problem.measures import amplification
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import listed
+from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.report.entries import state_bounds
+from lin_freq_ocp.report.marks import Line, bounds_of_rows, mask_levels, references, same_row
 from lin_freq_ocp.report.modes import STOPPED, Span, spans
-from lin_freq_ocp.report.numbers import listed, quantity, rough
+from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.report.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.style import Note, Trace
 
@@ -61,9 +65,78 @@ class Component:
         box = state_bounds(self.problem) if self.is_state else self.problem.control_tube
         return box.lower[:, self.index], box.upper[:, self.index]
 
+    @property
+    def references(self) -> list[Line]:
+        """Return what the cost draws it to, over time."""
+        return references(self.problem, self.index, self.is_state)
+
+    @property
+    def row_bounds(self) -> list[Line]:
+        """Return its bounds that stand in rows and soft sets, over time."""
+        return bounds_of_rows(self.problem, self.index, self.is_state)
+
+    @property
+    def levels(self) -> list[Line]:
+        """Return the limits on the magnitude of its spectrum, over frequencies in rad/sample."""
+        row = np.eye(self.problem.state_dim if self.is_state else self.problem.control_dim)[self.index]
+        if self.is_state:
+            return mask_levels(self.problem, "state spectrum", row)
+        return mask_levels(self.problem, "control spectrum", None, row)
+
     def of(self, trace: Trace) -> Array:
         """Return its values over time."""
         return (trace.trajectory.x if self.is_state else trace.trajectory.u)[:, self.index]
+
+
+@dataclass(frozen=True, eq=False)
+class Output(Component):
+    """One output y = C x + D u that a frequency constraint is about: ``index`` of them that are."""
+
+    outputs: OutputSpectrum
+    row: int
+
+    @property
+    def name(self) -> str:
+        """Return its name with its unit."""
+        return self.outputs.output_names[self.row]
+
+    @property
+    def stop(self) -> Mask:
+        """Return its stopped or bounded bins, (N//2 + 1,)."""
+        length = self.problem.horizon + (self.outputs.D is None)
+        stop = np.zeros(length // 2 + 1, dtype=bool)
+        for term in self.problem.terms:
+            if term.kind == "output spectrum" and isinstance(term.map, SpectrumMap):
+                if same_row(term.map.C, self._rows[0]) and same_row(term.map.D, self._rows[1]):
+                    stop[term.map.nearest_bins] = True
+        return stop
+
+    @property
+    def references(self) -> list[Line]:
+        """Return nothing: no cost is about an output."""
+        return []
+
+    @property
+    def row_bounds(self) -> list[Line]:
+        """Return nothing: outputs have no bounds over time."""
+        return []
+
+    @property
+    def levels(self) -> list[Line]:
+        """Return the limits on the magnitude of its spectrum, over frequencies in rad/sample."""
+        return mask_levels(self.problem, "output spectrum", *self._rows)
+
+    def of(self, trace: Trace) -> Array:
+        """Return its values over time."""
+        C, D = self._rows
+        x, u = trace.trajectory.x, trace.trajectory.u
+        parts = ([] if C is None else [x[: len(x) if D is None else len(u)] @ C]) + ([] if D is None else [u @ D])
+        return sum(parts, np.zeros(len(parts[0])))
+
+    @property
+    def _rows(self) -> tuple[Array | None, Array | None]:
+        C, D = self.outputs.C, self.outputs.D
+        return None if C is None else C[self.row], None if D is None else D[self.row]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +183,22 @@ class Scene:
         """Return state i."""
         return Component(self.problem, i, is_state=True)
 
+    def components(self) -> list[Component]:
+        """Return all controls, states and constrained outputs."""
+        controls = [self.control(j) for j in range(self.problem.control_dim)]
+        return [*controls, *(self.state(i) for i in range(self.problem.state_dim)), *self.outputs()]
+
+    def outputs(self) -> list[Output]:
+        """Return the outputs whose spectrum is constrained."""
+        given = self.problem.output_spectrum
+        families = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+        return [
+            output
+            for family in families
+            for i in range(len(family.output_names))
+            if (output := Output(self.problem, i, True, family, i)).stop.any()
+        ]
+
     def showing(self, component: Component) -> tuple[Trace, ...]:
         """Return the traces whose values of this component mean anything."""
         return tuple(trace for trace in self.traces if trace.states_shown or not component.is_state)
@@ -120,7 +209,8 @@ class Scene:
         return view(
             [component.of(trace) for trace in shown if not trace.guest],
             [component.of(trace) for trace in shown if trace.guest],
-            np.concatenate(component.bounds),
+            np.concatenate([*component.bounds, *(line.values for line in component.row_bounds)]),
+            [line.values[np.isfinite(line.values)] for line in component.references],
         )
 
     def notes(self, components: Sequence[Component]) -> list[Note]:
@@ -141,8 +231,9 @@ class Scene:
         return notes
 
 
-def view(hosts: Sequence[Array], guests: Sequence[Array], bounds: Array) -> View:
-    """Return a range that shows all hosts, and guests and bounds as far as they are near."""
+def view(hosts: Sequence[Array], guests: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:
+    """Return a range that shows all hosts and references, and guests and bounds as far as they are near."""
+    hosts = [*hosts, *references]
     low, high = min(float(host.min()) for host in hosts), max(float(host.max()) for host in hosts)
     span = high - low or max(abs(high), 1.0)
     reach = BOUND_REACH * span

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.comparison.sweep_point import Row
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.report.numbers import number
+from lin_freq_ocp.problem.phrases import number
 from lin_freq_ocp.report.style import (
     COMPONENTS,
     INK,
@@ -41,12 +41,10 @@ PITCH, STRIP = 0.04, 0.25
 UNITS = {"cutoff": "rad/sample", "cutoff_hz": "Hz", "sampling_time": "s", "horizon": "steps"}
 """Units of parameters whose names are the package's own."""
 
-WITHOUT_COST = {
-    "infeasible": ("x", "infeasible (proven)"),
-    "unbounded": ("v", "no lower bound (proven)"),
-    "other": ("$?$", "no answer with a proof"),
-}
-"""Marker and words for points that have no cost."""
+ABOVE = {"infeasible": ("x", "infeasible (proven)"), "other": ("$?$", "no point that satisfies all constraints")}
+BELOW = {"unbounded": ("v", "no lower bound (proven)")}
+"""Marker and words for points that have no cost: above all costs where there is no solution, below where there is no
+cheapest."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,8 @@ def sweep_figure(sweep: Sweep) -> Figure:
     """Return the cost against the first parameter whose values are numbers, one line for each choice of the others.
 
     Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what
-    the constraint costs. Hollow points are not proven. Points without cost are marks at the foot.
+    the constraint costs. Hollow points are not proven. Points without a solution are marks above all costs, and those
+    without a lower bound below: no cost is drawn for either.
 
     Raises
     ------
@@ -95,10 +94,11 @@ def sweep_figure(sweep: Sweep) -> Figure:
         ax.set_yscale("log")
     if relative:
         ax.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
-    _draw_marks(ax, lines, name)
+    for marks, above in ((ABOVE, True), (BELOW, False)):
+        _draw_marks(ax, lines, name, marks, above)
     unit = UNITS.get(name)
     words = "cost, relative to that without the constraint" if relative else "cost"
-    x_label = f"{name.replace('_', ' ')}" + (f" [{unit}]" if unit else "")
+    x_label = f"{name.removesuffix('_hz').replace('_', ' ')}" + (f" [{unit}]" if unit else "")
     doubtful = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
     dress(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
@@ -147,27 +147,42 @@ def _draw(ax: Axes, line: Line, i: int, name: str, relative: bool, shown: bool) 
         ax.plot(x, cost, linestyle="none", marker=marker, markersize=5, color=color, markerfacecolor=PAPER, zorder=4)
 
 
-def _draw_marks(ax: Axes, lines: Sequence[Line], name: str) -> None:
-    """Mark the points without cost in a strip below all costs, a row for each line that has some."""
-    marked = [i for i, line in enumerate(lines) if any(row["cost"] is None for row in line.rows)]
+def _draw_marks(ax: Axes, lines: Sequence[Line], name: str, kinds: Mapping[str, tuple[str, str]], above: bool) -> None:
+    """Mark points without cost in a strip above, or below, all costs, a row for each line that has some."""
+    marked = [i for i, line in enumerate(lines) if any(_kind(row) in kinds for row in line.rows)]
     if not marked:
         return
     pitch = min(PITCH, STRIP / len(marked))
-    strip, axis = pitch * len(marked), ax.yaxis.get_transform()
-    low, high = axis.transform(ax.get_ylim())
-    ax.set_ylim(float(axis.inverted().transform(low - (high - low) * strip / (1 - strip))))
-    for kind, (mark, words) in WITHOUT_COST.items():
+    strip = pitch * (len(marked) + 1)
+    _make_room(ax, strip, above)
+    edge = 1 - strip if above else strip
+    ax.axhline(edge, color=MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
+    words, at, side = ("no solution", 1.0, "top") if above else ("no cheapest", 0.0, "bottom")
+    ax.text(0.995, at, words, transform=ax.transAxes, ha="right", va=side, color=MUTED, fontsize=LABEL_SIZE)
+    for kind, (mark, words) in kinds.items():
         style: dict[str, Any] = {"linestyle": "none", "marker": mark, "markersize": 6}
-        for height, i in enumerate(marked, 1):
-            x = [row["parameters"][name] for row in lines[i].rows if row["cost"] is None and _kind(row) == kind]
+        for place, i in enumerate(marked, 1):
+            x = [row["parameters"][name] for row in lines[i].rows if _kind(row) == kind]
+            height = edge + pitch * place if above else edge - pitch * place
             color = COMPONENTS[i % len(COMPONENTS)]
-            ax.plot(x, [pitch * height] * len(x), color=color, transform=ax.get_xaxis_transform(), **style)
-        if any(row["cost"] is None and _kind(row) == kind for line in lines for row in line.rows):
+            ax.plot(x, [height] * len(x), color=color, transform=ax.get_xaxis_transform(), **style)
+        if any(_kind(row) == kind for line in lines for row in line.rows):
             ax.plot([], [], color=MUTED, label=words, **style)
 
 
+def _make_room(ax: Axes, strip: float, above: bool) -> None:
+    """Leave a fraction of the height free of costs."""
+    axis = ax.yaxis.get_transform()
+    low, high = axis.transform(ax.get_ylim())
+    room = (high - low) * strip / (1 - strip)
+    ax.set_ylim(*map(float, axis.inverted().transform([low, high + room] if above else [low - room, high])))
+
+
 def _kind(row: Row) -> str:
-    return row["status"] if row["proven"] and row["status"] in WITHOUT_COST else "other"
+    """Return the kind of a point without cost; nothing for one that has a cost."""
+    if row["cost"] is not None:
+        return ""
+    return row["status"] if row["proven"] and row["status"] in (*ABOVE, *BELOW) else "other"
 
 
 def _cost(row: Row, line: Line, relative: bool) -> float | None:

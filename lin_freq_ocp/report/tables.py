@@ -16,9 +16,10 @@ from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.comparison.sweep import Sweep
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.report.entries import Entry, Excess, entries
 from lin_freq_ocp.report.modes import mode_names
-from lin_freq_ocp.report.numbers import NOTHING, aligned, number, plural, split_unit
+from lin_freq_ocp.report.numbers import aligned
 
 NOT_MEANINGFUL = "not meaningful"
 """Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
@@ -151,7 +152,8 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     """Return the conditions of a certificate as a table for a terminal."""
     verdict = f"maximum principle {certificate.pmp.replace('_', ' ')}"
     if certificate.gap is not None:
-        verdict += f", gap to the global bound {number(certificate.gap, 2)}"
+        kind = "global" if certificate.bound is not None and certificate.bound.kind == "rigorous" else "numerical"
+        verdict += f", gap to the {kind} bound {number(certificate.gap, 2)}"
     table = Table(title=Text(verdict))
     for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
         justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
@@ -300,4 +302,4 @@ def _place(problem: OptimalControlProblem, condition: Condition) -> str:
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:
         return f"{axis} {condition.time}"
-    return f"{axis} {condition.time}, {split_unit(names[condition.component])[0]}"
+    return f"{axis} {condition.time}, {short_name(names[condition.component])}"

@@ -9,14 +9,16 @@ import numpy as np
 
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.filters import filter_limits
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_stop_band, shown_filter
+from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.mode_words import border_sentences
 from lin_freq_ocp.report.modes import STOPPED
-from lin_freq_ocp.report.numbers import listed, number, plural, quantity, rough, runs_in_words, split_unit
+from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
 
@@ -24,6 +26,9 @@ NAMED = 2
 """How many components a sentence names before it only counts the others."""
 
 FILTERING = "Filtering afterwards"
+
+RIGOROUS = "rigorous"
+"""The kind of a bound that holds for every trajectory; any other says nothing global."""
 
 SAME_PEAK = 1e-2
 """Peaks that differ by less than this fraction are named together."""
@@ -59,9 +64,11 @@ class Finding:
 def finding(comparison: Comparison) -> Finding:
     """Return what filtering afterwards does, and what the constraint in the problem does."""
     result, one = comparison.constrained, shown_filter(comparison)
-    if not has_stop_band(comparison.problem):
+    if not has_frequency_constraint(comparison.problem):
         return Finding("", "No frequency constraint, so nothing to filter", _without_constraint(result))
-    filtering = ""
+    filtering, limits = "", filter_limits(comparison.problem)
+    if one is None and limits and comparison.filtered:
+        filtering = f"does not apply: {limits}"
     if one is not None:
         entry = filtered_entry(comparison.problem, one)
         filtering = (
@@ -71,6 +78,7 @@ def finding(comparison: Comparison) -> Finding:
         if not entry.replayed:
             growth = comparison.classical_measures.amplification
             filtering += f"; {stopped_replay() if one.replay.stopped else not_replayed(growth)}"
+        filtering += f". Note: {limits}" if limits else ""
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
@@ -134,7 +142,7 @@ def parts_of_the_gap(certificate: Certificate) -> str:
         return ""
     residuals = -bound.dynamics_term - bound.frequency_term + bound.stage_term
     return (
-        "Where the cost exceeds the global lower bound. "
+        f"Where the cost exceeds the {'global' if bound.kind == RIGOROUS else 'numerical'} lower bound. "
         f"The stages add up to {number(float(bound.stage_gaps.sum()), 2)}; "
         f"residuals of the constraints count {number(residuals, 2)}, "
         f"and rounding errors are allowed for with {number(bound.rounding, 2)}. "
@@ -162,7 +170,7 @@ def removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str
     for i, name in enumerate(names):
         runs = tuple(stopped_runs(stopped[:, i]))
         if runs:
-            sharing.setdefault(runs, []).append(split_unit(name)[0])
+            sharing.setdefault(runs, []).append(short_name(name))
     places = list[str]()
     for runs, components in sharing.items():
         spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
@@ -181,7 +189,7 @@ def _exceeded(excess: Excess | None, names: tuple[str, ...], u: Array) -> list[s
         return []
     broken = np.flatnonzero(~excess.passed)
     bounds = [
-        f"the {split_unit(names[j])[0]} bound by {quantity(float(excess.values[j]), names[j])} "
+        f"the {short_name(names[j])} bound by {quantity(float(excess.values[j]), names[j])} "
         f"({_peak(u[:, j], names[j])})"
         for j in broken[:NAMED]
     ]
@@ -192,7 +200,7 @@ def _left(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
     if excess is None or excess.passed.all():
         return []
     broken = np.flatnonzero(~excess.passed)
-    states = listed([split_unit(names[i])[0] for i in broken[:NAMED]])
+    states = listed([short_name(names[i]) for i in broken[:NAMED]])
     return [f"leaves the bounds on {states}{_others(len(broken), 'other state')}"]
 
 
@@ -202,7 +210,7 @@ def _violated(excess: Excess | None, names: Sequence[str]) -> list[str]:
     broken = np.flatnonzero(~excess.passed)
     words = list[str]()
     for i in map(int, broken[:NAMED]):
-        words.append(f"{split_unit(names[i])[0]} by {quantity(float(excess.values[i]), names[i])}")
+        words.append(f"{short_name(names[i])} by {quantity(float(excess.values[i]), names[i])}")
     return [f"violates {listed(words)}{_others(len(broken), 'other constraint')}"]
 
 
@@ -217,7 +225,7 @@ def _missed(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
     if excess is None or excess.passed.all():
         return []
     missed = np.flatnonzero(~excess.passed)
-    words = [f"{quantity(float(excess.values[i]), names[i])} in {split_unit(names[i])[0]}" for i in missed[:NAMED]]
+    words = [f"{quantity(float(excess.values[i]), names[i])} in {short_name(names[i])}" for i in missed[:NAMED]]
     return [f"misses the end by {listed(words)}{_others(len(missed), 'other state')}"]
 
 
@@ -239,13 +247,37 @@ def _with_constraint(comparison: Comparison) -> str:
     result = comparison.constrained
     if result.status == "infeasible":
         return (
-            "no trajectory satisfies all constraints, which is proven; without this one there is a solution, so the "
-            "stop band is part of the conflict"
+            "no trajectory satisfies all constraints, which is proven; without those on frequencies there is a "
+            "solution, so they are part of the conflict"
         )
     if result.cost is None:
         return f"no solution ({result.status.replace('_', ' ')}: {result.message})"
-    holds = "everything holds" if result.primal else f"not every constraint holds ({result.message or result.status})"
-    return f"{holds}, {_extra_cost(comparison.classical.cost, result.cost)}, {_proven(result)}"
+    return f"{_holds(comparison)}, {_extra_cost(comparison.classical.cost, result.cost)}, {_proven(result)}"
+
+
+def _holds(comparison: Comparison) -> str:
+    """Say whether every constraint holds, and if the spectrum between the bins of a band is none the better for it."""
+    result = comparison.constrained
+    if not result.primal:
+        return f"not every constraint holds ({result.message or result.status.replace('_', ' ')})"
+    worse = [
+        f"the spectrum of the {what} peaks at {number(own, 3)} between the bins of its band, above the "
+        f"{number(free, 3)} without the constraint"
+        for what, free, own in _peaks(comparison)
+        if own is not None and free is not None and own > (1 + SAME_PEAK) * free
+    ]
+    return f"every constraint holds at the bins, but {listed(worse)}" if worse else "everything holds"
+
+
+def _peaks(comparison: Comparison) -> list[tuple[str, float | None, float | None]]:
+    """Return of controls and states the peak between the bins of their bands, without and with the constraint."""
+    free, own = comparison.classical_measures, comparison.constrained_measures
+    if own is None:
+        return []
+    return [
+        ("control", free.stopband_peak, own.stopband_peak),
+        ("state", free.state_stopband_peak, own.state_stopband_peak),
+    ]
 
 
 def _without_constraint(result: Result) -> str:
@@ -262,12 +294,25 @@ def _extra_cost(before: float | None, after: float) -> str:
 
 
 def _proven(result: Result) -> str:
+    """Say what is proven of a solution, in the words of its status."""
     certificate = result.certificate
-    if certificate is None or certificate.gap is None:
-        return "without a bound on the optimal cost"
-    if not certificate.globally_optimal:
-        return f"not proven optimal (gap {number(certificate.gap, 2)})"
-    return f"proven optimal within {number(abs(certificate.gap), 2)}"
+    if proven_optimal(result) and certificate is not None and certificate.gap is not None:
+        return f"proven optimal within {number(abs(certificate.gap), 2)}"
+    if certificate is None or certificate.gap is None or certificate.bound is None:
+        gap = "without a bound on the optimal cost"
+    else:
+        kind = "" if certificate.bound.kind == RIGOROUS else " to a numerical bound"
+        gap = f"not proven optimal (gap {number(certificate.gap, 2)}{kind})"
+    if result.status not in ("optimal", "locally_optimal"):
+        return f"{gap}; the solve ended with: {result.status.replace('_', ' ')}"
+    if certificate is not None and certificate.pmp == "satisfied":
+        return f"locally optimal as far as the maximum principle says, {gap}"
+    return gap
+
+
+def proven_optimal(result: Result) -> bool:
+    """Whether status and certificate both say that no other trajectory is cheaper."""
+    return result.status == "optimal" and result.certificate is not None and result.certificate.globally_optimal
 
 
 def _global_bound(certificate: Certificate) -> list[str]:
@@ -275,14 +320,16 @@ def _global_bound(certificate: Certificate) -> list[str]:
         if certificate.borders is not None:
             return ["There is no global lower bound: with modes, it takes a search over their sequences."]
         return ["There is no global lower bound: the cost is not convex, or the multipliers give none."]
-    rigorous = "the bound is rigorous, with rounding errors counted in"
-    numerical = "the bound is numerical: valid for trajectories of a similar size"
+    rigorous = certificate.bound.kind == RIGOROUS
+    kind = "the bound is rigorous, with rounding errors counted in"
+    if not rigorous:
+        kind = "the bound is numerical: valid for trajectories of a similar size, and no proof for all others"
     sentence = (
-        f"The cost {number(certificate.cost, 9)} is within {number(abs(certificate.gap), 2)} (relative) of the global "
-        f"lower bound {number(certificate.lower_bound, 9)}; "
-        f"{rigorous if certificate.bound.kind == 'rigorous' else numerical} (from {certificate.bound.sets})."
+        f"The cost {number(certificate.cost, 9)} is within {number(abs(certificate.gap), 2)} (relative) of the "
+        f"{'global' if rigorous else 'numerical'} lower bound {number(certificate.lower_bound, 9)}; "
+        f"{kind} (from {certificate.bound.sets})."
     )
-    if certificate.globally_optimal:
+    if certificate.globally_optimal and rigorous:
         return [sentence, "So no other trajectory that satisfies the constraints is noticeably cheaper."]
     return [sentence]
 

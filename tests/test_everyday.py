@@ -1,0 +1,102 @@
+"""What users meet every day: pictures in notebooks and scripts, objects in notebooks, times and data frames."""
+
+from __future__ import annotations
+
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from matplotlib.image import imread
+
+import lin_freq_ocp as lfo
+
+
+@pytest.fixture(scope="module")
+def result() -> lfo.Result:
+    dynamics = lfo.LinearDynamics(
+        [[1, 0.1], [0, 1]],
+        [[0.005], [0.1]],
+        sampling_time=0.1,
+        state_names=["<b>x</b> [m]", "V & co"],
+        control_names=["I [A]"],
+    )
+    problem = lfo.OptimalControlProblem(
+        dynamics, 12, lfo.QuadraticCost(R=1), initial_state=[0, 0], terminal_state=[1, 0], name="<script>alert</script>"
+    )
+    return lfo.solve(problem)
+
+
+def test_times_are_seconds_with_a_sampling_time_and_steps_without(result):
+    assert result.times == pytest.approx(np.linspace(0, 1.2, 13))
+    assert result.problem.times.shape == (result.problem.horizon + 1,)
+    without = lfo.OptimalControlProblem(lfo.LinearDynamics([[1]], [[1]]), 3, lfo.QuadraticCost(R=1))
+    assert without.times.tolist() == [0, 1, 2, 3]
+
+
+def test_a_frame_has_the_trajectory_under_its_names(result):
+    frame = result.to_frame()
+    assert list(frame.columns) == ["<b>x</b> [m]", "V & co", "I [A]"]
+    assert frame.index.name == "time [s]"
+    assert frame.index.to_numpy() == pytest.approx(result.times)
+    assert frame["V & co"].to_numpy().tolist() == result.trajectory.x[:, 1].tolist()
+    assert frame["I [A]"].to_numpy()[:-1].tolist() == result.control[:, 0].tolist()
+    assert np.isnan(frame["I [A]"].to_numpy()[-1])
+
+
+def test_without_pandas_a_frame_says_what_to_install(result, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(lfo.MissingExtraError, match=r"pip install 'lin-freq-ocp\[pandas\]'"):
+        result.to_frame()
+
+
+def test_notebooks_show_objects_as_escaped_tables(result):
+    comparison = lfo.compare(result.problem, filters=[])
+    for one in (result, result.certificate, result.problem, comparison):
+        html = one._repr_html_()
+        assert html.startswith("<table>")
+        assert html.endswith("</table>")
+        assert "<script" not in html
+        assert "<b>" not in html
+        assert "://" not in html
+        assert len(html) < 8000
+    assert "&lt;script&gt;" in result.problem._repr_html_()
+    assert f"{result.cost:.12g}" in result._repr_html_()
+    assert "½ u&#x27; R u" in result.problem._repr_html_()
+    many = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(90), np.eye(90)), 3, lfo.QuadraticCost(R=1))
+    assert many._repr_html_().count("<tr>") < 30
+
+
+def test_a_notebook_shows_a_figure_without_pyplot(result):
+    figure = result.plot()
+    image = imread(BytesIO(figure._repr_png_()))
+    assert image.shape[1] > 600
+    assert image.std() > 0.01
+    assert figure.canvas.manager is None
+    assert not pyplot.get_fignums()
+
+
+def test_a_script_saves_and_shows_a_figure(result, tmp_path: Path, monkeypatch):
+    figure = result.plot()
+    figure.savefig(tmp_path / "picture.png")
+    assert imread(tmp_path / "picture.png").std() > 0.01
+    pyplot.switch_backend("agg")
+    with pytest.warns(UserWarning, match="no windows"):
+        figure.show()
+    assert not pyplot.get_fignums()
+    monkeypatch.setattr(pyplot, "get_backend", lambda: "a backend with windows")
+    shown = list[int]()
+    monkeypatch.setattr(pyplot, "show", lambda: shown.extend(pyplot.get_fignums()))
+    figure.show()
+    assert len(shown) == 1
+    assert pyplot.figure(shown[0]) is figure
+    pyplot.close("all")
+
+
+def test_states_are_drawn_over_time(result):
+    drawn = [line.get_xydata() for ax in result.plot().axes for line in ax.lines]
+    for i in range(2):
+        wanted = np.column_stack([result.times, result.trajectory.x[:, i]])
+        assert any(line.shape == wanted.shape and np.allclose(line, wanted) for line in drawn)
