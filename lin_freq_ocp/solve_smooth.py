@@ -43,6 +43,9 @@ GLOBAL_SECONDS = 10.0
 FEASIBILITY_LOSS = 1.0
 """Of each step, where no cost is known and only the existence of a trajectory is asked for."""
 
+LEAST_TIME = 0.25
+"""Seconds that are left for the trajectory of a solver that has used them all."""
+
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
 Report = Callable[[SmoothProgress], None]
@@ -105,9 +108,10 @@ def solve_smooth(
 def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float, gap: float | None) -> Result:
     """Return the trajectory that a global solver's point leads to, judged by us, and what the solver claims."""
     limit = None if seconds == float("inf") else seconds
+    started = time.perf_counter()
     claim = solve_minlp(problem, backend, limit, gap or CLAIMED_GAP)
     clock = time.perf_counter()
-    local = polished(problem, claim)
+    local = polished(problem, claim, max(started + seconds, clock + LEAST_TIME))
     found = None if local is None or not local.feasible else _polished(problem, local)
     left = GLOBAL_SECONDS if limit is None else min(GLOBAL_SECONDS, limit - sum(claim.seconds.values()))
     status, message, bound = _weighed(problem, claim, found, backend, left)

@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_int
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula
+from lin_freq_ocp.problem.memory import require_horizon
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
@@ -56,6 +57,8 @@ class OptimalControlProblem:
     ------
     ProblemError
         Saying which field, what was got and what was expected.
+    UnsupportedError
+        If the signals do not fit into memory.
     """
 
     dynamics: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics
@@ -86,6 +89,7 @@ class OptimalControlProblem:
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon
+        require_horizon(T, n, m)
         set_field(self, "cost", cost.at_dimensions(n, m, T))
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))

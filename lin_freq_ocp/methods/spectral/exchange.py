@@ -247,7 +247,7 @@ class Exchange:
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
             step, new, ray = self._eliminated_step(right, guess, ask)
-            settled = ray is not None or self.violations.worst < self.tolerance
+            settled = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if settled or not 0 < len(working) <= LOCAL_ROWS:
                 break
             near = near or around(self.border, self.violations, working)
@@ -271,8 +271,9 @@ class Exchange:
         )  # symmetric to the last bit: else it stalls at rounding
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, content = nonnegative_qp(S, d, guess, unconstrained)
-        ray = row_ray(self.structure, self.data, working, S, d, Z, ask or not content)
+        new, content = nonnegative_qp(S, d, guess, unconstrained, self.stop)
+        asked = (ask or not content) and self.stop() is None
+        ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
@@ -283,10 +284,10 @@ class Exchange:
         K = border.proximal_matrix(self.proximal)
         slack = working.limits(self.data.lti) - self.values
         qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights)
-        step, new, content = qp.solve()
-        if not (ask or not content):
+        step, new, content = qp.solve(self.stop)
+        if not (ask or not content) or self.stop():
             return step, new, None
-        return step, new, stiffened_ray(self.structure, self.data, working)
+        return step, new, stiffened_ray(self.structure, self.data, working, self.stop)
 
     def _relative_residual(self) -> float:
         return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
