@@ -88,7 +88,8 @@ def _through_solver(
     left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
     clock = time.perf_counter()
     outcome = BranchAndBound(problem, replace(limits, seconds=left), progress=progress).run(claim.sequence)
-    if outcome.words and not outcome.interrupted and time.perf_counter() > end:  # what was left for it is not what was asked for
+    late = time.perf_counter() > end  # the search's own limit was what was left
+    if late and outcome.words and not outcome.interrupted:
         outcome = replace(outcome, words=f"time limit of {limits.seconds:g} s")
     seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
     result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
