@@ -93,7 +93,8 @@ def solve(
         Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
         "daqp". Of "minlp": "auto" or "scip".
     time_limit : float, optional
-        Seconds for the solver.
+        Seconds, set-up included, to which the judge's certificate is added. What is estimated not to end within it is
+        not begun.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
         bounds to stop at. Over modes: the relative gap to prove, 1e-6 by default; 1e-4 with

@@ -31,6 +31,9 @@ SMOOTH_METHODS = ("nonsmooth", "minlp")
 LOCAL = "locally; no global bound was asked for"
 """The message of a result without a bound."""
 
+UNBOUNDED = "locally; no global bound was found in time"
+"""The message of a result whose bound got no time, or not enough."""
+
 EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
 """The message of an infeasible result, where our bound proves it."""
 
@@ -83,11 +86,11 @@ def solve_smooth(
     if status == "optimal" and method == "auto" and found is not None:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         bounding = _Bounding(search, found, gap or GLOBAL_GAP, time.perf_counter() + left)
-        message = bounding.run()
+        message = bounding.run() if left > 0 else UNBOUNDED
         found = bounding.found
     elif found is None and method == "auto" and not search.words:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
-        if _excluded(problem, left):
+        if left > 0 and _excluded(problem, left):
             status, message = "infeasible", EXCLUDED
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
@@ -199,7 +202,7 @@ class _Bounding:
         except KeyboardInterrupt:
             self.search.interrupted = True
         if self.best == -float("inf"):
-            return "locally; no global bound was found in time"
+            return UNBOUNDED
         trajectory, multipliers, certificate = self.found
         bound = Bound(self.best, "rigorous", sets="dynamic programming over cells of the states, with intervals")
         self.found = trajectory, multipliers, replace(certificate, bound=bound)

@@ -1,7 +1,7 @@
 """How far time limits are exceeded, on problems that take far longer: every method, and explanations.
 
-Part of scripts/verify.py. What is measured is the wall time of solve() without that of the judge's certificate, which
-is never left out where there is a point. A native solver cannot be left within a step: what one step needs is estimated.
+Part of scripts/verify.py. Measured is the wall time of solve() without that of the judge's certificate, which is never
+left out where there is a point. A native solver cannot be left within a step: what one step needs is estimated.
 """
 
 from __future__ import annotations

@@ -21,6 +21,12 @@ from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
 SOLVED_TOLERANCE = 1e-6
 """Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
 
+GRACE = 0.25
+"""Seconds beyond a time limit that a solver may take to return a point, however inaccurate."""
+
+LEAST_TIME = 1e-3
+"""Seconds that a solver is given then: it makes a step, and stops."""
+
 UNBOUNDED_TOLERANCE = 1e-6
 """Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
 
@@ -39,16 +45,17 @@ def solve_convex(
     solver = backend(backend_name)
     started = time.perf_counter()
     rows = dense_rows(problem)
-    if time_limit is not None and rows.seconds > time_limit:
+    if time_limit is not None and rows.seconds > time_limit + GRACE:
         words = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
         return Candidate("limit", None, None, None, None, words, {"setup": 0.0, "solve": 0.0})
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
-    left = None if time_limit is None else time_limit - (ready - started)
-    if left is not None and left <= 0:
+    left = None if time_limit is None else time_limit - (ready - started) - rows.factorisation_seconds
+    if left is not None and left <= -GRACE:
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         return Candidate("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0})
+    left = None if left is None else max(left, LEAST_TIME)
     candidate = _attempt(transcription, scaling, solver, tolerance, left)
     revised = _revised(transcription, scaling, candidate)
     left = None if time_limit is None else time_limit - (time.perf_counter() - started)

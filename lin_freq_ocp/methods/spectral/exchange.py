@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +25,12 @@ from lin_freq_ocp.problem.arrays import Array
 
 ROUNDS = 60
 """Rounds after which an exchange ends; 1 to 12 are usual."""
+
+QP_SECONDS = 1e-10
+"""Of a small QP, measured, times the cube of its rows: it is not begun if that is more than what is left."""
+
+LARGE_QP = 1000
+"""Rows of a small QP from which its time is estimated: with fewer, it takes less than 0.1 s."""
 
 LOCAL_ROUNDS = 6
 """Times that a step is found again with the rows nearby that it violates, before all signals are evaluated."""
@@ -89,6 +96,14 @@ ENDLESS = 1e10
 """Size of a border variable, in natural units, at which the cost has no lower bound."""
 
 
+class Stop(Protocol):
+    """Says why to stop, or None: whether the time is over, or will be in so many seconds; or Ctrl-C was pressed."""
+
+    def __call__(self, needed: float = 0.0) -> str | None:
+        """Return why to stop, if so many more seconds are needed."""
+        ...
+
+
 @dataclass(eq=False)
 class Outcome:
     """How an exchange ended.
@@ -126,9 +141,7 @@ class Outcome:
 class Exchange:
     """One solve: the point, its working rows, and the rules of a round; ``stop`` says why to stop early, or None."""
 
-    def __init__(
-        self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Callable[[], str | None]
-    ):
+    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
         self.violations = structure.violations(data.lti)
@@ -151,6 +164,10 @@ class Exchange:
         """Exchange until optimal, evaluating all signals so many times at most."""
         added = len(self.working)
         for count in range(1, rounds + 1):
+            rows = len(self.working)
+            reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
+            if reason is not None:
+                return self._outcome("limit", reason)
             self.rounds += 1
             diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
             self._step(ask=diverging or count % ASK_FOR_RAY == 0)
@@ -354,13 +371,13 @@ class Exchange:
         )
 
 
-def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Callable[[], str | None]:
-    """Return a function that says why to stop, or None: the time is over, or Ctrl-C was pressed."""
+def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
+    """Return a function that says why to stop, or None."""
     end = np.inf if seconds is None else time.perf_counter() + seconds
 
-    def stop() -> str | None:
+    def stop(needed: float = 0.0) -> str | None:
         if interrupted():
             return "interrupted"
-        return "time limit" if time.perf_counter() > end else None
+        return "time limit" if time.perf_counter() + needed > end else None
 
     return stop
