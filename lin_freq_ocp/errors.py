@@ -62,7 +62,32 @@ class NumericalError(SolveError):
 
 
 class LimitError(SolveError):
-    """A time or iteration limit was reached first; the result holds the best point, if there is one."""
+    """A time or iteration limit was reached first; the result holds the best point, if there is one.
+
+    Attributes
+    ----------
+    cost : float or None
+        Of the best point, None if there is none.
+    bound : float or None
+        A lower bound on the optimal cost, None if none was found.
+    gap : float or None
+        What the two leave open, as ``result.gap`` says it.
+    """
+
+    @property
+    def cost(self) -> float | None:
+        """Return the cost of the best point."""
+        return getattr(self.result, "cost", None)
+
+    @property
+    def bound(self) -> float | None:
+        """Return the lower bound on the optimal cost."""
+        return getattr(self.result, "lower_bound", None)
+
+    @property
+    def gap(self) -> float | None:
+        """Return the gap between the two."""
+        return getattr(self.result, "gap", None)
 
 
 class BandWarning(UserWarning):

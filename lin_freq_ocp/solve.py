@@ -99,7 +99,8 @@ def solve(
         Of "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or
         "daqp". Of "minlp": "auto" or "scip".
     time_limit : float, optional
-        Seconds for the solver.
+        Seconds, set-up included, to which the judge's certificate is added. What is estimated not to end within it is
+        not begun.
     tolerance : float, optional
         Convex: relative residuals asked of the solver, on a program scaled to order 1. Spectral: relative violation of
         bounds to stop at. Both: above 1e-6, also what the judge forgives, up to 1e-2. Over modes: the relative gap to
@@ -204,32 +205,38 @@ def _linear(
 ) -> Result:
     if method in (*MODE_METHODS, *SMOOTH_METHODS):
         raise UnsupportedError(f"method: got {method!r}, which is for dynamics with modes; these have none.")
-    started, result = time.perf_counter(), None
+    started, refused = time.perf_counter(), ""
     if method == "spectral" or (method == "auto" and backend == "auto"):
-        result = _spectral(problem, method == "spectral", tolerance, time_limit)
-    if result is not None:
-        return result
-    left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
-    return _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+        try:
+            result = _spectral(problem, method == "spectral", tolerance, time_limit)
+        except UnsupportedError as error:
+            if method == "spectral":
+                raise
+            result, refused = None, str(error)
+        if result is not None:
+            return result
+    left = _left(np.inf if time_limit is None else started + time_limit)
+    try:
+        return _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    except UnsupportedError as error:
+        if not refused or str(error) in refused:
+            raise
+        raise UnsupportedError(f"{error} Before that: {refused}") from None
 
 
 def _spectral(
     problem: OptimalControlProblem, required: bool, tolerance: float | None, time_limit: float | None
 ) -> Result | None:
     """Return what the Fourier-domain method ends with; None, unless required, if that is no answer with a proof."""
-    rows = row_form(problem)
-    try:
-        solver = SpectralSolver(rows.problem)
-    except UnsupportedError:
-        if required:
-            raise
-        return None
-    candidate: Candidate = solver.solve(tolerance=tolerance, time_limit=time_limit)
+    started, rows = time.perf_counter(), row_form(problem)
+    end = np.inf if time_limit is None else started + time_limit
+    solver = SpectralSolver(rows.problem)
+    candidate: Candidate = solver.solve(tolerance=tolerance, time_limit=_left(end))
     if rows.polyhedra:
         found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
         candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
     if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, time_limit)
+        candidate = _if_feasible(problem, candidate, _left(end))
     result = _judged(problem, candidate, "spectral", None, tolerance)
     proven = result.status == "optimal" and result.certificate is not None and result.certificate.pmp == "satisfied"
     excluded = result.status == "infeasible" and "numerical" not in result.message
@@ -239,11 +246,12 @@ def _spectral(
 
 def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:
     """Return what the sparse program ends with."""
+    end = np.inf if time_limit is None else time.perf_counter() + time_limit
     candidate = solve_convex(problem, backend, tolerance, time_limit)
     if candidate.status not in ("optimal", "limit") and backend != PROVER:
-        candidate = _accounted(problem, candidate, time_limit)
+        candidate = _accounted(problem, candidate, _left(end))
     if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, time_limit)
+        candidate = _if_feasible(problem, candidate, _left(end))
     result = _judged(problem, candidate, "convex", backend, tolerance)
     if result.status in ("locally_optimal", "numerical_error") and result.trajectory is not None:
         free = free_of_cost(problem, result.trajectory)
@@ -251,6 +259,11 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
         if other.status == "optimal":
             return replace(other, seconds=result.seconds)
     return result
+
+
+def _left(end: float) -> float | None:
+    """Return the seconds until then, at least a few, or None for no end."""
+    return None if end == np.inf else max(end - time.perf_counter(), LEAST_TIME)
 
 
 def settled(status: str, words: str, certificate: Certificate, gap: float) -> tuple[str, str]:
@@ -378,10 +391,21 @@ def _complaint(result: Result) -> str:
     if result.status == "unbounded":
         return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     if result.status == "limit":
-        return f"{name}: stopped before the answer was accurate ({result.message}); the best point is in .result."
+        return f"{name}: stopped before the answer was accurate ({result.message}); {_reached(result)}."
     return (
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
+    )
+
+
+def _reached(result: Result) -> str:
+    """Return cost, bound and gap of the best point that a limit left, in words."""
+    figures = (("cost", result.cost), ("lower bound", result.lower_bound), ("gap", result.gap))
+    told = ", ".join(f"{what} {'unknown' if value is None else format(value, '.6g')}" for what, value in figures)
+    return (
+        "no point was found" + ("" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}")
+        if result.trajectory is None
+        else f"the best point is in .result: {told}"
     )
 
 

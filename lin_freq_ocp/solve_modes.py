@@ -33,8 +33,8 @@ MODE_METHODS = ("enumerate", "branch_and_bound", "miqp")
 SEQUENCE_BACKEND = "clarabel"
 """Solves the best sequence, accurately, for its multipliers."""
 
-LEAST_TIME = 1e-3
-"""Seconds that are left to our search when a mixed-integer solver has used them all: its sequence is solved."""
+LEAST_TIME = 0.25
+"""Seconds that are left to solve the best sequence, and to prove leaves, when the search has used them all."""
 
 Report = Callable[[SearchProgress], None]
 
@@ -62,6 +62,7 @@ def solve_modes(
     if backend != "auto" and method != "miqp":
         raise UnsupportedError(f"backend: got {backend!r}; the method {method!r} needs none: leave it 'auto'.")
     started = time.perf_counter()
+    end = started + limits.seconds
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)
     elif method == "miqp":
@@ -71,19 +72,23 @@ def solve_modes(
     else:
         outcome = BranchAndBound(problem, limits, progress=progress).run()
     seconds = {"setup": outcome.setup, "solve": time.perf_counter() - started - outcome.setup}
-    return _judged(problem, method, outcome, limits.gap, seconds)
+    return _judged(problem, method, outcome, limits.gap, seconds, end)
 
 
 def _through_solver(
     problem: OptimalControlProblem, backend: str, limits: SearchLimits, progress: Report | None
 ) -> Result:
     """Return what our search, begun with a mixed-integer solver's sequence, proves; and whether its claim was right."""
+    end = time.perf_counter() + limits.seconds
     claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
     left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
     clock = time.perf_counter()
     outcome = BranchAndBound(problem, replace(limits, seconds=left), progress=progress).run(claim.sequence)
+    late = time.perf_counter() > end  # the search's own limit was what was left
+    if late and outcome.words and not outcome.interrupted:
+        outcome = replace(outcome, words=f"time limit of {limits.seconds:g} s")
     seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
-    result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds), backend=backend)
+    result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
     found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
     agreed = max(limits.gap, AGREEMENT)
     if result.status == "optimal" and not _agree(claim.cost, result.certificate, agreed):
@@ -98,17 +103,28 @@ def _agree(claimed: float | None, certificate: Certificate | None, gap: float) -
 
 
 def _judged(
-    problem: OptimalControlProblem, method: str, outcome: SearchOutcome, gap: float, seconds: dict[str, float]
+    problem: OptimalControlProblem,
+    method: str,
+    outcome: SearchOutcome,
+    gap: float,
+    seconds: dict[str, float],
+    end: float,
 ) -> Result:
     clock = time.perf_counter()
+    left = max(end - clock, LEAST_TIME)
+    end = clock + left
     candidate = None
     if outcome.sequence is not None:
-        candidate = solve_convex(problem.with_modes(outcome.sequence), SEQUENCE_BACKEND, None, None)
+        alone, limit = problem.with_modes(outcome.sequence), None if left == np.inf else left
+        candidate = solve_convex(alone, SEQUENCE_BACKEND, None, limit)
     certificate, multipliers = _certificate(problem, outcome.sequence, candidate)
-    proof = tree_bound(problem, outcome.tree)
+    proof = tree_bound(problem, outcome.tree, end)
+    unproven = time.perf_counter() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
+    if unproven and not outcome.interrupted:
+        outcome = replace(outcome, words=f"{outcome.words or 'time limit'}; not all leaves were proven in time")
     if not outcome.words and not proof.value >= needed:
-        outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed)))
+        outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed), end))
         proof = tree_bound(problem, outcome.tree)
     if certificate is not None and np.isfinite(proof.value):
         words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
@@ -150,7 +166,7 @@ def _status(outcome: SearchOutcome, certificate: Certificate | None, proof: Tree
             return "infeasible", f"proven by a search tree of {proof.leaves} leaves, none of which has a trajectory"
         return "numerical_error", "no trajectory was found, and that there is none is not proven"
     status = certificate.status_within(gap)
-    if status == "optimal":
+    if status == "optimal" and not outcome.interrupted:
         return status, ""
     if outcome.words:
         return "limit", outcome.words

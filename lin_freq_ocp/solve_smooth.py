@@ -31,6 +31,9 @@ SMOOTH_METHODS = ("nonsmooth", "minlp")
 LOCAL = "no global bound was asked for"
 """The message of a result without a bound."""
 
+UNBOUNDED = "no global bound was found in time"
+"""The message of a result whose bound got no time, or not enough."""
+
 EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
 """The message of an infeasible result, where our bound proves it."""
 
@@ -42,6 +45,9 @@ GLOBAL_SECONDS = 10.0
 
 FEASIBILITY_LOSS = 1.0
 """Of each step, where no cost is known and only the existence of a trajectory is asked for."""
+
+LEAST_TIME = 0.25
+"""Seconds that are left for the trajectory of a solver that has used them all."""
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -80,12 +86,12 @@ def solve_smooth(
     if status == "locally_optimal" and method == "auto" and found is not None:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
         bounding = _Bounding(search, found, gap or GLOBAL_GAP, time.perf_counter() + left)
-        message = bounding.run()
+        message = bounding.run() if left > 0 else UNBOUNDED
         found = bounding.found
         status = found[2].status_within(bounding.gap)
     elif found is None and method == "auto" and not search.words:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
-        if _excluded(problem, left):
+        if left > 0 and _excluded(problem, left):
             status, message = "infeasible", EXCLUDED
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Result(
@@ -106,9 +112,10 @@ def solve_smooth(
 def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float, gap: float | None) -> Result:
     """Return the trajectory that a global solver's point leads to, judged by us, and what the solver claims."""
     limit = None if seconds == float("inf") else seconds
+    started = time.perf_counter()
     claim = solve_minlp(problem, backend, limit, gap or CLAIMED_GAP)
     clock = time.perf_counter()
-    local = polished(problem, claim)
+    local = polished(problem, claim, max(started + seconds, clock + LEAST_TIME))
     found = None if local is None or not local.feasible else _polished(problem, local)
     left = GLOBAL_SECONDS if limit is None else min(GLOBAL_SECONDS, limit - sum(claim.seconds.values()))
     status, message, bound = _weighed(problem, claim, found, backend, left)
@@ -196,7 +203,7 @@ class _Bounding:
         except KeyboardInterrupt:
             self.search.interrupted = True
         if self.best == -float("inf"):
-            return "no global bound was found in time"
+            return UNBOUNDED
         trajectory, multipliers, certificate = self.found
         bound = Bound(self.best, "rigorous", sets="dynamic programming over cells of the states, with intervals")
         self.found = trajectory, multipliers, replace(certificate, bound=bound)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from math import pi
 
 import numpy as np
@@ -78,6 +79,19 @@ def state_arcs(horizon: int) -> lfo.OptimalControlProblem:
     return lfo.library.double_integrator(horizon=horizon, terminal_state=(distance, 0.0), speed_bound=0.28)
 
 
+def oscillator(horizon: int, damping: float = 0.05) -> lfo.OptimalControlProblem:
+    """Return a mass on a spring, 2 rad/s and 0.01 s, pushed within +-1 below 5 Hz; damping ratio < 0: unstable."""
+    return lfo.OptimalControlProblem(
+        dynamics=lfo.LinearDynamics.from_continuous([[0, 1], [-4, -4 * damping]], [[0], [1]], 0.01),
+        horizon=horizon,
+        cost=lfo.QuadraticCost(Q=np.diag([10, 0.1]), R=0.1),
+        control_set=lfo.Box(-1, 1),
+        initial_state=(1, 0),
+        control_spectrum=lfo.low_pass(2 * pi * 5 * 0.01),
+        name=f"oscillator, damping ratio {damping:g}",
+    )
+
+
 FAMILIES = {
     "pendulum": Family(
         "pendulum on a cart, 0.01 s, lowest 80 % of the spectrum kept",
@@ -94,6 +108,15 @@ FAMILIES = {
     ),
     "chain": Family("chain of masses, two controls, two stop bands", chain, (400,), (200, 400, 800, 4000)),
     "narrow": Family("pendulum, lowest 10 % of the spectrum kept", narrow, (480,), (480, 960, 4800)),
+    **{
+        name: Family(words, partial(oscillator, damping=damping), (5000, 100_000), (5000, 50_000, 100_000, 1_000_000))
+        for name, damping, words in (
+            ("oscillator", 0.05, "oscillator at 0.01 s, damping ratio 0.05, free end, low pass at 5 Hz"),
+            ("critical", 1.0, "the same, critically damped"),
+            ("undamped", 0.0, "the same, undamped"),
+            ("unstable-pair", -0.05, "the same, with an unstable pair of eigenvalues"),
+        )
+    },
     "state-arcs": Family("double integrator, speed limit active for long", state_arcs, (200,), (200, 400, 800, 4000)),
 }
 

@@ -1,6 +1,6 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth]... [--problems N]
+    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth|limits]... [--problems N]
                              [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
@@ -20,7 +20,7 @@ Then random continuous piecewise-affine problems: what the judge says of changin
 
 Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2
 and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
-(verify_nonsmooth.py).
+(verify_nonsmooth.py). And time limits of 1 and 3 s on problems that take far longer (verify_limits.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
 "explain", 200 for "mixed" and 200 for "flips".
@@ -39,6 +39,7 @@ import cvxpy as cp
 import numpy as np
 import verify_explain
 import verify_flips
+import verify_limits
 import verify_mixed
 import verify_modes
 import verify_nonsmooth
@@ -58,7 +59,7 @@ PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips
 WIDTH = 132
 """Columns of the tables, also where they are written into a file."""
 
-PARTS = ["known", *PROBLEMS, "modes", "nonsmooth"]
+PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
 
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 """Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
@@ -296,6 +297,8 @@ def main() -> int:
         good &= verify_modes.verify(console)
     if "nonsmooth" in parts:
         good &= verify_nonsmooth.verify(console)
+    if "limits" in parts:
+        good &= verify_limits.verify(console)
     return 0 if good else 1
 
 

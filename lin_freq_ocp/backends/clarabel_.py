@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 import clarabel
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +33,7 @@ COST_FACTOR = 10.0
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
     """Solve; a row outside cones becomes an equation, or its finite sides become inequalities."""
+    end = np.inf if time_limit is None else time.perf_counter() + time_limit
     sides, curved = program.one_sided(), program.in_cones
     A = sp.csc_matrix(sp.vstack([sides.A, sides.G, -program.A[curved]]))
     b = np.concatenate([sides.b, sides.h, -program.lower[curved]])
@@ -39,16 +42,18 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     upper, q = sp.csc_matrix(COST_FACTOR * sp.triu(program.P)), COST_FACTOR * program.q
     solver = clarabel.DefaultSolver(upper, q, A, b, cones, _settings(tolerance, time_limit))
     with interrupts_noted() as noted:
-        solver.set_termination_callback(lambda info: noted.is_set())
+        solver.set_termination_callback(lambda info: noted.is_set() or time.perf_counter() > end)
         answer = solver.solve()
-    claim = CLAIMS.get(str(answer.status), Claim.FAILED)
+    claim, words = CLAIMS.get(str(answer.status), Claim.FAILED), str(answer.status)
+    if claim is Claim.INTERRUPTED and not noted.is_set():  # its own clock begins after its set-up
+        claim, words = Claim.LIMIT, "MaxTime"
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
-        return Solution(Claim.FAILED, None, None, str(answer.status))
+        return Solution(claim if claim is Claim.LIMIT else Claim.FAILED, None, None, words)
     of_rows, of_cones = np.split(dual / COST_FACTOR, [len(sides.b) + len(sides.h)])
     y = sides.dual(len(program.lower), *np.split(of_rows, [len(sides.b)]))
     y[curved] = -of_cones
-    return Solution(claim, z, y, str(answer.status))
+    return Solution(claim, z, y, words)
 
 
 def solve_standard(form: StandardForm, tolerance: float, time_limit: float | None = None) -> Solution:

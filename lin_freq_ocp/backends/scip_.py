@@ -8,6 +8,7 @@ quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the o
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,9 @@ fails; a mode sequence is re-solved anyway."""
 
 NEGLIGIBLE = 1e-14
 """Eigenvalue of a block of P, relative to its largest, that is rounding of 0."""
+
+LEAST_TIME = 1e-3
+"""Seconds that SCIP is given when building its model has used them all."""
 
 INFINITE = 1e20
 """What SCIP calls infinite."""
@@ -60,14 +64,20 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 
 def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
     """Solve; the best point found is returned whatever ended the search, Ctrl-C included."""
+    started = time.perf_counter()
     rows, integer = bounded(program), np.zeros(len(program.q), dtype=bool)
     if not rows.consistent:
         return NOTHING
     integer[binaries] = True
     model, variables = convex_model(program, rows, integer)
     set_objective(model, program, variables)
-    solution = optimised(model, variables, time_limit, gap)
-    return solution or undecided(lambda nothing: solve(nothing, binaries, time_limit, gap), program)
+    solution = optimised(model, variables, remaining(time_limit, started), gap)
+    return solution or undecided(lambda nothing: solve(nothing, binaries, remaining(time_limit, started), gap), program)
+
+
+def remaining(time_limit: float | None, started: float) -> float | None:
+    """Return what is left of a limit, at least so much that SCIP says that it was reached."""
+    return None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
 
 
 def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: float) -> MixedSolution | None:

@@ -10,6 +10,7 @@ the box has copies of its arguments, which are defined and are tied to the argum
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.backends.mixed import NOTHING, MixedSolution, bounded
-from lin_freq_ocp.backends.scip_ import convex_model, optimised, set_objective, undecided
+from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.formulas import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
@@ -46,7 +47,7 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Mixed
     UnsupportedError
         If SCIP has no function of a formula.
     """
-    convex = program.program
+    started, convex = time.perf_counter(), program.program
     rows = bounded(convex)
     if program.excluded or not rows.consistent:
         return NOTHING
@@ -59,9 +60,11 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Mixed
     model, z = convex_model(convex, replace(rows, below=below, above=above), np.zeros(len(convex.q), dtype=bool))
     deltas = _add_dynamics(model, program, z)
     set_objective(model, convex, z)
-    found = optimised(model, [*z, *deltas], time_limit, gap)
+    found = optimised(model, [*z, *deltas], remaining(time_limit, started), gap)
     if found is None:
-        return undecided(lambda free: solve(replace(program, program=free), time_limit, gap), convex)
+        return undecided(
+            lambda free: solve(replace(program, program=free), remaining(time_limit, started), gap), convex
+        )
     return found
 
 

@@ -11,6 +11,7 @@ the cost of every trajectory. Nothing that the search says of itself is taken bu
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,8 +59,10 @@ class TreeBound:
         return int(np.nanargmin(self.bounds))
 
 
-def tree_bound(problem: OptimalControlProblem, tree: ModeTree) -> TreeBound:
+def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
     """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
+
+    Leaves that are not looked at until ``end``, by ``time.perf_counter``, prove nothing.
 
     Raises
     ------
@@ -75,7 +78,8 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree) -> TreeBound:
         if reach is None:
             bounds[index] = np.inf
         else:
-            bounds[index] = -np.inf if node.proof is None else judge.bound(reach, node.proof)
+            late = time.perf_counter() > end
+            bounds[index] = -np.inf if node.proof is None or late else judge.bound(reach, node.proof)
     value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)
 

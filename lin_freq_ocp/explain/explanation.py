@@ -112,7 +112,9 @@ class _Search:
         return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
-        """Whether a variant has a solution; None where that is not known."""
+        """Whether a variant has a solution; None where that is not known, as where the time is over."""
+        if time.perf_counter() > self.end:
+            return None
         return DECIDED.get(self.solved(problem).status)
 
     def family(self, result: Result) -> list[Block]:
@@ -138,4 +140,4 @@ class _Search:
 
     def cure(self, block: Block) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
-        return None if time.perf_counter() > self.end else least_cure(self.problem, block, self.feasible)
+        return None if time.perf_counter() > self.end else least_cure(self.problem, block, self.feasible, self._left())

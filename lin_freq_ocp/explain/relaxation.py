@@ -67,14 +67,17 @@ class Cure:
 
 
 def least_cure(
-    problem: OptimalControlProblem, block: Block, feasible: Callable[[OptimalControlProblem], bool | None]
+    problem: OptimalControlProblem,
+    block: Block,
+    feasible: Callable[[OptimalControlProblem], bool | None],
+    time_limit: float | None = None,
 ) -> Cure | None:
     """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
     if block.kind.endswith("stop band"):
         return _least_narrowing(problem, block, feasible)
     if block.kind == "term":
         return _least_widening(problem, block, feasible)
-    result = solve(_elastic(problem, block), method="convex", throw=False)
+    result = solve(_elastic(problem, block), method="convex", throw=False, time_limit=time_limit)
     if result.trajectory is None:  # however inaccurate: what it says is tried
         return None
     least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)

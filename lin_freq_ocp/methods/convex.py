@@ -13,6 +13,7 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transcription.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
 from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
@@ -22,6 +23,12 @@ SOLVED_TOLERANCE = 1e-6
 
 NOISE = 1e-10
 """What a solver leaves, on a program scaled to order 1, of states and controls that are zero."""
+
+GRACE = 0.25
+"""Seconds beyond a time limit that a solver may take to return a point, however inaccurate."""
+
+LEAST_TIME = 1e-3
+"""Seconds that a solver is given then: it makes a step, and stops."""
 
 UNBOUNDED_TOLERANCE = 1e-6
 """Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
@@ -35,17 +42,26 @@ def solve_convex(
     Raises
     ------
     UnsupportedError
-        If the cost is not convex, or there is no such backend.
+        If the cost is not convex, there is no such backend, or the program does not fit into memory.
     """
     require_convex(problem)
     solver = backend(backend_name)
     started = time.perf_counter()
+    rows = dense_rows(problem)
+    if time_limit is not None and rows.seconds > time_limit + GRACE:
+        words = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
+        return Candidate("limit", None, None, None, None, words, {"setup": 0.0, "solve": 0.0})
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
-    candidate = _attempt(transcription, scaling, solver, tolerance, time_limit)
+    left = None if time_limit is None else time_limit - (ready - started) - rows.factorisation_seconds
+    if left is not None and left <= -GRACE:
+        words = f"time limit of {time_limit:.3g} s, over before the solver began"
+        return Candidate("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0})
+    left = None if left is None else max(left, LEAST_TIME)
+    candidate = _attempt(transcription, scaling, solver, tolerance, left)
     revised = _revised(transcription, scaling, candidate)
-    left = None if time_limit is None else time_limit - (time.perf_counter() - ready)
+    left = None if time_limit is None else time_limit - (time.perf_counter() - started)
     if revised is not None and (left is None or left > 0):
         second = _attempt(transcription, revised, solver, tolerance, left)
         candidate = second if second.status == "optimal" else replace(candidate, interrupted=second.interrupted)

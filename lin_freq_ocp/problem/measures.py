@@ -152,20 +152,24 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
     what other sets and rows allow; 1 only where nothing at all is said.
     """
-    cost, n = problem.quadratic, problem.state_dim
-    ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
-    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
-    references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
-    stated = np.concatenate([ends, references])
-    bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
-    sizes = np.where(stated > 0, stated, bounds)
-    limited = _limited_sizes(problem)
+    n, sizes, limited = problem.state_dim, given_sizes(problem), _limited_sizes(problem)
     sizes[n:] = np.where(sizes[n:] > 0, sizes[n:], limited[n:])
     sizes = _completed(problem, sizes)
     if not sizes.all():
         sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
+
+
+def given_sizes(problem: OptimalControlProblem) -> Array:
+    """Return sizes of states and controls, (n+m,): of their ends and references, else of their bounds, else 0."""
+    cost, n = problem.quadratic, problem.state_dim
+    ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
+    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
+    references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
+    stated = np.concatenate([ends, references])
+    bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
+    return np.where(stated > 0, stated, bounds)
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

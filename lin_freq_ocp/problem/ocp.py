@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.html import html_table
 from lin_freq_ocp.problem.labels import printable
+from lin_freq_ocp.problem.memory import require_horizon
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
@@ -60,6 +61,8 @@ class OptimalControlProblem:
     ------
     ProblemError
         Saying which field, what was got and what was expected.
+    UnsupportedError
+        If the signals do not fit into memory.
 
     Methods
     -------
@@ -102,6 +105,7 @@ class OptimalControlProblem:
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon
+        require_horizon(T, n, m)
         set_field(self, "cost", cost.at_dimensions(n, m, T))
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))

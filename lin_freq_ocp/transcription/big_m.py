@@ -10,6 +10,7 @@ Every figure is a small linear program in units of the half widths of the box; t
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -98,7 +99,13 @@ class _Stage:
         return rows, np.clip(limits, -most, most)
 
 
-def excesses(problem: OptimalControlProblem) -> Excesses:
+def require_time(end: float) -> None:
+    """Raise TimeoutError if ``time.perf_counter`` is beyond the end."""
+    if time.perf_counter() > end:
+        raise TimeoutError
+
+
+def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
     """Return the excesses of a problem with piecewise-affine dynamics.
 
     Raises
@@ -107,6 +114,8 @@ def excesses(problem: OptimalControlProblem) -> Excesses:
         If a control or state has no bound at a time at which several modes are possible, naming it.
     NumericalError
         If a linear program does not end with an answer.
+    TimeoutError
+        At ``end``, by ``time.perf_counter``.
     """
     T, n = problem.horizon, problem.state_dim
     further, units = _further_rows(problem), np.concatenate(stated_sizes(problem))
@@ -127,6 +136,7 @@ def excesses(problem: OptimalControlProblem) -> Excesses:
         _require_bounds(problem, reach, t, here)
         stage = _stage(arrays, reach, t, here, further[t], LEAST_HALF_WIDTH * units)
         if stage.key not in known:
+            require_time(end)
             known[stage.key] = _figures(stage)
         found.possible[t, here] = known[stage.key][0]
         for part, figures in zip((found.below, found.above, found.regions), known[stage.key][1:], strict=True):

@@ -28,6 +28,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.conic_terms import ConicTerms, conic_terms
+from lin_freq_ocp.transcription.dense_rows import require_dense_memory
 from lin_freq_ocp.transcription.program import Block, Program
 from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
 
@@ -40,7 +41,8 @@ class LinearTranscription:
 
     @cached_property
     def program(self) -> Program:
-        """Return the program in the problem's own units."""
+        """Return the program in the problem's own units; UnsupportedError if it does not fit into memory."""
+        require_dense_memory(self.problem)
         problem, stack = self.problem, _RowStack()
         states, controls = self._states, self._controls
         stack.add(Block.DYNAMICS, *self._dynamics_rows())

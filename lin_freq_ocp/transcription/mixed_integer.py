@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.big_m import Excesses, excesses
+from lin_freq_ocp.transcription.big_m import Excesses, excesses, require_time
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
 from lin_freq_ocp.transcription.units import common_scaling
@@ -110,16 +110,18 @@ class _Columns:
         return self.host + self.horizon * self.modes
 
 
-def big_m_program(problem: OptimalControlProblem) -> MixedInteger:
+def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedInteger:
     """Return the mixed-integer program of a problem with piecewise-affine dynamics.
 
     Raises
     ------
     UnsupportedError
         If the dynamics are linear, or a control or state has no bound: then there is no M.
+    TimeoutError
+        At ``end``, by ``time.perf_counter``.
     """
     dynamics, T = problem.piecewise, problem.horizon
-    arrays, found = dynamics.arrays(T), excesses(problem)
+    arrays, found = dynamics.arrays(T), excesses(problem, end)
     hosts = [
         LinearTranscription(replace(problem, dynamics=dynamics.along(np.full(T, i))))
         for i in range(len(dynamics.modes))
@@ -130,6 +132,7 @@ def big_m_program(problem: OptimalControlProblem) -> MixedInteger:
         Block.REGIONS: list(_region_rows(arrays, found, columns)),
         Block.MODES: list(_mode_rows(found, columns)),
     }
+    require_time(end)
     own = _joined(rows, hosts[0], columns)
     scaling = _scaling(own, common_scaling(hosts))
     return MixedInteger(problem, scaling.apply(own), scaling, hosts[0], found.possible)

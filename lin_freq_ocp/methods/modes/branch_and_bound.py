@@ -165,7 +165,7 @@ class BranchAndBound:
     def _try(self, sequence: Indices, answer: Relaxed | None = None) -> None:
         """Solve a sequence, and improve it by flips while that is better than the best."""
         key = sequence.tobytes()
-        if key in self._tried:
+        if key in self._tried or time.perf_counter() - self._started > self.limits.search_seconds:
             return
         self._tried.add(key)
         if answer is None:
@@ -223,7 +223,7 @@ class BranchAndBound:
 
     def _relaxed(self, reach: Reach) -> Relaxed:
         self._solved += 1
-        return relaxed(self._relaxation, reach)
+        return relaxed(self._relaxation, reach, end=self._started + self.limits.search_seconds)
 
     def _report(self, bound: float) -> None:
         if self.progress is not None:

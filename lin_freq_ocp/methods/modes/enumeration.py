@@ -31,9 +31,10 @@ def enumerate_sequences(
         If there are more than MOST_SEQUENCES.
     """
     started, relaxation = time.perf_counter(), ModeRelaxation(problem)
-    nodes, duals, ends = _all_sequences(relaxation)
+    nodes, duals, ends = _all_sequences(relaxation, started + limits.search_seconds)
     setup = time.perf_counter() - started
-    best, cost, words, interrupted, solved = None, np.inf, "", False, 0
+    best, cost, interrupted, solved = None, np.inf, False, 0
+    words = limits.reached(setup, solved)
     try:
         for index, reach in ends:
             seconds = time.perf_counter() - started
@@ -42,7 +43,7 @@ def enumerate_sequences(
                 break
             if progress is not None:
                 progress(SearchProgress(cost, -np.inf, solved, len(ends) - solved, seconds))
-            answer, solved = relaxed(relaxation, reach), solved + 1
+            answer, solved = relaxed(relaxation, reach, end=started + limits.search_seconds), solved + 1
             nodes[index] = replace(nodes[index], bound=answer.bound)
             duals[index] = answer.duals
             if answer.trajectory is not None and answer.bound < cost:
@@ -52,15 +53,20 @@ def enumerate_sequences(
     return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), words, interrupted, solved, setup)
 
 
-def _all_sequences(relaxation: ModeRelaxation) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:
-    """Return the tree that splits every time in order, without proofs, and its leaves that can be reached."""
+def _all_sequences(
+    relaxation: ModeRelaxation, end: float
+) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:
+    """Return the tree that splits every time in order, without proofs, and its leaves that can be reached.
+
+    Where the time is over, it is the root alone: a tree without leaves that are solved proves nothing.
+    """
     T, modes = relaxation.problem.horizon, len(relaxation.problem.piecewise.modes)
     everything = np.ones((T, modes), dtype=bool)
     root = relaxation.reach.from_start(everything)
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
     waiting: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
     ends: list[tuple[int, Reach]] = []
-    while waiting:
+    while waiting and time.perf_counter() <= end:
         parent, reach = waiting.pop()
         several = reach.allowed.sum(axis=1) > 1
         if not several.any():
@@ -80,4 +86,6 @@ def _all_sequences(relaxation: ModeRelaxation) -> tuple[list[ModeNode], list[Dua
             raise UnsupportedError(
                 f"method: 'enumerate' has more than {MOST_SEQUENCES} sequences to solve here; use 'branch_and_bound'."
             )
+    if waiting:
+        return nodes[:1], [None], []
     return nodes, [None] * len(nodes), ends

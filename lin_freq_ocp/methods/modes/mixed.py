@@ -21,6 +21,10 @@ POINT_TOLERANCE = 1e-5
 the row, and as much in each binary times a coefficient of at most 1."""
 
 
+LEAST_TIME = 1e-3
+"""Seconds that a solver is given when setting up has used them all: it says that the limit was reached."""
+
+
 @dataclass(frozen=True, eq=False)
 class Resolved:
     """A claimed sequence, solved again as a convex program.
@@ -67,9 +71,14 @@ def solve_miqp(
     solver = mixed_backend(backend)
     require_convex(problem)
     started = time.perf_counter()
-    mixed = big_m_program(problem)
+    try:
+        mixed = big_m_program(problem, np.inf if time_limit is None else started + time_limit)
+    except TimeoutError:
+        seconds = {"setup": time.perf_counter() - started, "solve": 0.0}
+        return SolverClaim("limit", None, None, None, None, 0.0, f"time limit of {time_limit:.3g} s", seconds)
     ready = time.perf_counter()
-    solution = solver(mixed.program, mixed.binaries, time_limit, gap)
+    left = None if time_limit is None else max(time_limit - (ready - started), LEAST_TIME)
+    solution = solver(mixed.program, mixed.binaries, left, gap)
     seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
     return _outcome(mixed, solution, seconds)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.problem.mode_reach import Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.standard_form import StandardForm
 
 TOLERANCES = (1e-8, 1e-6)
 """Residuals and gap asked of a node's relaxation: a hundredth of the gap that is to be proven; if that fails, a looser
@@ -61,12 +63,16 @@ class Relaxed:
         return np.argmax(allowed, axis=1) if (allowed.sum(axis=1) == 1).all() else None
 
 
-def relaxed(relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float] = TOLERANCES) -> Relaxed:
-    """Solve the relaxation of a reach to the first tolerance that its solver reaches."""
+def relaxed(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float] = TOLERANCES, end: float = np.inf
+) -> Relaxed:
+    """Solve the relaxation of a reach to the first tolerance that its solver reaches until ``end``."""
+    if time.perf_counter() > end:
+        return Relaxed(reach, -np.inf, None, None, None)
     member = relaxation.member(reach)
     form = member.form
     solution = next(
-        (one for one in (solve_standard(form, tolerance) for tolerance in tolerances) if one.claim in DECIDED),
+        (one for one in _solutions(form, tolerances, end) if one.claim in DECIDED),
         Solution(Claim.FAILED, None, None, "no tolerance was reached"),
     )
     z, y = solution.z, solution.y
@@ -78,3 +84,12 @@ def relaxed(relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float
     dual = -0.5 * float(z @ curved) - float(form.b @ y)
     trajectory, weights = relaxation.point(member, z)
     return Relaxed(reach, relaxation.cost(dual), Duals(member.rows, y, 1.0), trajectory, weights)
+
+
+def _solutions(form: StandardForm, tolerances: Sequence[float], end: float) -> Iterator[Solution]:
+    """Yield a solution for each tolerance, as long as there is time."""
+    for tolerance in tolerances:
+        left = end - time.perf_counter()
+        if left <= 0:
+            return
+        yield solve_standard(form, tolerance, None if left == np.inf else left)

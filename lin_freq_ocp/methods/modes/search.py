@@ -17,6 +17,10 @@ GAP = 1e-6
 """Relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for."""
 
 
+SEARCH_SHARE = 0.85
+"""Of the time: what was found is solved once more, and the leaves are checked, in the rest."""
+
+
 @dataclass(frozen=True)
 class SearchLimits:
     """When to stop.
@@ -34,9 +38,14 @@ class SearchLimits:
     seconds: float = np.inf
     nodes: int = 10**9
 
+    @property
+    def search_seconds(self) -> float:
+        """Return the time for solving relaxations; the rest is for the proof."""
+        return SEARCH_SHARE * self.seconds
+
     def reached(self, seconds: float, nodes: int) -> str:
         """Return which limit of time or nodes is reached, in words, or nothing."""
-        if seconds > self.seconds:
+        if seconds > self.search_seconds:
             return f"time limit of {self.seconds:g} s"
         return f"limit of {self.nodes} nodes" if nodes >= self.nodes else ""
 
@@ -103,12 +112,12 @@ def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Se
     return ModeTree(tuple(proven(*pair) for pair in zip(nodes, duals, strict=True)))
 
 
-def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices) -> ModeTree:
-    """Return the tree with new proofs of some leaves, from relaxations solved as finely as can be."""
+def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices, end: float = np.inf) -> ModeTree:
+    """Return the tree with new proofs of some leaves, from relaxations solved as finely as can be until ``end``."""
     relaxation, nodes = ModeRelaxation(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
-        answer = None if reach is None else relaxed(relaxation, reach, FINE)
+        answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
             own = answer.duals
             proof = relaxation.multipliers(own.rows, own.y, own.eta_C)

@@ -134,7 +134,7 @@ class LocalSearch:
             return
         self._known.add(key)
         self.tried += 1
-        found = local_optimum(self.problem, start, sequence, prices)
+        found = local_optimum(self.problem, start, sequence, prices, self._end)
         if found is not None and (self.best is None or _better(self.problem, found, self.best)):
             self.best = found
         if self.progress is not None:

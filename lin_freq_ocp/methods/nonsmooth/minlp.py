@@ -64,20 +64,26 @@ def solve_minlp(
     started = time.perf_counter()
     program = smooth_program(problem)
     ready = time.perf_counter()
-    solution = solver(program, time_limit, gap)
+    left = None if time_limit is None else time_limit - (ready - started)
+    if left is not None and left <= 0:
+        words = f"time limit of {time_limit:.3g} s, over before the solver began"
+        slope = program.cost(COST_LEVEL) * problem.horizon
+        return GlobalClaim("limit", None, None, None, None, slope, words, {"setup": ready - started, "solve": 0.0})
+    solution = solver(program, left, gap)
     return _claim(program, solution, {"setup": ready - started, "solve": time.perf_counter() - ready})
 
 
-def polished(problem: OptimalControlProblem, claim: GlobalClaim) -> LocalOptimum | None:
+def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np.inf) -> LocalOptimum | None:
     """Return the local optimum that the claimed point leads to, in its modes or the nearest; None if there is none."""
     if claim.trajectory is None or claim.sequence is None:
         return None
-    found = local_optimum(problem, claim.trajectory, claim.sequence)
+    found = local_optimum(problem, claim.trajectory, claim.sequence, end=end)
     if found is not None and found.feasible:
         return found
     nearest = problem.smooth_pieces.sequence_of(claim.trajectory.x, claim.trajectory.u)
-    other = None if np.array_equal(nearest, claim.sequence) else local_optimum(problem, claim.trajectory, nearest)
-    return found if other is None else other
+    if np.array_equal(nearest, claim.sequence):
+        return found
+    return local_optimum(problem, claim.trajectory, nearest, end=end) or found
 
 
 def _claim(program: SmoothProgram, solution: MixedSolution, seconds: dict[str, float]) -> GlobalClaim:

@@ -10,6 +10,7 @@ dynamics and regions may be violated at a price: then every program has a soluti
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -79,19 +80,24 @@ class LocalOptimum:
 
 
 def local_optimum(
-    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES
+    problem: OptimalControlProblem,
+    start: Trajectory,
+    sequence: Indices,
+    prices: Sequence[float] = PRICES,
+    end: float = np.inf,
 ) -> LocalOptimum | None:
     """Return the local optimum of a mode sequence that is found from a trajectory, which need not be feasible.
 
-    None if no program could be solved, as where a piece is not defined.
+    None if no program could be solved, as where a piece is not defined. At ``end``, by ``time.perf_counter``, what was
+    reached until then.
     """
     best: LocalOptimum | None = None
     for price in prices:
-        found = _descended(problem, start if best is None else best.trajectory, sequence, price)
+        found = _descended(problem, start if best is None else best.trajectory, sequence, price, end)
         if found is None:
             return best
         best = found
-        if best.feasible:
+        if best.feasible or time.perf_counter() > end:
             break
     return best
 
@@ -109,7 +115,7 @@ def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Ind
 
 
 def _descended(
-    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float
+    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float, end: float
 ) -> LocalOptimum | None:
     frame = _Frame.of(problem, start, sequence)
     z = None if frame is None else frame.within_sets(start)
@@ -117,6 +123,8 @@ def _descended(
     radius, taken, steps = FIRST_RADIUS, None, 0
     multipliers: Multipliers | None = None
     while place is not None and steps < MOST_STEPS and radius > SMALLEST_RADIUS:
+        if time.perf_counter() > end:
+            break
         steps += 1
         step = _step(place, price, radius)
         if step is None:

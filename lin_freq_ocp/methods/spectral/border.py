@@ -64,17 +64,30 @@ class Border:
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
         self._set_variables()
+        self._require_size()
         self._set_hessian()
         self._set_points()
         self._set_singular_rows()
         self._set_band_rows()
         self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
-        if self.size + len(self.E) > LARGEST_BORDER:
+        self._decompose()
+
+    def _require_size(self) -> None:
+        """Raise UnsupportedError before anything of the border's size is made, if there is too much of it."""
+        lti, fixed = self.lti, len(self.lti.fixed_points[0])
+        if lti.state_dim + fixed > LARGEST_BORDER:
             raise UnsupportedError(
-                f"method 'spectral': {self.size} border unknowns and {len(self.E)} equations that fix points or bins "
+                f"method 'spectral': bounds fix {fixed} values within the horizon; it takes "
+                f"{LARGEST_BORDER - lti.state_dim}. Use method 'convex'."
+            )
+        bands = 2 * int(lti.state_stop.sum())
+        singular = int(sum(self.spaces.weight[one.k] for one in self.spaces.singular))
+        equations = lti.state_dim + fixed + singular + bands
+        if self.size + equations > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points or bins "
                 f"of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
             )
-        self._decompose()
 
     def _set_variables(self) -> None:
         lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
@@ -151,11 +164,6 @@ class Border:
         n = self.lti.state_dim
         t, f = self.lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
-        if len(self.point_t) > LARGEST_BORDER:
-            raise UnsupportedError(
-                f"method 'spectral': bounds fix {len(t)} values within the horizon; it takes {LARGEST_BORDER - n}. "
-                "Use method 'convex'."
-            )
         self.point_rows = self.values(self.point_t, self.point_f)
         self.point_rows[self.free_start, self.at_start] -= 1.0
 

@@ -11,6 +11,7 @@ the active rows as equations.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,11 +66,11 @@ class BorderedQp:
     slack: Array
     weights: Array
 
-    def solve(self) -> tuple[Array, Array, bool]:
-        """Return the step p, the weights l, and whether they are accurate."""
+    def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
+        """Return the step p, the weights l, and whether they are accurate; the best there is when told to stop."""
         scaled, border, rows, size = self._scaled()
-        p, weights, z, content = _interior_point(scaled)
-        polished = _polished(scaled, weights > z)
+        p, weights, z, content = _interior_point(scaled, stop)
+        polished = None if stop() else _polished(scaled, weights > z)
         if polished is None:
             weights = np.where(weights < IDLE * np.maximum(z, float(weights.max(initial=0.0))), 0.0, weights)
         else:
@@ -98,7 +99,7 @@ class BorderedQp:
         return scaled, border, rows, size
 
 
-def _interior_point(qp: BorderedQp) -> tuple[Array, Array, Array, bool]:
+def _interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
     b, count = qp.C.shape
     p, weights = np.zeros(b), np.ones(count)
     z = np.maximum(qp.slack + qp.S @ (weights - qp.weights), 1.0)
@@ -114,7 +115,7 @@ def _interior_point(qp: BorderedQp) -> tuple[Array, Array, Array, bool]:
         error = max(float(np.abs(r1).max()), float(np.abs(r2).max()), mu) / (1 + float(weights.max()))
         if error < best[0]:
             best = error, p, weights, z
-        if error < SOLVED or not np.isfinite(error):
+        if error < SOLVED or not np.isfinite(error) or stop():
             break
         matrix[b:, b:] = -qp.S
         matrix[diagonal, diagonal] -= z / weights + RIDGE

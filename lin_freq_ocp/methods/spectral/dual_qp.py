@@ -6,6 +6,8 @@ is trusted: the exchange judges every answer from the signals it leads to.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 from scipy.optimize import nnls
@@ -50,7 +52,9 @@ TINY = 1e-300
 """Keeps the scale of a row or slope that is exactly zero finite."""
 
 
-def nonnegative_qp(S: Array, d: Array, start: Array, unconstrained: Array | None = None) -> tuple[Array, bool]:
+def nonnegative_qp(
+    S: Array, d: Array, start: Array, unconstrained: Array | None = None, stop: Callable[[], str | None] = lambda: None
+) -> tuple[Array, bool]:
     """Return (lam, whether the method that found it was content).
 
     Parameters
@@ -60,6 +64,8 @@ def nonnegative_qp(S: Array, d: Array, start: Array, unconstrained: Array | None
         A warm start, >= 0.
     unconstrained : (count,), optional
         A diagonal with diag - S >= 0 and of low rank, zero where there is none: 1/R for control rows.
+    stop : callable
+        Says why to stop early, or None: then it returns the best that there is, with which it is not content.
     """
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
     size = max(float((np.abs(d) * unit).max()), TINY)
@@ -72,7 +78,7 @@ def nonnegative_qp(S: Array, d: Array, start: Array, unconstrained: Array | None
         lam = active_set(A, b)
     content = lam is not None
     if lam is None:
-        lam, content = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2)
+        lam, content = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop)
     return lam * unit * size, content
 
 

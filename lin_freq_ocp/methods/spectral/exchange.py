@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +25,12 @@ from lin_freq_ocp.problem.arrays import Array
 
 ROUNDS = 60
 """Rounds after which an exchange ends; 1 to 12 are usual."""
+
+QP_SECONDS = 1e-10
+"""Of a small QP, measured, times the cube of its rows: it is not begun if that is more than what is left."""
+
+LARGE_QP = 1000
+"""Rows of a small QP from which its time is estimated: with fewer, it takes less than 0.1 s."""
 
 LOCAL_ROUNDS = 6
 """Times that a step is found again with the rows nearby that it violates, before all signals are evaluated."""
@@ -89,6 +96,14 @@ ENDLESS = 1e10
 """Size of a border variable, in natural units, at which the cost has no lower bound."""
 
 
+class Stop(Protocol):
+    """Says why to stop, or None: whether the time is over, or will be in so many seconds; or Ctrl-C was pressed."""
+
+    def __call__(self, needed: float = 0.0) -> str | None:
+        """Return why to stop, if so many more seconds are needed."""
+        ...
+
+
 @dataclass(eq=False)
 class Outcome:
     """How an exchange ended.
@@ -126,9 +141,7 @@ class Outcome:
 class Exchange:
     """One solve: the point, its working rows, and the rules of a round; ``stop`` says why to stop early, or None."""
 
-    def __init__(
-        self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Callable[[], str | None]
-    ):
+    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
         self.violations = structure.violations(data.lti)
@@ -151,6 +164,10 @@ class Exchange:
         """Exchange until optimal, evaluating all signals so many times at most."""
         added = len(self.working)
         for count in range(1, rounds + 1):
+            rows = len(self.working)
+            reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
+            if reason is not None:
+                return self._outcome("limit", reason)
             self.rounds += 1
             diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
             self._step(ask=diverging or count % ASK_FOR_RAY == 0)
@@ -247,7 +264,7 @@ class Exchange:
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
             step, new, ray = self._eliminated_step(right, guess, ask)
-            settled = ray is not None or self.violations.worst < self.tolerance
+            settled = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if settled or not 0 < len(working) <= LOCAL_ROWS:
                 break
             near = near or around(self.border, self.violations, working)
@@ -271,8 +288,9 @@ class Exchange:
         )  # symmetric to the last bit: else it stalls at rounding
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, content = nonnegative_qp(S, d, guess, unconstrained)
-        ray = row_ray(self.structure, self.data, working, S, d, Z, ask or not content)
+        new, content = nonnegative_qp(S, d, guess, unconstrained, self.stop)
+        asked = (ask or not content) and self.stop() is None
+        ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
@@ -283,10 +301,10 @@ class Exchange:
         K = border.proximal_matrix(self.proximal)
         slack = working.limits(self.data.lti) - self.values
         qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights)
-        step, new, content = qp.solve()
-        if not (ask or not content):
+        step, new, content = qp.solve(self.stop)
+        if not (ask or not content) or self.stop():
             return step, new, None
-        return step, new, stiffened_ray(self.structure, self.data, working)
+        return step, new, stiffened_ray(self.structure, self.data, working, self.stop)
 
     def _relative_residual(self) -> float:
         return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
@@ -353,13 +371,13 @@ class Exchange:
         )
 
 
-def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Callable[[], str | None]:
-    """Return a function that says why to stop, or None: the time is over, or Ctrl-C was pressed."""
+def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
+    """Return a function that says why to stop, or None."""
     end = np.inf if seconds is None else time.perf_counter() + seconds
 
-    def stop() -> str | None:
+    def stop(needed: float = 0.0) -> str | None:
         if interrupted():
             return "interrupted"
-        return "time limit" if time.perf_counter() > end else None
+        return "time limit" if time.perf_counter() + needed > end else None
 
     return stop

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange
+from lin_freq_ocp.methods.spectral.exchange import ROUNDS, Exchange, Stop
 from lin_freq_ocp.methods.spectral.lti import Lti
 from lin_freq_ocp.methods.spectral.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.working_set import Rows
@@ -43,7 +43,7 @@ HELD_TOLERANCE = 1e-4
 """Relative violations that are good enough for a guess."""
 
 
-def first_working_set(lti: Lti, stop: Callable[[], str | None], structures: dict[int, Structure]) -> Rows | None:
+def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
     """Return a guess of the active rows, or None: start cold.
 
     Parameters

@@ -7,6 +7,8 @@ times the length of the arcs: each step is then a small system (SPECTRAL.md, sec
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf
@@ -49,8 +51,10 @@ LOW_RANK_ERROR = 1e-10
 POLISHES = 3
 
 
-def interior_point(A: Array, b: Array, unconstrained: Array | None) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate); ``unconstrained`` as in ``nonnegative_qp``."""
+def interior_point(
+    A: Array, b: Array, unconstrained: Array | None, stop: Callable[[], str | None] = lambda: None
+) -> tuple[Array, bool]:
+    """Return (lam, whether it is accurate); ``unconstrained`` and ``stop`` as in ``nonnegative_qp``."""
     system, ridge, count = _System(A, unconstrained), RIDGE, len(b)
     lam, z = np.ones(count), np.maximum(A.sum(1) + b, 1.0)
     best = np.inf, lam, z
@@ -59,7 +63,7 @@ def interior_point(A: Array, b: Array, unconstrained: Array | None) -> tuple[Arr
         error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
         if error < best[0]:
             best = error, lam, z
-        if error < SOLVED or not error <= DIVERGED * best[0]:
+        if error < SOLVED or not error <= DIVERGED * best[0] or stop():
             break
         if not system.factor(z / lam + ridge):
             ridge *= 100

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import matrix_balance
+from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.measures import given_sizes, stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 
@@ -24,6 +26,9 @@ LEAST_SIZE = 1e-4
 
 MUCH_SMALLER = 1e-5
 """Largest value of a component, in its unit, below which that unit was wrong."""
+
+MUCH_LARGER = 30.0
+"""Factor between what is said of a state's size and what those that it swings with say, from which they are right."""
 
 NEGLIGIBLE = 1e-13
 """Largest value below which the component only holds rounding."""
@@ -142,12 +147,32 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 def natural_units(problem: OptimalControlProblem) -> Units:
     """Return units in which the data are of order 1."""
-    x, u = (_power_of_two(size) for size in stated_sizes(problem))
+    x, u = _power_of_two(_state_sizes(problem)), _power_of_two(stated_sizes(problem)[1])
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
     norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
     rows = np.concatenate([*norms, np.zeros(0)])
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+
+
+def _state_sizes(problem: OptimalControlProblem) -> Array:
+    """Return sizes of the states, (n,): as stated, else as the states say that act on them and that they act on.
+
+    What |x| <= T |A| |x| says of a state about which nothing is stated grows with T, once per state of a chain, also
+    where states only swing against each other. Measured so, A would be all but defective.
+    """
+    A, sizes = problem.linear.A, stated_sizes(problem)[0]
+    given = given_sizes(problem)[: len(A)] > 0
+    count, group = connected_components(A != 0, connection="strong")
+    for i in range(count):
+        mine = np.flatnonzero(group == i)
+        coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
+        balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
+        known, ratio = given[mine], sizes[mine] / balanced
+        level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
+        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
+        sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
+    return sizes
 
 
 def revised_units(units: Units, y: Array) -> Units | None:

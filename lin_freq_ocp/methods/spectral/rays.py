@@ -6,6 +6,7 @@ weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,14 @@ def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | Non
 
 
 def row_ray(
-    structure: Structure, data: Data, working: WorkingSet, S: Array, d: Array, Z: Array, ask: bool
+    structure: Structure,
+    data: Data,
+    working: WorkingSet,
+    S: Array,
+    d: Array,
+    Z: Array,
+    ask: bool,
+    stop: Callable[[], str | None] = lambda: None,
 ) -> Ray | None:
     """Return a ray of working rows: one that the equations decide, or (``ask``) a combination of many.
 
@@ -70,7 +78,7 @@ def row_ray(
     elif ask:
         size = np.abs(d) / np.sqrt(np.maximum(np.diagonal(S), TINY))
         rho = max(float(size.max()), TINY) ** -2
-        weights, _ = nonnegative_qp(S + rho * np.outer(d, d), d, np.zeros(len(d)))
+        weights, _ = nonnegative_qp(S + rho * np.outer(d, d), d, np.zeros(len(d)), stop=stop)
         if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT:
             return None
     else:
@@ -79,7 +87,9 @@ def row_ray(
     return _verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
 
 
-def stiffened_ray(structure: Structure, data: Data, working: WorkingSet) -> Ray | None:
+def stiffened_ray(
+    structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
+) -> Ray | None:
     """Return a ray of working rows where the border is soft: what can be satisfied does not depend on what it costs."""
     border, nothing = structure.border, WorkingSet(structure.border)
     theta = np.zeros(border.size)
@@ -89,7 +99,7 @@ def stiffened_ray(structure: Structure, data: Data, working: WorkingSet) -> Ray 
     through_border = working.coupling.T @ Z
     S = working.gram + (through_border + through_border.T) / 2
     d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
-    return row_ray(structure, data, working, S, d, Z, ask=True)
+    return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
 
 def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,7 +17,7 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
-from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, deadline
+from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
 from lin_freq_ocp.methods.spectral.optimality import residuals
@@ -188,7 +188,7 @@ class SpectralSolver:
         self._coarser: dict[int, Structure] = {}
         self.setup_seconds = time.perf_counter() - started
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Callable[[], str | None]) -> Answer:
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)

@@ -26,7 +26,16 @@ NEAR_RADIUS = 0.3
 """Distance to an eigenvalue beyond which a bin is not near one, whatever the resolvent."""
 
 SMALL_SINGULAR_VALUE = 1e-5
-"""Relative singular value of F_k below which its direction becomes a border unknown instead of being divided by."""
+"""Relative singular value of F_k below which its direction may become a border unknown instead of being divided by."""
+
+RESOLVED_PHASE = 10.0
+"""Distance of a bin to every eigenvalue, times T, beyond which it does not: |1 - (lambda / z)^T| is then of order 1, or
+|lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Else few bins per eigenvalue are
+nearer, on any horizon."""
+
+LEAST_DIVISOR = 1e-11
+"""Relative singular value below which its direction becomes a border unknown all the same: fewer than five digits of it
+are known."""
 
 ZERO_SINGULAR_VALUE = 1e-13
 """Relative singular value that is rounding: an equation without unknown. As a number it would decide the answer."""
@@ -58,7 +67,8 @@ class NearBins:
         Null vectors of F_k that diagonalise M, and their costs; zero, and inf, where a control is stopped.
     """
 
-    def __init__(self, lti: Lti, k: Indices, z: ComplexArray):
+    def __init__(self, lti: Lti, k: Indices, z: ComplexArray, distance: Array):
+        """Decompose bins k of all z (bins,), ``distance`` (bins,) from the nearest eigenvalue."""
         self.k, n, m = k, lti.state_dim, lti.control_dim
         self.left = np.empty((len(k), n, n), dtype=np.complex128)
         self.sigma = np.empty((len(k), n))
@@ -69,7 +79,8 @@ class NearBins:
             self._decompose(lti, places, passed, z[k[places]].real if real else z[k[places]])
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
-        self.good = self.sigma > SMALL_SINGULAR_VALUE * largest
+        resolved = lti.horizon * distance[k, None] > RESOLVED_PHASE
+        self.good = self.sigma > np.where(resolved, LEAST_DIVISOR, SMALL_SINGULAR_VALUE) * largest
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
     def _decompose(self, lti: Lti, places: Indices, passed: Mask, z: Array | ComplexArray) -> None:
@@ -139,15 +150,20 @@ class BinSpaces:
         self.z = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
-        self.near = NearBins(lti, self._near_bins(), self.z)
+        distance = self._distance()
+        self.near = NearBins(lti, self._near_bins(distance), self.z, distance)
         self.N = self._far_null_spaces()
         self.singular: list[Singular] = []
         self._set_border()
 
-    def _near_bins(self) -> Indices:
+    def _distance(self) -> Array:
+        """Return the distance of each bin to the nearest eigenvalue of A."""
         distance = np.full(len(self.z), np.inf)
         for eigenvalue in self.resolvent.eigenvalues:
             np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
+        return distance
+
+    def _near_bins(self, distance: Array) -> Indices:
         close = np.flatnonzero(distance < NEAR_RADIUS)
         with np.errstate(all="ignore"):
             size = self.resolvent.size(self.z[close])

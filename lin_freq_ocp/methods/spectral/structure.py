@@ -15,6 +15,10 @@ from lin_freq_ocp.methods.spectral.violations import Violations
 from lin_freq_ocp.methods.spectral.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.working_set import WorkingSet
 from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.problem.memory import require_memory
+
+TEMPORARIES = 2.0
+"""Memory at the peak over that of the arrays that are kept; 1.9 was measured."""
 
 
 class Structure:
@@ -30,6 +34,7 @@ class Structure:
     """
 
     def __init__(self, lti: Lti):
+        _require_memory(lti)
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
         self.border = Border(lti, self.spaces, self.kernels)
@@ -54,6 +59,25 @@ class Structure:
         else:
             self._whole.tabulate()
         return self._whole
+
+
+def _require_memory(lti: Lti) -> None:
+    """Raise UnsupportedError unless spectra, kernels and signals fit into memory (docs/spectral.md, Memory)."""
+    dimension, rows = len(lti.M), len(lti.F)
+    free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
+    spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
+    in_time = 8 * rows * rows + 9 * rows + 2 * rows
+    require_memory(
+        f"method 'spectral' with horizon = {lti.horizon}, {lti.state_dim} states and {lti.control_dim} controls",
+        TEMPORARIES * (spectra + in_time) * lti.horizon,
+        "Choose a shorter horizon or a longer sampling time.",
+    )
+    bands = 2.0 * lti.state_stop.sum()
+    require_memory(
+        f"the state bands, {bands:.0f} dense rows with their responses,",
+        16 * (dimension + 2) * bands * lti.horizon,
+        "Stop bands of controls need no dense rows; else choose a shorter horizon.",
+    )
 
 
 def _unconstrained_response(lti: Lti) -> Array | None:

@@ -140,7 +140,7 @@ def settled(
         if len(index):
             d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
             free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            weights, content = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free)
+            weights, content = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
             found = Multiplied(index, sign, weights, count, content)
             if not content:
                 break

@@ -10,6 +10,10 @@ import numpy as np
 from lin_freq_ocp.methods.spectral.border import Border
 from lin_freq_ocp.methods.spectral.lti import Lti
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.memory import require_memory
+
+COPIES = 6
+"""Dense matrices of the size of the working set, that a small QP has at the same time."""
 
 
 class Rows(NamedTuple):
@@ -133,6 +137,11 @@ class WorkingSet:
         self._present[(sign > 0).astype(np.intp), f, t] = present
 
     def _gram(self) -> Array:
+        require_memory(
+            f"method 'spectral' with {len(self)} working rows (samples at a bound)",
+            8.0 * COPIES * len(self) ** 2,
+            "Choose a coarser grid or a shorter horizon.",
+        )
         inner, gram = self.inner, np.zeros((len(self), len(self)))
         t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
         gram[np.ix_(inner, inner)] = self._border.kernels.gram(t, f, t, f) * sign[:, None] * sign

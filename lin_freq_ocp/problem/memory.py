@@ -1,0 +1,58 @@
+"""How much memory may be used: large arrays are refused in words before they are allocated."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from lin_freq_ocp.errors import UnsupportedError
+
+SHARE = 0.5
+"""Part of the memory that one solve may take: estimates are good to a factor of two, and other programs need some."""
+
+GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
+"""Where Linux says what a container may use."""
+
+GIB = 2.0**30
+
+NUMBERS_PER_SIGNAL = 16
+"""Numbers per component and time that a problem and one trajectory with multipliers are made of."""
+
+
+def memory_limit() -> float:
+    """Return the bytes that one solve may take: a share of the machine's memory, or of what its container may use."""
+    available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
+    with suppress(OSError, ValueError):  # "max" where there is no limit
+        available = min(available, float(GROUP_LIMIT.read_text()))
+    return SHARE * available
+
+
+def require_memory(what: str, size: float, advice: str) -> None:
+    """Raise UnsupportedError if something is estimated to take more memory than one solve may.
+
+    Parameters
+    ----------
+    what : str
+        What would be allocated, as the beginning of a sentence.
+    size : float
+        Bytes.
+    advice : str
+        What to do instead.
+    """
+    limit = memory_limit()
+    if size > limit:
+        raise UnsupportedError(
+            f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
+            f"{SHARE:.0%} of what there is. {advice}"
+        )
+
+
+def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
+    """Raise UnsupportedError unless the signals of a problem fit into memory."""
+    size = 8.0 * NUMBERS_PER_SIGNAL * horizon * (state_dim + control_dim)
+    require_memory(
+        f"signals and bounds of horizon = {horizon}, {state_dim} states and {control_dim} controls",
+        size,
+        "Choose a shorter horizon or a longer sampling time.",
+    )
