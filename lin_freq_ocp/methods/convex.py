@@ -15,7 +15,7 @@ from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
-from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
+from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling, stated_scaling
 
 SOLVED_TOLERANCE = 1e-6
 """Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
@@ -41,11 +41,12 @@ def solve_convex(
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
     candidate = _attempt(transcription, scaling, solver, tolerance, time_limit)
-    revised = _revised(transcription, scaling, candidate)
-    left = None if time_limit is None else time_limit - (time.perf_counter() - ready)
-    if revised is not None and (left is None or left > 0):
-        second = _attempt(transcription, revised, solver, tolerance, left)
-        candidate = second if second.status == "optimal" else replace(candidate, interrupted=second.interrupted)
+    for further in (_revised, _stated):
+        revised = further(transcription, scaling, candidate)
+        left = None if time_limit is None else time_limit - (time.perf_counter() - ready)
+        if revised is not None and (left is None or left > 0):
+            second = _attempt(transcription, revised, solver, tolerance, left)
+            candidate = second if second.status == "optimal" else replace(candidate, interrupted=second.interrupted)
     return replace(candidate, seconds={"setup": ready - started, "solve": time.perf_counter() - ready})
 
 
@@ -120,6 +121,16 @@ def _revised(transcription: LinearTranscription, scaling: Scaling, candidate: Ca
     if candidate.trajectory is None or candidate.status == "limit":
         return None
     return revised_scaling(transcription, scaling, transcription.point(candidate.trajectory))
+
+
+def _stated(transcription: LinearTranscription, scaling: Scaling, candidate: Candidate) -> Scaling | None:
+    """Return the units that the data state if there is no answer in others: they may be the reason.
+
+    Infeasibility is proven by a ray, which does not depend on units; a solver that works in wrong ones claims it too.
+    """
+    if candidate.status not in ("infeasible", "numerical_error") or candidate.interrupted:
+        return None
+    return stated_scaling(transcription, scaling)
 
 
 def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution) -> Candidate:
