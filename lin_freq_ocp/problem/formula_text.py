@@ -108,6 +108,8 @@ class _Reader:
             (one,) = formulas
             return abs(one) if name == "abs" else getattr(one, name)()
         numbers = [one for one in arguments if isinstance(one, float)]
+        if len(numbers) == len(arguments) > 1 and name in ("max", "min"):
+            return max(numbers) if name == "max" else min(numbers)
         if len(arguments) == 1 and numbers and name in ("abs", *SMOOTH):
             return float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0]))
         raise ProblemError(self._field, repr(self._text), EXPECTED)
