@@ -115,7 +115,7 @@ def test_outside_its_domain_a_mode_does_not_hold():
         (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [x[0]], name="a")] * 2, 1, 1), "second time"),
         (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [x[0]], [lfo.signals(2, 1)[0][0]])], 1, 1),
          r"region\[0\]"),
-        (lambda: lfo.PiecewiseSmoothDynamics.from_formulas([" + ".join(f"abs(sin({k} * x_0))" for k in range(7))], 1, 1),
+        (lambda: lfo.PiecewiseSmoothDynamics.from_formulas(["+".join(f"abs(sin({k}*x_0))" for k in range(1, 8))], 1, 1),
          "more than 64 combinations"),
         (lambda: library.buck_converter(v_min=1.9), "the pole of the second mode"),
         (lambda: library.buck_converter(diode_resistance=-1.0), "diode_resistance"),
