@@ -60,6 +60,7 @@ from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.interchange.trajectory_file import load_trajectory
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
@@ -94,6 +95,7 @@ def list_command() -> int:
 @time_limit_option
 @tolerance_option
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
+@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write trajectory and multipliers to this .npz file.")
 @click.option("--dump", type=click.Path(path_type=Path), help="Write the whole run to this .zip file; see rerun.")
 @json_option
@@ -105,6 +107,7 @@ def solve_command(
     time_limit: float | None,
     tolerance: float | None,
     node_limit: int | None,
+    start: str | None,
     save: Path | None,
     dump: Path | None,
     as_json: bool,
@@ -119,6 +122,8 @@ def solve_command(
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     if node_limit is not None:
         options["node_limit"] = node_limit
+    if start is not None:
+        options["start"] = start_of(description, load_trajectory(start, description)[0]).saved
     with dumping_errors(dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
