@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
 import numpy as np
 
@@ -28,13 +28,20 @@ from lin_freq_ocp.problem.formulas import (
 LONGEST = 10_000
 """Characters of one formula: deeper nesting than Python's parser takes does not fit in."""
 
+FUNCTION_NAMES = ("abs", "max", "min", "norm", *SMOOTH)
+
+LONGEST_SHOWN = 300
+"""Characters of a part of a formula that people are shown; instead of a longer one stand three points."""
+
 EXPECTED = (
     "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
     "arctan, as in 'norm(x_0, x_1) * u_0'"
 )
 
 
-def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> Formula:
+def formula_from_text(
+    field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
+) -> Formula:
     """Return the formula that a text says.
 
     Parameters
@@ -45,6 +52,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
         Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh,
         arctan.
     dimensions : (n, m)
+    known : mapping from str to Formula, optional
+        What names stand for; default: the signals.
 
     Raises
     ------
@@ -58,7 +67,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ProblemError(field, repr(text), EXPECTED) from None
     x, u = signals(*dimensions)
-    known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+    if known is None:
+        known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
     made = _Reader(field, text, known).read(tree.body)
     return made if isinstance(made, Formula) else x[0] * 0.0 + made
 
@@ -66,7 +76,7 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
 class _Reader:
     """Reads one text."""
 
-    def __init__(self, field: str, text: str, known: dict[str, Formula]):
+    def __init__(self, field: str, text: str, known: Mapping[str, Formula]):
         self._field, self._text, self._known = field, text, known
 
     def read(self, node: ast.expr) -> Formula | float:
@@ -124,26 +134,51 @@ def source_of(one: Formula, field: str = "formula") -> str:
         If it has functions that are no formulas.
     """
     for node in in_order([one]):
-        if node.function is not None:
-            raise ProblemError(field, f"the function {node.function.title}", "formulas, which are text in a file")
+        require_formula(node, field)
     return _text(one, None, repr)
 
 
+def require_formula(one: Formula, field: str = "formula") -> None:
+    """Raise ProblemError if a node is a function that is no formula."""
+    if one.function is not None:
+        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
+
+
 def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
-    """Return a formula for people, with rounded numbers and the given names of states and controls."""
-    return _text(one, labels, lambda value: f"{value:.4g}")
+    """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
+    return _text(one, labels, lambda value: f"{value:.4g}", LONGEST_SHOWN)
 
 
-def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], str]) -> str:
-    n = one.dimensions[0]
-    if one.kind == VARIABLE:
-        i = int(one.data[0])
-        return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
-    parts = [_text(argument, labels, number) for argument in one.arguments]
+def _text(
+    one: Formula, labels: Sequence[str] | None, number: Callable[[float], str], longest: float = float("inf")
+) -> str:
+    made: dict[Formula, str] = {}
+    for node in in_order([one]):
+        if node.kind == VARIABLE:
+            made[node] = text_of_variable(node, labels)
+            continue
+        parts = [made[argument] for argument in node.arguments]
+        cut = {i for i, part in enumerate(parts) if len(part) > longest}
+        if len(parts) > longest / 2:
+            made[node] = "..."
+        else:
+            made[node] = composed(node, ["..." if i in cut else part for i, part in enumerate(parts)], number, cut)
+    return made[one]
+
+
+def text_of_variable(one: Formula, labels: Sequence[str] | None) -> str:
+    """Return the label of a signal, or x_i or u_i."""
+    n, i = one.dimensions[0], int(one.data[0])
+    return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
+
+
+def composed(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
+    """Return the text of a node from those of its arguments, of which some are ``whole``: names without brackets."""
     if one.kind == SUM:
-        return _sum(one, parts, number)
+        return _sum(one, parts, number, whole)
     if one.kind in (PRODUCT, QUOTIENT):
-        return f"{_bracketed(one.arguments[0], parts[0])} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
+        first = parts[0] if 0 in whole else _bracketed(one.arguments[0], parts[0])
+        return f"{first} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
     if one.kind == POWER:
         return f"({parts[0]})**{one.data[0]:g}"
     if one.function is not None:
@@ -152,12 +187,12 @@ def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], 
     return f"{name}({', '.join(parts)})"
 
 
-def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str]) -> str:
+def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
     text = ""
-    for factor, argument, part in zip(one.data[:-1], one.arguments, parts, strict=True):
+    for i, (factor, argument, part) in enumerate(zip(one.data[:-1], one.arguments, parts, strict=True)):
         size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "
         sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
-        text += sign + size + (_bracketed(argument, part) if factor != 1 else part)
+        text += sign + size + (part if factor == 1 or i in whole else _bracketed(argument, part))
     if one.data[-1] or not text:
         value = one.data[-1]
         text += f" {'-' if value < 0 else '+'} {number(abs(value))}" if text else number(value)
