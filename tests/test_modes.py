@@ -330,3 +330,27 @@ def test_what_is_refused(monkeypatch):
 def test_states_without_bounds_are_bounded_by_the_reach():
     problem = random_problem(2, horizon=3, state_set=None)
     assert lfo.solve(problem).cost == pytest.approx(brute_force(problem)[0], rel=1e-7)
+
+
+def test_a_mode_that_grows_by_itself_is_held_by_controls_that_cost_little():
+    """Of one mode alone, without bounds, the cost asks for no control: units from there called its program infeasible.
+
+    The cost is 0.626856 by SCIP as well, with mode 1 at all times.
+    """
+    B = [[-0.9825577153853514, 0.7724928859368677]]
+    modes = [
+        lfo.AffineMode([[-1.3693997696352682]], B, None, [[1.1947954284082145]], None, [-0.5]),
+        lfo.AffineMode([[1.191471097849243]], B, [1.0716775468819264], [[-1.1947954284082145]], None, [0.5]),
+    ]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        6,
+        lfo.QuadraticCost(R=np.diag([0.5269730895982185, 0.8117865279220953])),
+        control_set=lfo.Box(-1.8423, 1.8423),
+        state_set=lfo.Box(-2.9920847292474027, 2.9920847292474027),
+        initial_state=[0.0],
+    )
+    assert lfo.solve(problem).cost == pytest.approx(0.626856, abs=1e-6)
+    alone = lfo.solve(problem.with_modes([1] * 6))
+    assert alone.cost == pytest.approx(0.626856, abs=1e-6)
+    assert alone.certificate.globally_optimal
