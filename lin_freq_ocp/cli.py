@@ -65,6 +65,7 @@ from lin_freq_ocp.interchange.template import init_problem_file
 from lin_freq_ocp.interchange.trajectory_file import load_trajectory
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
@@ -109,6 +110,7 @@ def list_command() -> int:
 @time_limit_option
 @tolerance_option
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
+@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
 @output_options
 @json_option
 @click.option("--trajectory", "with_trajectory", is_flag=True, help="With --json: the times, x and u, too.")
@@ -120,6 +122,7 @@ def solve_command(
     time_limit: float | None,
     tolerance: float | None,
     node_limit: int | None,
+    start: str | None,
     as_json: bool,
     with_trajectory: bool,
     **files: Path | None,
@@ -132,6 +135,8 @@ def solve_command(
     options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     if node_limit is not None:
         options["node_limit"] = node_limit
+    if start is not None:
+        options["start"] = start_of(description, load_trajectory(start, description)[0]).saved
     with dumping_errors(outputs.dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)

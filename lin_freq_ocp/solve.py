@@ -39,6 +39,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve_modes import MODE_METHODS, solve_modes
@@ -80,6 +81,7 @@ def solve(
     node_limit: int | None = None,
     progress: Callable[[SearchProgress | SmoothProgress], None] | None = None,
     executor: Executor | None = None,
+    start: Any = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
 
@@ -116,6 +118,10 @@ def solve(
         a local search and every step of the bound.
     executor : concurrent.futures.Executor, optional
         Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
+    start : Trajectory, (T, m) or (T,) integers, optional
+        Of piecewise-affine and piecewise-smooth dynamics: a trajectory (or a result), controls to be replayed from the
+        initial state, or the mode at every time. Branch and bound begins with the best trajectory of these modes, the
+        local search at this one: what they end with is not worse.
 
     Returns
     -------
@@ -127,21 +133,26 @@ def solve(
         With ``throw``; a subclass of SolveError, with ``.result``.
     UnsupportedError
         If the method or backend does not exist or cannot take this problem, or does not know an option.
+    ProblemError
+        If the start does not fit the problem.
     """
     require_problem(problem)
     require_options(method, backend, time_limit, tolerance)
-    require_taken(problem, method, {"tolerance": tolerance, "node_limit": node_limit, "executor": executor})
+    given = {"tolerance": tolerance, "node_limit": node_limit, "executor": executor, "start": start}
+    require_taken(problem, method, given)
     _require_positive("node_limit", node_limit)
+    begin = None if start is None else start_of(problem, start)
     started = time.perf_counter()
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         limits = SearchLimits(tolerance or GAP, time_limit or np.inf, node_limit or SearchLimits.nodes)
-        result = solve_modes(problem, method, backend, limits, progress, executor)
+        result = solve_modes(problem, method, backend, limits, progress, executor, begin)
     elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        result = solve_smooth(problem, method, backend, time_limit or np.inf, tolerance, progress)
+        result = solve_smooth(problem, method, backend, time_limit or np.inf, tolerance, progress, begin)
     else:
         result = _linear(problem, method, backend, tolerance, time_limit)
-    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    result = replace(result, options=options if node_limit is None else {**options, "node_limit": node_limit})
+    options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options |= {} if node_limit is None else {"node_limit": node_limit}
+    result = replace(result, options=options if begin is None else {**options, "start": begin.saved})
     if throw and result.status == "infeasible":
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))

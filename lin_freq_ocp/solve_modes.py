@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, Searc
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.result import Result
 
@@ -46,6 +47,7 @@ def solve_modes(
     limits: SearchLimits,
     progress: Report | None,
     executor: Executor | None,
+    start: Start | None = None,
 ) -> Result:
     """Return what a search over modes ends with, judged.
 
@@ -61,16 +63,16 @@ def solve_modes(
         raise UnsupportedError(f"method: got {method!r}, which takes linear dynamics; expected one of {known}.")
     if backend != "auto" and method != "miqp":
         raise UnsupportedError(f"backend: got {backend!r}; the method {method!r} needs none: leave it 'auto'.")
-    started = time.perf_counter()
+    started, first = time.perf_counter(), None if start is None else start.sequence
     end = started + limits.seconds
     if method == "enumerate":
         outcome = enumerate_sequences(problem, limits, progress)
     elif method == "miqp":
         return _through_solver(problem, "scip" if backend == "auto" else backend, limits, progress)
     elif executor is not None:
-        outcome = search_in_parts(problem, limits, executor, progress)
+        outcome = search_in_parts(problem, limits, executor, progress, first)
     else:
-        outcome = BranchAndBound(problem, limits, progress=progress).run()
+        outcome = BranchAndBound(problem, limits, progress=progress).run(first)
     seconds = {"setup": outcome.setup, "solve": time.perf_counter() - started - outcome.setup}
     return _judged(problem, method, outcome, limits.gap, seconds, end)
 

@@ -16,12 +16,12 @@ TAKES: dict[tuple[str, str], tuple[str, ...]] = {
     (LINEAR, "auto"): ("tolerance",),
     (LINEAR, "spectral"): ("tolerance",),
     (LINEAR, "convex"): ("tolerance",),
-    (AFFINE, "auto"): ("tolerance", "node_limit", "executor"),
-    (AFFINE, "branch_and_bound"): ("tolerance", "node_limit", "executor"),
+    (AFFINE, "auto"): ("tolerance", "node_limit", "executor", "start"),
+    (AFFINE, "branch_and_bound"): ("tolerance", "node_limit", "executor", "start"),
     (AFFINE, "enumerate"): ("tolerance", "node_limit"),
     (AFFINE, "miqp"): ("tolerance", "node_limit"),
-    (SMOOTH, "auto"): ("tolerance",),
-    (SMOOTH, "nonsmooth"): (),
+    (SMOOTH, "auto"): ("tolerance", "start"),
+    (SMOOTH, "nonsmooth"): ("start",),
     (SMOOTH, "minlp"): ("tolerance",),
 }
 """What each method takes beside a time limit, which all know, and a backend, which each looks at itself."""
@@ -30,6 +30,7 @@ WHERE = {
     "tolerance": "the method 'nonsmooth' has no gap to prove; 'auto' does",
     "node_limit": "only a search over affine modes has nodes",
     "executor": "only 'branch_and_bound' has parts for it",
+    "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
 }
 """Why other methods do not take an option."""
 

@@ -23,6 +23,7 @@ from lin_freq_ocp.methods.nonsmooth.newton import newton
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 
@@ -43,6 +44,9 @@ GLOBAL_GAP = 1e-4
 GLOBAL_SECONDS = 10.0
 """For the bound, unless there is a time limit: enough for short horizons, and not too long to wait for."""
 
+SAVED_BY_TOLERANCE = 1e-6
+"""Part of its cost by which a start may be below what was found: the judge forgives violations as large."""
+
 FEASIBILITY_LOSS = 1.0
 """Of each step, where no cost is known and only the existence of a trajectory is asked for."""
 
@@ -61,6 +65,7 @@ def solve_smooth(
     seconds: float,
     gap: float | None = None,
     progress: Report | None = None,
+    start: Start | None = None,
 ) -> Result:
     """Return the best local optimum that is found, judged; with the method "auto", and a global bound.
 
@@ -73,15 +78,18 @@ def solve_smooth(
     if method not in ("auto", *SMOOTH_METHODS):
         known = ", ".join(map(repr, SMOOTH_METHODS))
         raise UnsupportedError(f"method: got {method!r}; with piecewise-smooth dynamics, expected 'auto' or {known}.")
+    if start is not None and method == "minlp":
+        raise UnsupportedError("start: got one for the method 'minlp'; only 'nonsmooth' and 'auto' begin with one.")
     if method == "minlp":
         return _through_solver(problem, "scip" if backend == "auto" else backend, seconds, gap)
     if backend != "auto":
         raise UnsupportedError(f"backend: got {backend!r}; the method 'nonsmooth' needs none: leave it 'auto'.")
     started = time.perf_counter()
-    search = LocalSearch(problem, seconds, progress).run()
+    search = LocalSearch(problem, seconds, progress, start).run()
     solved = time.perf_counter()
     best = search.best
     found = None if best is None or not best.feasible else _polished(problem, best)
+    found = found if start is None else _not_above(problem, start, found)
     status, message = _status(search, found)
     if status == "locally_optimal" and method == "auto" and found is not None:
         left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
@@ -174,8 +182,27 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     except UnsupportedError:
         return found
     after = judge(problem, run.trajectory, run.multipliers)
-    better = (len(after.failed), after.worst.relative) < (len(certificate.failed), certificate.worst.relative)
-    return (run.trajectory, run.multipliers, after) if better else found
+    before, now = ((not one.feasible, len(one.failed), one.worst.relative) for one in (certificate, after))
+    return (run.trajectory, run.multipliers, after) if now < before else found
+
+
+def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | None) -> Judged | None:
+    """Return what was found, or the start itself where that is a trajectory of less cost."""
+    if start.trajectory is None:
+        return found
+    certificate = judge(problem, start.trajectory, _none(problem))
+    saved = found[2].cost - certificate.cost if found is not None and found[2].feasible else np.inf
+    if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
+        return found
+    certificate, multipliers = best_multipliers(problem, start.trajectory, _none(problem))
+    return start.trajectory, multipliers, certificate
+
+
+def _none(problem: OptimalControlProblem) -> Multipliers:
+    """Return multipliers of which only that of the cost is not zero."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
+    return Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
 
 
 @dataclass
@@ -251,12 +278,9 @@ class _Bounding:
 
 def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove that there is no trajectory, whatever the frequency constraints: D is infinite."""
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
-    none = Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
     try:
         deadline = time.perf_counter() + seconds
-        levels = value_bounds(problem, none, np.inf, FEASIBILITY_LOSS, FEASIBILITY_LOSS, deadline)
+        levels = value_bounds(problem, _none(problem), np.inf, FEASIBILITY_LOSS, FEASIBILITY_LOSS, deadline)
         return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):
         return False

@@ -2,10 +2,12 @@
 
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from modes import brute_force, random_problem
+from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.mode_bound import tree_bound
@@ -330,3 +332,68 @@ def test_what_is_refused(monkeypatch):
 def test_states_without_bounds_are_bounded_by_the_reach():
     problem = random_problem(2, horizon=3, state_set=None)
     assert lfo.solve(problem).cost == pytest.approx(brute_force(problem)[0], rel=1e-7)
+
+
+def test_a_mode_that_grows_by_itself_is_held_by_controls_that_cost_little():
+    """Of one mode alone, without bounds, the cost asks for no control: units from there called its program infeasible.
+
+    The cost is 0.626856 by SCIP as well, with mode 1 at all times.
+    """
+    B = [[-0.9825577153853514, 0.7724928859368677]]
+    modes = [
+        lfo.AffineMode([[-1.3693997696352682]], B, None, [[1.1947954284082145]], None, [-0.5]),
+        lfo.AffineMode([[1.191471097849243]], B, [1.0716775468819264], [[-1.1947954284082145]], None, [0.5]),
+    ]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        6,
+        lfo.QuadraticCost(R=np.diag([0.5269730895982185, 0.8117865279220953])),
+        control_set=lfo.Box(-1.8423, 1.8423),
+        state_set=lfo.Box(-2.9920847292474027, 2.9920847292474027),
+        initial_state=[0.0],
+    )
+    assert lfo.solve(problem).cost == pytest.approx(0.626856, abs=1e-6)
+    alone = lfo.solve(problem.with_modes([1] * 6))
+    assert alone.cost == pytest.approx(0.626856, abs=1e-6)
+    assert alone.certificate.globally_optimal
+
+
+def feasible(problem, sequence):
+    """Whether a mode sequence has a trajectory, by a linear program in the controls alone."""
+    T, m, modes = problem.horizon, problem.control_dim, problem.piecewise.modes
+    x, of_u = problem.initial_box.lower, np.zeros((problem.state_dim, T * m))
+    rows, limits = [], []
+    for t, mode in enumerate(modes[i] for i in sequence):
+        own = np.eye(T * m)[t * m : (t + 1) * m]
+        rows.append(mode.region.C @ of_u + mode.region.D @ own if mode.region.D.size else mode.region.C @ of_u)
+        limits.append(mode.region.e - mode.region.C @ x)
+        x = mode.linear.A @ x + mode.linear.offset
+        of_u = mode.linear.A @ of_u + mode.linear.B @ own
+        rows += [of_u, -of_u]
+        limits += [problem.state_set.upper - x, x - problem.state_set.lower]
+    bound = float(problem.control_set.upper[0])
+    return linprog(np.zeros(T * m), np.vstack(rows), np.concatenate(limits), bounds=(-bound, bound)).status == 0
+
+
+def test_units_come_from_all_modes():
+    """In those of mode 0, which needs no control, a relaxation without a point was called solved."""
+    rng = np.random.default_rng(22)
+    n, m, T = int(rng.integers(1, 3)), int(rng.integers(1, 3)), int(rng.integers(3, 7))
+    first, _, B = rng.normal(size=(n, n)) * 1.1, rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    g, v, h = rng.normal(size=(1, n)), rng.normal(size=n), rng.normal() * 0.5
+    bound = rng.uniform(1, 3)
+    modes = [
+        lfo.AffineMode(first, B, None, g, None, [h]),
+        lfo.AffineMode(first + np.outer(v, g[0]), B, -v * h, -g, None, [-h]),
+    ]
+    weights = rng.uniform(0.3, 1, m), np.eye(n) * rng.choice([0, 1.0])
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        T,
+        lfo.QuadraticCost(R=np.diag(weights[0]), Q=weights[1]),
+        control_set=lfo.Box(-bound * np.ones(m), bound * np.ones(m)),
+        state_set=lfo.Box(-3 * np.ones(n), 3 * np.ones(n)),
+        initial_state=rng.normal(size=n) * 0.5,
+    )
+    assert not any(feasible(problem, sequence) for sequence in product(range(2), repeat=T))
+    assert lfo.solve(problem, throw=False).status == "infeasible"

@@ -9,9 +9,11 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.problem.affine_mode import MODE, AffineMode
-from lin_freq_ocp.problem.arrays import brief
+from lin_freq_ocp.problem.arrays import brief, positive_integer
 from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.formula_text import source_of
+from lin_freq_ocp.problem.formula_definitions import defined, with_definitions
+from lin_freq_ocp.problem.formula_text import formula_from_text, require_formula
+from lin_freq_ocp.problem.formulas import Formula, in_order
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 
@@ -58,32 +60,62 @@ def _smooth(table: Mapping[str, Any]) -> PiecewiseSmoothDynamics:
     """Return piecewise-smooth dynamics, whose number of states is that of the formulas."""
     whole = "f" in table
     required = ("f", "control_dim") if whole else ("modes", "control_dim")
-    require_keys("dynamics", table, required, (*PIECEWISE_KEYS, *(("domain",) if whole else ())))
+    require_keys("dynamics", table, required, (*PIECEWISE_KEYS, "let", *(("domain",) if whole else ())))
     _require_names(table)
     named = {key: table[key] for key in PIECEWISE_KEYS if key in table}
     with placed("dynamics"):
         if whole:
-            f = table["f"]
-            return PiecewiseSmoothDynamics.from_formulas(
-                f, _count(f), table["control_dim"], domain=table.get("domain", ()), **named
-            )
-        modes: list[SmoothMode] = []
+            n, m = _count(table["f"]), positive_integer("control_dim", table["control_dim"])
+            given = _with_formulas("dynamics", table, _known(table, (n, m)), (n, m))
+            return PiecewiseSmoothDynamics.from_formulas(given["f"], n, m, domain=given.get("domain", ()), **named)
         for i, one in enumerate(table["modes"]):
             require_keys(f"dynamics.modes[{i}]", one, ("f",), SMOOTH_MODE_KEYS)
-            modes.append(SmoothMode(**one))
-        return PiecewiseSmoothDynamics(modes, _count(modes[0].f), table["control_dim"], **named)
+        n, m = _count(table["modes"][0]["f"]), positive_integer("control_dim", table["control_dim"])
+        known = _known(table, (n, m))
+        read = [_with_formulas(f"dynamics.modes[{i}]", one, known, (n, m)) for i, one in enumerate(table["modes"])]
+        return PiecewiseSmoothDynamics([SmoothMode(**one) for one in read], n, m, **named)
+
+
+def _known(table: Mapping[str, Any], dimensions: tuple[int, int]) -> dict[str, Formula]:
+    return defined("dynamics.let", table.get("let", {}), dimensions)
+
+
+def _with_formulas(
+    place: str, table: Mapping[str, Any], known: Mapping[str, Formula], dimensions: tuple[int, int]
+) -> dict[str, Any]:
+    """Return the table with formulas for texts; whatever else stands there, the dynamics refuse."""
+    read = dict(table)
+    for key in {"f", "region", "domain"} & set(table):
+        given = [table[key]] if isinstance(table[key], str) else table[key]
+        if isinstance(given, list):
+            read[key] = [
+                formula_from_text(f"{place}.{key}[{i}]", one, dimensions, known) if isinstance(one, str) else one
+                for i, one in enumerate(given)
+            ]
+    return read
 
 
 def _count(formulas: Any) -> int:
     return max(len(formulas), 1) if isinstance(formulas, list) else 1
 
 
-def _table_of_smooth_mode(place: str, mode: SmoothMode) -> dict[str, Any]:
-    table: dict[str, Any] = {"name": mode.name} if mode.name else {}
-    for key in ("f", "region", "domain"):
-        if getattr(mode, key):
-            table[key] = [source_of(one, f"{place}.{key}[{i}]") for i, one in enumerate(getattr(mode, key))]
-    return table
+def _smooth_tables(dynamics: PiecewiseSmoothDynamics) -> dict[str, Any]:
+    """Return ``modes``, and ``let`` where formulas are long or share what is."""
+    places: list[tuple[dict[str, Any], str]] = []
+    formulas: list[Formula] = []
+    modes: list[dict[str, Any]] = []
+    for i, mode in enumerate(dynamics.modes):
+        modes.append({"name": mode.name} if mode.name else {})
+        for key in ("f", "region", "domain"):
+            for j, one in enumerate(getattr(mode, key)):
+                for node in in_order([one]):
+                    require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
+                places.append((modes[-1], key))
+                formulas.append(one)
+    texts, definitions = with_definitions(formulas)
+    for (table, key), text in zip(places, texts, strict=True):
+        table.setdefault(key, []).append(text)
+    return ({"let": definitions} if definitions else {}) | {"modes": modes}
 
 
 def table_from_dynamics(dynamics: Dynamics) -> dict[str, Any]:
@@ -93,8 +125,7 @@ def table_from_dynamics(dynamics: Dynamics) -> dict[str, Any]:
     if isinstance(dynamics, LinearDynamics):
         return _table_of_map(dynamics) | named
     if isinstance(dynamics, PiecewiseSmoothDynamics):
-        modes = [_table_of_smooth_mode(f"dynamics.modes[{i}]", mode) for i, mode in enumerate(dynamics.modes)]
-        return {"control_dim": dynamics.control_dim} | named | {"modes": modes}
+        return {"control_dim": dynamics.control_dim} | named | _smooth_tables(dynamics)
     return named | {"modes": [_table_of_mode(mode) for mode in dynamics.modes]}
 
 

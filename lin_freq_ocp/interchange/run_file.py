@@ -37,7 +37,10 @@ PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "sol
 
 NUMBER, WHOLE = (int, float, type(None)), (int, type(None))
 
-OPTIONS = {"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": WHOLE}
+OPTIONS = {
+    **{"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": WHOLE},
+    "start": (list, dict),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +52,7 @@ class SavedRun:
     problem : OptimalControlProblem
         The same, to the last bit.
     options : dict
-        What solve was given: method, backend, time_limit and tolerance.
+        What solve was given: method, backend, time_limit and tolerance; node_limit and start if they were given.
     summary : dict or None
         What ``lin-freq-ocp solve --json`` prints of the result; None if there was none.
     solution : SavedSolution or None

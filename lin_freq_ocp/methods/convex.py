@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
-from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
+from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling, stated_scaling
 
 SOLVED_TOLERANCE = 1e-6
 """Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
@@ -149,6 +149,16 @@ def _revised(transcription: LinearTranscription, scaling: Scaling, candidate: Ca
     if candidate.trajectory is None or candidate.status == "limit":
         return None
     return revised_scaling(transcription, scaling, transcription.point(candidate.trajectory))
+
+
+def _stated(transcription: LinearTranscription, scaling: Scaling, candidate: Candidate) -> Scaling | None:
+    """Return the units that the data state if there is no answer in others: they may be the reason.
+
+    Infeasibility is proven by a ray, which does not depend on units; a solver that works in wrong ones claims it too.
+    """
+    if candidate.status not in ("infeasible", "numerical_error") or candidate.interrupted:
+        return None
+    return stated_scaling(transcription, scaling)
 
 
 def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution) -> Candidate:

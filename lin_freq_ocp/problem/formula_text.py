@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import partial
 
 import numpy as np
@@ -41,13 +41,20 @@ ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
 }
 """Of numbers alone."""
 
+FUNCTION_NAMES = ("abs", "max", "min", "norm", *SMOOTH)
+
+LONGEST_SHOWN = 300
+"""Characters of a part of a formula that people are shown; instead of a longer one stand three points."""
+
 EXPECTED = (
     "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
     "arctan, as in 'norm(x_0, x_1) * u_0'"
 )
 
 
-def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> Formula:
+def formula_from_text(
+    field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
+) -> Formula:
     """Return the formula that a text says.
 
     Parameters
@@ -58,6 +65,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
         Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh,
         arctan.
     dimensions : (n, m)
+    known : mapping from str to Formula, optional
+        What names stand for; default: the signals.
 
     Raises
     ------
@@ -73,7 +82,8 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
     except (RecursionError, MemoryError):  # the parser's words for it
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
     x, u = signals(*dimensions)
-    known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+    if known is None:
+        known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
     try:
         with np.errstate(all="ignore"):
             made = _Reader(text, known).read(tree.body)
@@ -88,7 +98,7 @@ def formula_from_text(field: str, text: str, dimensions: tuple[int, int]) -> For
 class _Reader:
     """Reads one text; errors are about "formula", which the caller replaces by the field."""
 
-    def __init__(self, text: str, known: dict[str, Formula]):
+    def __init__(self, text: str, known: Mapping[str, Formula]):
         self._text, self._known = text, known
 
     def read(self, root: ast.expr) -> Formula | float:
@@ -165,6 +175,8 @@ class _Reader:
             (one,) = formulas
             return abs(one) if name == "abs" else getattr(one, name)()
         numbers = [one for one in arguments if isinstance(one, float)]
+        if len(numbers) == len(arguments) > 1 and name in ("max", "min"):
+            return max(numbers) if name == "max" else min(numbers)
         if len(arguments) == 1 and numbers and name in ("abs", *SMOOTH):
             return self._number(lambda: float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0])))
         raise self._other()
@@ -179,26 +191,51 @@ def source_of(one: Formula, field: str = "formula") -> str:
         If it has functions that are no formulas.
     """
     for node in in_order([one]):
-        if node.function is not None:
-            raise ProblemError(field, f"the function {node.function.title}", "formulas, which are text in a file")
+        require_formula(node, field)
     return _text(one, None, repr)
 
 
+def require_formula(one: Formula, field: str = "formula") -> None:
+    """Raise ProblemError if a node is a function that is no formula."""
+    if one.function is not None:
+        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
+
+
 def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
-    """Return a formula for people, with rounded numbers and the given names of states and controls."""
-    return _text(one, labels, lambda value: f"{value:.4g}")
+    """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
+    return _text(one, labels, lambda value: f"{value:.4g}", LONGEST_SHOWN)
 
 
-def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], str]) -> str:
-    n = one.dimensions[0]
-    if one.kind == VARIABLE:
-        i = int(one.data[0])
-        return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
-    parts = [_text(argument, labels, number) for argument in one.arguments]
+def _text(
+    one: Formula, labels: Sequence[str] | None, number: Callable[[float], str], longest: float = float("inf")
+) -> str:
+    made: dict[Formula, str] = {}
+    for node in in_order([one]):
+        if node.kind == VARIABLE:
+            made[node] = text_of_variable(node, labels)
+            continue
+        parts = [made[argument] for argument in node.arguments]
+        cut = {i for i, part in enumerate(parts) if len(part) > longest}
+        if len(parts) > longest / 2:
+            made[node] = "..."
+        else:
+            made[node] = composed(node, ["..." if i in cut else part for i, part in enumerate(parts)], number, cut)
+    return made[one]
+
+
+def text_of_variable(one: Formula, labels: Sequence[str] | None) -> str:
+    """Return the label of a signal, or x_i or u_i."""
+    n, i = one.dimensions[0], int(one.data[0])
+    return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
+
+
+def composed(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
+    """Return the text of a node from those of its arguments, of which some are ``whole``: names without brackets."""
     if one.kind == SUM:
-        return _sum(one, parts, number)
+        return _sum(one, parts, number, whole)
     if one.kind in (PRODUCT, QUOTIENT):
-        return f"{_bracketed(one.arguments[0], parts[0])} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
+        first = parts[0] if 0 in whole else _bracketed(one.arguments[0], parts[0])
+        return f"{first} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
     if one.kind == POWER:
         return f"({parts[0]})**{one.data[0]:g}"
     if one.function is not None:
@@ -207,12 +244,12 @@ def _text(one: Formula, labels: Sequence[str] | None, number: Callable[[float], 
     return f"{name}({', '.join(parts)})"
 
 
-def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str]) -> str:
+def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
     text = ""
-    for factor, argument, part in zip(one.data[:-1], one.arguments, parts, strict=True):
+    for i, (factor, argument, part) in enumerate(zip(one.data[:-1], one.arguments, parts, strict=True)):
         size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "
         sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
-        text += sign + size + (_bracketed(argument, part) if factor != 1 else part)
+        text += sign + size + (part if factor == 1 or i in whole else _bracketed(argument, part))
     if one.data[-1] or not text:
         value = one.data[-1]
         text += f" {'-' if value < 0 else '+'} {number(abs(value))}" if text else number(value)

@@ -298,7 +298,7 @@ def in_order(formulas: Sequence[Formula]) -> list[Formula]:
 
 
 def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
-    """Return the formulas with some nodes replaced; what has none of them stays the same object."""
+    """Return the formulas with some nodes replaced, as operators make them; what has none stays the same object."""
     made: dict[Formula, Formula] = {}
     for one in in_order(formulas):
         if one in changed:
@@ -306,8 +306,22 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
             continue
         arguments = tuple(made[argument] for argument in one.arguments)
         same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
-        made[one] = one if same else replace(one, arguments=arguments)
+        made[one] = one if same else _made_anew(one, arguments)
     return [made[one] for one in formulas]
+
+
+def _made_anew(one: Formula, arguments: tuple[Formula, ...]) -> Formula:
+    """Return the node of other arguments: sums within sums are taken up, products by numbers are sums."""
+    if one.kind == SUM:
+        total = one.node(SUM, (), (one.data[-1],))
+        for factor, argument in zip(one.data[:-1], arguments, strict=True):
+            total = total + argument * factor
+        return total
+    if one.kind == PRODUCT:
+        return arguments[0] * arguments[1]
+    if one.kind == QUOTIENT and arguments[1].constant != 0:
+        return arguments[0] / arguments[1]
+    return replace(one, arguments=arguments)
 
 
 def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.affine_mode import AffineMode, placed_at
 from lin_freq_ocp.problem.arrays import Array, brief, real_array
-from lin_freq_ocp.problem.polyhedra import THICKNESS, cell_of, natural_sizes
+from lin_freq_ocp.problem.labels import unique_names
+from lin_freq_ocp.problem.polyhedra import THICKNESS, has_interior
 
 SIGNS = {"+": -1.0, "-": 1.0}
 """What G x + H u - d is multiplied by for a row that must not be above zero."""
@@ -53,7 +54,9 @@ class _Guards:
         times = max([len(part) for part, ndim in ((G, 2), (H, 2), (h, 1)) if part.ndim > ndim], default=1)
         shapes = (times, *G.shape[-2:]), (times, *H.shape[-2:]), (times, h.shape[-1])
         parts = [np.broadcast_to(part, shape) for part, shape in zip((G, H, h), shapes, strict=True)]
-        return any(_has_interior(np.hstack([of_x, of_u]), limits) for of_x, of_u, limits in zip(*parts, strict=True))
+        return any(
+            has_interior(np.hstack([of_x, of_u]), limits, THICKNESS) for of_x, of_u, limits in zip(*parts, strict=True)
+        )
 
 
 def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, modes: Any) -> list[AffineMode]:
@@ -75,10 +78,11 @@ def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None,
             expected = f'{guards.count} characters "+", "-" or "*", one for each guard'
             raise ProblemError("guards.modes", brief(pattern), expected)
     _require_one_each(guards, maps)
+    kept = {pattern: mode for pattern, mode in maps.items() if mode is not None}
+    names = unique_names([mode.name for mode in kept.values()])
     return [
-        AffineMode(mode.linear.A, mode.linear.B, mode.linear.offset, **guards.region(pattern), name=mode.name)
-        for pattern, mode in maps.items()
-        if mode is not None
+        AffineMode(mode.linear.A, mode.linear.B, mode.linear.offset, **guards.region(pattern), name=name)
+        for (pattern, mode), name in zip(kept.items(), names, strict=True)
     ]
 
 
@@ -156,9 +160,3 @@ def _without_pattern(signs: str, patterns: Sequence[str], count: int) -> Iterato
         for sign in SIGNS:
             left = [pattern for pattern in patterns if pattern[len(signs)] in (sign, ANY)]
             yield from _without_pattern(signs + sign, left, count)
-
-
-def _has_interior(matrix: Array, limits: Array) -> bool:
-    sizes = natural_sizes(matrix, limits, np.full(matrix.shape[1], np.inf), 0.0)
-    cell = cell_of(matrix * sizes, limits)
-    return cell is not None and cell.inner_point(THICKNESS) is not None

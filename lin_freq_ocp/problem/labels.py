@@ -55,3 +55,20 @@ def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
             raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
         found[label] = None
     return tuple(found)
+
+
+def unique_names(given: Sequence[str]) -> list[str]:
+    """Return names for modes that nobody named one by one: those that stand several times with a number.
+
+    A mode without a name stays without, unless the default name of its place is another's.
+    """
+    labels = [name or f"mode {i}" for i, name in enumerate(given)]
+    taken, unique = set(labels), list[str]()
+    for name, label in zip(given, labels, strict=True):
+        if labels.count(label) == 1:
+            unique.append(name)
+            continue
+        numbered = (f"{label} ({count})" for count in range(1, 2 * len(labels) + 1))
+        unique.append(next(one for one in numbered if one not in taken))
+        taken.add(unique[-1])
+    return unique

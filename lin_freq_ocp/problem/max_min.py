@@ -14,17 +14,20 @@ from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array, Mask, brief, names
 from lin_freq_ocp.problem.expressions import Expression, affine_text
 from lin_freq_ocp.problem.formulas import MAXIMUM
-from lin_freq_ocp.problem.polyhedra import Cell, cell_of, irredundant, natural_sizes
+from lin_freq_ocp.problem.labels import unique_names
+from lin_freq_ocp.problem.polyhedra import (
+    SAME_FUNCTION,
+    SMALLEST_PIECE,
+    Cell,
+    cell_of,
+    has_interior,
+    irredundant,
+    natural_sizes,
+)
 
 MOST_PIECES = 256
 """Of the combinations of branches that are polyhedra with an interior: finding them, and checking the regions of so
 many modes, takes seconds; a search over them takes longer."""
-
-SMALLEST_PIECE = 1e-10
-"""Radius of the largest ball of a piece, in natural units, from which it has an interior: the radius is this exact."""
-
-SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
-"""Affine functions whose coefficients differ by less, relative to their sizes, are the same: rounding."""
 
 
 def modes_of(
@@ -42,7 +45,7 @@ def modes_of(
     states = [zero + one for one in listed]
     labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
     pieces = _merged([_without_idle_rows(piece) for piece in _pieces(states)])
-    found = _unique([piece.name([label.split(" [")[0] for label in labels]) for piece in pieces])
+    found = unique_names([piece.name([label.split(" [")[0] for label in labels]) for piece in pieces])
     return [piece.mode(n, n + m, name) for piece, name in zip(pieces, found, strict=True)]
 
 
@@ -77,8 +80,7 @@ class _Piece:
 
     @property
     def has_interior(self) -> bool:
-        cell = self.cell(self.sizes)
-        return cell is not None and cell.inner_point(SMALLEST_PIECE) is not None
+        return has_interior(self.rows[:, :-1], -self.rows[:, -1], SMALLEST_PIECE)
 
     def name(self, labels: Sequence[str]) -> str:
         parts: list[str] = []
@@ -205,16 +207,3 @@ def _holding(cell: Cell, other: Cell) -> Mask:
     return np.array(
         [(other & cell.beyond(row)).inner_point(SMALLEST_PIECE) is None for row in range(len(cell.limits))], dtype=bool
     )
-
-
-def _unique(texts: Sequence[str]) -> list[str]:
-    """Return the names, those that stand several times with a number."""
-    seen: dict[str, int] = {}
-    for text in texts:
-        seen[text] = seen.get(text, 0) + 1
-    count: dict[str, int] = {}
-    unique: list[str] = []
-    for text in texts:
-        count[text] = count.get(text, 0) + 1
-        unique.append(text if seen[text] == 1 or not text else f"{text} ({count[text]})")
-    return unique

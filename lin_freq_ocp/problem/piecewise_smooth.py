@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,23 +14,11 @@ from lin_freq_ocp.problem.affine_mode import AffineMode
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.formula_jets import Jets, jets, values_of
-from lin_freq_ocp.problem.formulas import (
-    MAXIMUM,
-    MINIMUM,
-    NORM,
-    VARIABLE,
-    Formula,
-    in_order,
-    kinks,
-    listed_formulas,
-    rebuilt,
-)
+from lin_freq_ocp.problem.formula_modes import formula_pieces
+from lin_freq_ocp.problem.formulas import MAXIMUM, MINIMUM, NORM, VARIABLE, Formula, in_order, kinks, listed_formulas
 from lin_freq_ocp.problem.labels import mode_labels, signal_labels
 from lin_freq_ocp.problem.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-
-MOST_MODES = 64
-"""Combinations of the arguments of maxima and minima that are told apart."""
 
 ZERO_NORM = 1e-9
 """The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1."""
@@ -184,6 +171,8 @@ class PiecewiseSmoothDynamics:
     ) -> PiecewiseSmoothDynamics:
         """Take x_{t+1} = f(x_t, u_t) with maxima, minima and absolute values: one mode for each choice of arguments.
 
+        Choices that never hold, as u_0 > 1 and u_0 < -1, are left out.
+
         Parameters
         ----------
         f : sequence of Formula, or function
@@ -196,12 +185,12 @@ class PiecewiseSmoothDynamics:
         Raises
         ------
         ProblemError
-            If there are more than ``MOST_MODES`` combinations, or f is none.
+            If there are more than ``MOST_MODES`` (64) combinations that can hold, or f is none.
         """
         dimensions = positive_integer("state_dim", state_dim), positive_integer("control_dim", control_dim)
         listed = listed_formulas("f", f, dimensions)
         common = listed_formulas("domain", domain, dimensions)
-        modes = [replace(mode, domain=(*mode.domain, *common)) for mode in _chosen(listed)]
+        modes = [SmoothMode(one.formulas, one.region, common, one.name) for one in formula_pieces(listed)]
         return cls(modes, *dimensions, sampling_time, state_names, control_names)
 
     @property
@@ -267,8 +256,8 @@ class PiecewiseSmoothDynamics:
             if not rows.shape[1]:
                 rows, values = np.zeros((T, 1, y.shape[1])), np.full((T, 1), -np.inf)
             far = np.zeros(rows.shape)
-            far[..., 0] = 1.0
-            G = np.where(ok[:, None, None], rows, far)
+            far[..., 0] = 1.0  # where a function is above zero and flat, no row of its own says how to get below
+            G = np.where(ok[:, None, None] & (rows.any(axis=2) | (values <= 0))[..., None], rows, far)
             h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], values, OUTSIDE)
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
@@ -318,29 +307,6 @@ class PiecewiseSmoothDynamics:
             raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
 
         return step
-
-
-def _chosen(formulas: tuple[Formula, ...]) -> list[SmoothMode]:
-    """Return one mode for each choice of the arguments of maxima and minima."""
-    branchings = [one for one in in_order(formulas) if one.kind in (MAXIMUM, MINIMUM)]
-    count = int(np.prod([len(one.arguments) for one in branchings], dtype=float))
-    if count > MOST_MODES:
-        raise ProblemError("f", f"{count} combinations of arguments of maxima and minima", f"at most {MOST_MODES}")
-    modes: list[SmoothMode] = []
-    for choices in product(*(range(len(one.arguments)) for one in branchings)):
-        changed: dict[Formula, Formula] = {}
-        region: list[Formula] = []
-        labels: list[str] = []
-        for one, choice in zip(branchings, choices, strict=True):
-            arguments = rebuilt(one.arguments, changed)
-            changed[one] = arguments[choice]
-            sign = 1.0 if one.kind == MAXIMUM else -1.0
-            region += [(other - arguments[choice]) * sign for place, other in enumerate(arguments) if place != choice]
-            labels.append(one.names[choice] if one.names else f"{'max' if sign > 0 else 'min'} {choice}")
-        f = rebuilt(formulas, changed)
-        name = ", ".join(dict.fromkeys(label for label in labels if label))
-        modes.append(SmoothMode(tuple(f), tuple(region), (), name if len(branchings) else ""))
-    return modes
 
 
 def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:

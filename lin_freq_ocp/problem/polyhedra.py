@@ -37,6 +37,13 @@ less than 1e-8 of radius within |y| <= 10, and without it nothing keeps y from i
 LARGEST_BALL = 1.0
 """No larger one is looked for: in an unbounded polyhedron there is no largest."""
 
+SMALLEST_PIECE = 1e-10
+"""Radius of the largest ball of a piece of a function, in natural units, from which it has an interior: the radius is
+this exact."""
+
+SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
+"""Affine functions whose coefficients differ by less, relative to their sizes, are the same: rounding."""
+
 FLAT = 1e-9
 """A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
 
@@ -107,6 +114,13 @@ def cell_of(matrix: Array, limits: Array) -> Cell | None:
     if (limits[~kept] < 0).any():
         return None
     return Cell(matrix[kept] / norms[kept, None], limits[kept] / norms[kept])
+
+
+def has_interior(matrix: Array, limits: Array, thickness: float) -> bool:
+    """Whether matrix y <= limits holds a ball of radius ``thickness`` in natural units."""
+    sizes = natural_sizes(matrix, limits, np.full(matrix.shape[1], np.inf), 0.0)
+    cell = cell_of(matrix * sizes, limits)
+    return cell is not None and cell.inner_point(thickness) is not None
 
 
 def ball_centre(

@@ -33,7 +33,7 @@ from lin_freq_ocp.transcription.mode_stages import hessian_roots, mode_stages
 from lin_freq_ocp.transcription.program import Block
 from lin_freq_ocp.transcription.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.transcription.standard_form import StandardForm
-from lin_freq_ocp.transcription.units import natural_scaling
+from lin_freq_ocp.transcription.units import common_scaling
 
 RELAXATIONS = ("perspective", "hull", "big_m")
 
@@ -64,9 +64,9 @@ class ModeRelaxation:
     def __init__(self, problem: OptimalControlProblem, kind: str = "perspective"):
         self.problem, self.kind, self.reach = problem, kind, ModeReach(problem)
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-        linear = problem.piecewise.along(np.zeros(T, dtype=np.intp))
-        self._host = LinearTranscription(replace(problem, dynamics=linear))
-        self._scaling = natural_scaling(self._host)
+        sequences = [np.full(T, mode, dtype=np.intp) for mode in range(len(problem.piecewise.modes))]
+        hosts = [LinearTranscription(replace(problem, dynamics=problem.piecewise.along(one))) for one in sequences]
+        self._host, self._scaling = hosts[0], common_scaling(hosts)
         self._program = self._scaling.apply(self._host.program)
         states = (T + 1) * n
         units = np.concatenate([self._scaling.columns[:n], self._scaling.columns[states : states + m]])

@@ -70,9 +70,18 @@ def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Arr
     """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
     reached = transcription.column_units(*_largest(transcription, z))
     columns = np.where(reached > NEGLIGIBLE * scaling.columns, reached, scaling.columns)
-    revised = _scaling(transcription, columns, np.abs(z))
-    changes = np.append(revised.columns / scaling.columns, revised.cost / scaling.cost)
-    return revised if np.abs(np.log(changes)).max() > np.log(REVISED) else None
+    return _if_different(_scaling(transcription, columns, np.abs(z)), scaling)
+
+
+def stated_scaling(transcription: LinearTranscription, scaling: Scaling) -> Scaling | None:
+    """Return the units that bounds, ends and references state, or None if those tried are much the same."""
+    columns = transcription.column_units(*stated_sizes(transcription.problem))
+    return _if_different(_scaling(transcription, columns, columns), scaling)
+
+
+def _if_different(scaling: Scaling, tried: Scaling) -> Scaling | None:
+    changes = np.append(scaling.columns / tried.columns, scaling.cost / tried.cost)
+    return scaling if np.abs(np.log(changes)).max() > np.log(REVISED) else None
 
 
 def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:

@@ -31,11 +31,12 @@ def search_in_parts(
     limits: SearchLimits,
     executor: Executor,
     progress: Callable[[SearchProgress], None] | None = None,
+    start: Indices | None = None,
 ) -> SearchOutcome:
     """Search with the workers of an executor; as ``BranchAndBound.run``."""
     started = time.perf_counter()
     first = BranchAndBound(problem, limits, progress=progress)
-    outcome = first.run(until_open=PARTS)
+    outcome = first.run(start, until_open=PARTS)
     if outcome.words or not first.open_nodes:
         return outcome
     left = replace(limits, seconds=limits.seconds - (time.perf_counter() - started))

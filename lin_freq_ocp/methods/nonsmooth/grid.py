@@ -6,6 +6,7 @@ constraint ties all times together; its multipliers, as functions of time, stand
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -33,13 +34,17 @@ END_PRICES = (2.0, 10.0, 50.0)
 the grid meets the set, so that a high price decides by how nearly, and a low one by the cost. Each is worth a try."""
 
 
-def grid_trajectories(problem: OptimalControlProblem, multipliers: Multipliers | None = None) -> Iterator[Trajectory]:
+def grid_trajectories(
+    problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
+) -> Iterator[Trajectory]:
     """Yield trajectories that the grid's values lead to; none with more states or controls, or without bounds.
 
     Parameters
     ----------
     multipliers : Multipliers, optional
         Those of the frequency constraints stand in the cost.
+    deadline : float
+        Of ``time.perf_counter``, after which there are no more.
     """
     n, m = problem.state_dim, problem.control_dim
     tube = problem.control_tube
@@ -63,6 +68,8 @@ def grid_trajectories(problem: OptimalControlProblem, multipliers: Multipliers |
         value = last + price * missed
         following: list[RegularGridInterpolator] = []
         for t in range(problem.horizon - 1, -1, -1):
+            if time.perf_counter() > deadline:
+                return
             following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
             total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)
             value = np.minimum(total.reshape(-1, len(controls)).min(axis=1), far).reshape(value.shape)

@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import cost_scale
+from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
@@ -70,11 +71,14 @@ class LocalSearch:
     interrupted : bool
     progress : callable, optional
         Called with a ``SmoothProgress`` after every start.
+    start : Start, optional
+        Where to search first.
     """
 
     problem: OptimalControlProblem
     seconds: float = np.inf
     progress: Callable[[SmoothProgress], None] | None = None
+    start: Start | None = None
     best: LocalOptimum | None = None
     tried: int = 0
     words: str = ""
@@ -88,10 +92,14 @@ class LocalSearch:
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best."""
         try:
-            self._on_grid()
+            if self.start is not None:
+                self._try(self.start.trajectory or self._held(SHARES[0]), self.start.sequence)
+            self._on_grid(None)
             for trajectory, sequence in self._starts():
+                if self._late():
+                    break
                 self._try(trajectory, sequence)
-            while not self._late() and (self._on_grid() or self._improved()):
+            while not self._late() and (self._on_grid(self.best) or self._improved()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.words = True, "interrupted"
@@ -105,13 +113,14 @@ class LocalSearch:
             pass
         return self.best is not before and self.best is not None and self.best.feasible
 
-    def _on_grid(self) -> bool:
-        """Try the trajectory of a grid, with the frequency multipliers of the best; return whether it is better."""
+    def _on_grid(self, local: LocalOptimum | None) -> bool:
+        """Try the trajectory of a grid, with the frequency multipliers of a local optimum; return if it is better."""
         before = self.best
         constrained = self.problem.control_stop.any() or self.problem.state_stop.any()
-        if before is not None and (not constrained or not before.feasible):
+        if local is not None and (not constrained or not local.feasible):
             return False
-        for trajectory in grid_trajectories(self.problem, None if before is None else before.multipliers):
+        multipliers = None if local is None else local.multipliers
+        for trajectory in grid_trajectories(self.problem, multipliers, self._end):
             self._try(trajectory, self.problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
@@ -149,20 +158,21 @@ class LocalSearch:
 
     def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with the modes that they go through, then with each mode alone."""
-        problem, T = self.problem, self.problem.horizon
-        tube, start = problem.control_tube, _middle(problem.ends[0], np.full(problem.state_dim, 0.5))
-        held: Trajectory | None = None
+        dynamics = self.problem.smooth_pieces
         for share in SHARES:
-            u = _middle(tube, np.full(tube.lower.shape, share))
-            try:
-                trajectory = simulate(problem, u, start)
-            except NumericalError:
-                trajectory = Trajectory(np.tile(start, (T + 1, 1)), u)
-            held = held or trajectory
-            yield trajectory, problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u)
-        assert held is not None  # there are shares
-        for mode in range(len(problem.smooth_pieces.modes)):
-            yield held, np.full(T, mode, dtype=np.intp)
+            trajectory = self._held(share)
+            yield trajectory, dynamics.sequence_of(trajectory.x, trajectory.u)
+        for mode in range(len(dynamics.modes)):
+            yield self._held(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
+
+    def _held(self, share: float) -> Trajectory:
+        """Return the trajectory of constant controls, so far between their bounds; the state rests if it has none."""
+        tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
+        u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
+        try:
+            return simulate(self.problem, u, start)
+        except NumericalError:
+            return Trajectory(np.tile(start, (self.problem.horizon + 1, 1)), u)
 
 
 def _middle(box: Box, share: Array) -> Array:
