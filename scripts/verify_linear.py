@@ -1,0 +1,207 @@
+"""Random linear problems of every shape, in any units, against plain Clarabel on the same quadratic program.
+
+Part of scripts/verify.py. The program is written here, from the problem in good units, with scipy.sparse alone. Counted
+are problems without an answer where Clarabel has one, and costs that differ from Clarabel's by more than 1e-6 of what
+the terms of the cost add up to in absolute value.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+from random_linear import Sample, random_linear
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.arrays import Array
+
+TOLERANCE = 1e-10
+"""Asked of Clarabel."""
+
+AGREEMENT = 1e-6
+"""Difference of the two costs, relative to what the terms of the cost add up to."""
+
+NONE = 1e20
+"""Bounds from here on are none."""
+
+ANSWERS = ("optimal", "locally_optimal")
+
+
+@dataclass(frozen=True)
+class PlainProgram:
+    """min 1/2 z'P z + q'z + constant with A z = b, G z <= h, in z = (x_0 .. x_T, u_0 .. u_{T-1})."""
+
+    P: sp.csc_array
+    q: Array
+    constant: float
+    A: sp.csc_array
+    b: Array
+    G: sp.csc_array
+    h: Array
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one random problem."""
+
+    seed: int
+    ours: str
+    method: str
+    theirs: str
+    difference: float | None
+    words: str = ""
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether Clarabel has an answer, and there is none here."""
+        return self.theirs == "Solved" and self.ours not in ANSWERS
+
+    @property
+    def wrong(self) -> bool:
+        """Whether both have an answer, at different costs."""
+        return self.difference is not None and self.difference > AGREEMENT
+
+
+def plain_program(problem: lfo.OptimalControlProblem) -> PlainProgram:
+    """Return the quadratic program of a problem with boxes, stop bands and joint rows."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    states, variables = (T + 1) * n, (T + 1) * n + T * m
+    equations, limits = _Rows(variables), _Rows(variables)
+    P, gradient, constant = np.zeros((variables, variables)), np.zeros(variables), 0.0
+    cost = problem.quadratic
+    per_time = [np.broadcast_to(getattr(cost, one), (T, *shape)) for one, shape in _shapes(n, m).items()]
+    x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
+    for t in range(T + 1):
+        here = np.arange(t * n, t * n + n)
+        if t == T:
+            H, linear, at, reference = cost.P, cost.p, here, x_ref[T]
+        else:
+            now = states + np.arange(t * m, t * m + m)
+            A, B, d = problem.linear.at(t)
+            for i in range(n):
+                equations.add(np.concatenate([[here[i] + n], here, now]), np.concatenate([[1.0], -A[i], -B[i]]), d[i])
+            Q, R, S, q, r = (one[t] for one in per_time)
+            H, linear = np.block([[Q, S], [S.T, R]]), np.concatenate([q, r])
+            at, reference = np.concatenate([here, now]), np.concatenate([x_ref[t], u_ref[t]])
+        P[np.ix_(at, at)] += H
+        gradient[at] += linear - H @ reference
+        constant += 0.5 * float(reference @ H @ reference)
+    _add_bounds(problem, equations, limits)
+    _add_bands(problem, equations)
+    for family in problem.stage_rows:
+        for t in range(T):
+            C, D = (np.broadcast_to(one, (T, *one.shape[-2:]))[t] for one in (family.C, family.D))
+            e = np.broadcast_to(family.e, (T, family.rows))[t]
+            at = np.concatenate([np.arange(t * n, t * n + n), states + np.arange(t * m, t * m + m)])
+            for i in np.flatnonzero(e < NONE):
+                limits.add(at, np.concatenate([C[i], D[i]]), e[i])
+    return PlainProgram(sp.csc_array(P), gradient, constant, *equations.matrix(), *limits.matrix())
+
+
+class _Rows:
+    """Rows of a sparse matrix, one after the other, with their right-hand sides."""
+
+    def __init__(self, columns: int):
+        self._columns, self._entries, self._right = columns, list[tuple[Array, Array]](), list[float]()
+
+    def add(self, at: Array, values: Array, right: float) -> None:
+        self._entries.append((np.atleast_1d(at), np.atleast_1d(values)))
+        self._right.append(float(right))
+
+    def matrix(self) -> tuple[sp.csc_array, Array]:
+        at, values = (np.concatenate([np.zeros(0), *(one[k] for one in self._entries)]) for k in (0, 1))
+        row = np.repeat(np.arange(len(self._right)), [len(one[0]) for one in self._entries])
+        shape = len(self._right), self._columns
+        return sp.csc_array((values, (row, at.astype(int))), shape=shape), np.array(self._right)
+
+
+def _shapes(n: int, m: int) -> dict[str, tuple[int, ...]]:
+    return {"Q": (n, n), "R": (m, m), "S": (n, m), "q": (n,), "r": (m,)}
+
+
+def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _Rows) -> None:
+    """Add the bounds of all states and controls; an interval of no width is an equation."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    x = [
+        _bounds(problem.state_set, T + 1, n),
+        *(_bounds(end, 1, n) for end in (problem.initial_state, problem.terminal_state)),
+    ]
+    lower, upper = x[0]
+    for t, (low, high) in zip((0, T), x[1:], strict=True):
+        lower[t], upper[t] = np.maximum(lower[t], low[0]), np.minimum(upper[t], high[0])
+    u = _bounds(problem.control_set, T, m)
+    lower, upper = (np.concatenate([a.ravel(), b.ravel()]) for a, b in zip((lower, upper), u, strict=True))
+    for i in range(len(lower)):
+        if lower[i] == upper[i]:
+            equations.add(i, 1.0, lower[i])
+            continue
+        if upper[i] < NONE:
+            limits.add(i, 1.0, upper[i])
+        if lower[i] > -NONE:
+            limits.add(i, -1.0, -lower[i])
+
+
+def _bounds(box: lfo.Box | None, times: int, count: int) -> tuple[Array, Array]:
+    if box is None:
+        return np.full((times, count), -np.inf), np.full((times, count), np.inf)
+    return np.broadcast_to(box.lower, (times, count)).copy(), np.broadcast_to(box.upper, (times, count)).copy()
+
+
+def _add_bands(problem: lfo.OptimalControlProblem, equations: _Rows) -> None:
+    """Add real and imaginary part of every stopped bin."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    for stop, length, count, first in ((problem.state_stop, T + 1, n, 0), (problem.control_stop, T, m, (T + 1) * n)):
+        for k, j in np.argwhere(stop):
+            turns = 2 * np.pi * k * np.arange(length) / length
+            at = first + np.arange(length) * count + j
+            equations.add(at, np.cos(turns), 0.0)
+            if 0 < 2 * k < length:
+                equations.add(at, np.sin(turns), 0.0)
+
+
+def solved_plainly(program: PlainProgram) -> tuple[str, float | None]:
+    """Return the status of plain Clarabel, and its cost."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    A, b = sp.csc_matrix(sp.vstack([program.A, program.G])), np.concatenate([program.b, program.h])
+    cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.h))]
+    answer = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
+    status = str(answer.status)
+    return status, answer.obj_val + program.constant if status == "Solved" else None
+
+
+def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
+    """Return what the terms of the cost add up to in absolute value."""
+    a, b = (np.abs(one) for one in problem.quadratic.deviations(x, u))
+    absolute = problem.quadratic.magnitudes()
+    no_linear = lfo.QuadraticCost(Q=absolute.Q, R=absolute.R, S=absolute.S, P=absolute.P)
+    T, n = len(u), x.shape[1]
+    quadratic = no_linear.at_dimensions(n, u.shape[1], T).value(a, b)
+    return quadratic + lfo.QuadraticCost(q=absolute.q, r=absolute.r, p=absolute.p).at_dimensions(
+        n, u.shape[1], T
+    ).value(np.abs(x), np.abs(u))
+
+
+def check(seed: int) -> Outcome:
+    """Solve one problem here, in its units, and plainly, in good ones."""
+    sample = random_linear(seed)
+    theirs, cost = solved_plainly(plain_program(sample.good))
+    result = lfo.solve(sample.problem, throw=False)
+    difference = None
+    if cost is not None and result.status in ANSWERS and result.trajectory is not None:
+        x, u = result.trajectory.x * sample.units.x, result.trajectory.u * sample.units.u
+        excess = sample.good.value(x, u) - cost
+        scale = cost_scale(sample.good, x, u)
+        difference = abs(excess) / scale if scale > 0 else (0.0 if excess == 0 else np.inf)
+    return Outcome(seed, result.status, result.method, theirs, difference, result.message)
