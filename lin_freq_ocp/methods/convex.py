@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,20 +15,95 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.linear import LinearTranscription
-from lin_freq_ocp.transcription.program import Program, Scaling
-from lin_freq_ocp.transcription.units import natural_scaling, revised_scaling
+from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
+from lin_freq_ocp.transcription.units import (
+    natural_scaling,
+    own_scaling,
+    plain_scaling,
+    revised_scaling,
+    stated_scaling,
+)
 
 SOLVED_TOLERANCE = 1e-6
-"""Relative residuals of the scaled program up to which a backend's "solved" is accepted."""
+"""Relative residuals up to which a backend's "solved" is accepted, in units in which the answer is of order 1."""
+
+ACCURATE = 1e-8
+"""Relative residuals from which an answer of Clarabel is not improved by other units."""
+
+FAR = 1e4
+"""Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
+where the answer does not keep them, they come back."""
+
+REVISIONS = 3
+"""How often the units may follow the answer."""
 
 UNBOUNDED_TOLERANCE = 1e-6
 """Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """What one solve in some units ended with.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    scaling : Scaling
+        The units.
+    z : (variables,) or None
+        The point, in the program's own units.
+    error : float
+        How far it is from an answer: its residuals, in its own units if it is a point.
+    """
+
+    candidate: Candidate
+    scaling: Scaling
+    z: Array | None
+    error: float
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is to be tried."""
+        return self.candidate.interrupted or self.candidate.status == "limit"
+
+
+@dataclass(frozen=True, eq=False)
+class _Solves:
+    """One program, a solver, and what is asked of it."""
+
+    transcription: LinearTranscription
+    solver: Solver
+    tolerance: float | None
+    end: float
+
+    @property
+    def left(self) -> float | None:
+        """Return the seconds that are left, or None for no limit."""
+        return None if self.end == np.inf else self.end - time.perf_counter()
+
+    def attempt(self, scaling: Scaling, tolerance: float | None = None) -> _Attempt:
+        """Solve in the given units, and measure."""
+        program = scaling.apply(self.transcription.program)
+        near = program.without_bounds_beyond(FAR)
+        if near is None:
+            return self._solve(program, scaling, tolerance)
+        attempt = self._solve(near, scaling, tolerance)
+        if attempt.ended or attempt.candidate.status in ("optimal", "infeasible") or _over(self):
+            return attempt
+        return _better(attempt, self._solve(program, scaling, tolerance))
+
+    def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> _Attempt:
+        solution = self.solver(program, tolerance or self.tolerance or DEFAULT_TOLERANCE, self.left)
+        return _measured(self.transcription, scaling, program, solution, self.tolerance)
 
 
 def solve_convex(
     problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
 ) -> Candidate:
     """Solve a problem with linear dynamics and a convex quadratic cost.
+
+    The program is solved in units in which its numbers are expected to be of order 1. Where the answer shows that they
+    are not, or is no answer, it is solved again in others; the answer with the smallest residuals counts.
 
     Raises
     ------
@@ -40,13 +116,65 @@ def solve_convex(
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
-    candidate = _attempt(transcription, scaling, solver, tolerance, time_limit)
-    revised = _revised(transcription, scaling, candidate)
-    left = None if time_limit is None else time_limit - (time.perf_counter() - ready)
-    if revised is not None and (left is None or left > 0):
-        second = _attempt(transcription, revised, solver, tolerance, left)
-        candidate = second if second.status == "optimal" else replace(candidate, interrupted=second.interrupted)
+    solves = _Solves(transcription, solver, tolerance, np.inf if time_limit is None else ready + time_limit)
+    candidate = _best(solves, scaling, ACCURATE if backend_name == "clarabel" else SOLVED_TOLERANCE).candidate
     return replace(candidate, seconds={"setup": ready - started, "solve": time.perf_counter() - ready})
+
+
+def _best(solves: _Solves, scaling: Scaling, enough: float) -> _Attempt:
+    """Return the best attempt: in the given units, in those of the answers, and in others if none is good."""
+    best = _followed(solves, solves.attempt(scaling), enough)
+    allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
+    for other in _others(solves, scaling):
+        if best.ended or best.error <= allowed or _over(solves):
+            break
+        best = _better(best, _followed(solves, other(best), enough))
+    return best
+
+
+def _others(solves: _Solves, natural: Scaling) -> list[Callable[[_Attempt], _Attempt]]:
+    """Return further ways to an answer, each from the best attempt until then."""
+    transcription = solves.transcription
+    ways: list[Callable[[_Attempt], _Attempt]] = [
+        lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
+        lambda best: solves.attempt(stated_scaling(transcription)),
+        lambda best: solves.attempt(plain_scaling(transcription)),
+    ]
+    if solves.tolerance is not None and solves.tolerance > DEFAULT_TOLERANCE:
+        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
+    return ways
+
+
+def _of_point(transcription: LinearTranscription, best: _Attempt, natural: Scaling, per_time: bool) -> Scaling:
+    return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
+
+
+def _followed(solves: _Solves, attempt: _Attempt, enough: float) -> _Attempt:
+    """Return the attempt, or a better one in the units that its answer turned out to need."""
+    best = attempt
+    for _ in range(REVISIONS):
+        if best.ended or best.z is None or best.error <= enough or _over(solves):
+            break
+        revised = revised_scaling(solves.transcription, best.scaling, best.z)
+        if revised is None:
+            break
+        second = solves.attempt(revised)
+        if not second.ended and second.error >= best.error:
+            break
+        best = _better(best, second)
+    return best
+
+
+def _better(one: _Attempt, other: _Attempt) -> _Attempt:
+    """Return the better of two attempts, the other one later; a point is kept where the later solve was cut short."""
+    if other.ended:
+        return replace(one, candidate=replace(one.candidate, interrupted=other.candidate.interrupted))
+    return other if other.error < one.error else one
+
+
+def _over(solves: _Solves) -> bool:
+    left = solves.left
+    return left is not None and left <= 0
 
 
 def require_convex(problem: OptimalControlProblem) -> None:
@@ -101,52 +229,51 @@ def nearest_recession(program: Program, z: Array) -> Array:
     return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
 
 
-def _attempt(
-    transcription: LinearTranscription,
-    scaling: Scaling,
-    solver: Solver,
-    tolerance: float | None,
-    time_limit: float | None,
-) -> Candidate:
-    """Solve in the given units, and measure."""
-    program = scaling.apply(transcription.program)
-    solution = solver(program, tolerance or DEFAULT_TOLERANCE, time_limit)
-    candidate = _candidate(transcription, scaling, program, solution)
-    return replace(candidate, interrupted=solution.claim is Claim.INTERRUPTED)
-
-
-def _revised(transcription: LinearTranscription, scaling: Scaling, candidate: Candidate) -> Scaling | None:
-    """Return better units if the answer shows that it was solved in wrong ones."""
-    if candidate.trajectory is None or candidate.status == "limit":
-        return None
-    return revised_scaling(transcription, scaling, transcription.point(candidate.trajectory))
-
-
-def _candidate(transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution) -> Candidate:
+def _measured(
+    transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution, tolerance: float | None
+) -> _Attempt:
+    """Return an attempt from what a solver said of a program in some units."""
     z, y, claim = solution.z, solution.y, solution.claim
     if claim is Claim.INFEASIBLE:
         ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
-        return Candidate("infeasible", None, None, ray, None, solution.words)
+        error = np.inf if y is None else program.infeasibility_residual(y)
+        return _Attempt(Candidate("infeasible", None, None, ray, None, solution.words), scaling, None, error)
     if claim is Claim.UNBOUNDED:
         ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
-        if ray is None or program.descent_ray_residual(ray) > UNBOUNDED_TOLERANCE:
-            return Candidate("numerical_error", None, None, None, None, solution.words)
+        error = np.inf if ray is None else program.descent_ray_residual(ray)
+        if ray is None or error > UNBOUNDED_TOLERANCE:
+            return _Attempt(_failed(solution.words), scaling, None, np.inf)
         along = transcription.direction(scaling.primal(ray))
-        return Candidate("unbounded", None, None, None, None, solution.words, descent=along)
+        return _Attempt(
+            Candidate("unbounded", None, None, None, None, solution.words, descent=along), scaling, None, error
+        )
     if z is None or y is None:
-        return Candidate("numerical_error", None, None, None, None, solution.words)
+        return _Attempt(replace(_failed(solution.words), interrupted=claim is Claim.INTERRUPTED), scaling, None, np.inf)
     if not program.P.nnz and not program.q.any():
         y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
-    residuals = program.residuals(z, y)
+    point, duals = scaling.primal(z), scaling.dual(y)
+    residuals = _residuals(transcription, scaling, point, duals)
     if claim in (Claim.LIMIT, Claim.INTERRUPTED):
         status = "limit"
     else:
-        status = "optimal" if residuals.worst <= SOLVED_TOLERANCE else "numerical_error"
-    return Candidate(
+        status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, tolerance or 0.0) else "numerical_error"
+    candidate = Candidate(
         status,
-        transcription.trajectory(scaling.primal(z)),
-        transcription.multipliers(scaling.dual(y), 1.0),
+        transcription.trajectory(point),
+        transcription.multipliers(duals, 1.0),
         None,
         residuals,
         solution.words,
+        interrupted=claim is Claim.INTERRUPTED,
     )
+    return _Attempt(candidate, scaling, point, residuals.worst)
+
+
+def _failed(words: str) -> Candidate:
+    return Candidate("numerical_error", None, None, None, None, words)
+
+
+def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
+    """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
+    own = own_scaling(transcription, z, scaling.columns)
+    return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows)

@@ -28,6 +28,9 @@ NO_GAIN = 1e-14
 """Entries of a row of [A, B] below this part of its largest one are rounding, as in a linearisation where a state is
 zero up to rounding: no size follows from them."""
 
+FAR_BEYOND = 1e4
+"""Factor between a bound and what else is said of a component from which the bound stands for none."""
+
 
 @dataclass(frozen=True)
 class Measures:
@@ -154,14 +157,17 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
     A component is as large as its ends and references, else its bounds, else (a control) what other sets and rows
     allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
-    what other sets and rows allow; 1 only where nothing at all is said.
+    what other sets and rows allow; 1 only where nothing at all is said. Bounds far beyond what ends, references and
+    dynamics say of a component stand for none.
     """
     cost, n = problem.quadratic, problem.state_dim
     ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
-    bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
+    bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
+    followed = _completed(problem, stated)
+    bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
     sizes = np.where(stated > 0, stated, bounds)
     limited = _limited_sizes(problem)
     sizes[n:] = np.where(sizes[n:] > 0, sizes[n:], limited[n:])
@@ -175,6 +181,14 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by what the problem says of their sizes."""
     return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem))
+
+
+def _bounded_sizes(tube: Box) -> Array:
+    """Return how large bounds (times, k) are at most times; of two that are far apart, the smaller one; 0: none."""
+    sides = np.ma.masked_equal(_finite(tube), 0.0)
+    lower, upper = np.ma.filled(np.ma.median(sides, axis=1), 0.0)
+    smaller, larger = np.minimum(lower, upper), np.maximum(lower, upper)
+    return np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 
@@ -121,6 +121,16 @@ class Program:
         alone[self.in_cones] = False
         return alone
 
+    def without_bounds_beyond(self, size: float) -> Program | None:
+        """Return the program without bounds that are farther than ``size`` from zero; None if there are none."""
+        above = self.alone & np.isfinite(self.upper) & (self.upper > size) & ~self.equality
+        below = self.alone & np.isfinite(self.lower) & (self.lower < -size) & ~self.equality
+        if not (above.any() or below.any()):
+            return None
+        return replace(
+            self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper)
+        )
+
     def one_sided(self) -> OneSided:
         """Return the rows outside cones as most solvers want them."""
         equal = self.equality
@@ -163,6 +173,20 @@ class Program:
             ),
             gap=abs(curvature + linear + support) / max(1.0, curvature, abs(linear), abs(support)),
         )
+
+    def infeasibility_residual(self, y: Array) -> float:
+        """Return how far y is from a proof that no point exists: A'y = 0, scaled to a support of -1; inf if it is >= 0.
+
+        What a row's bounds cannot carry, y on a side without one or outside the polar of a cone, counts likewise.
+        """
+        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
+        carried = np.isfinite(bound)
+        support = float((y * np.where(carried, bound, 0.0)).sum())
+        if support >= 0:
+            return np.inf
+        outside = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        lost = np.abs(y[~carried]).max(initial=0.0)
+        return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
 
     def descent_ray_residual(self, z: Array) -> float:
         """Return how far z is from unbounded descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
