@@ -20,6 +20,7 @@ from random_linear import Sample, random_linear
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
@@ -31,8 +32,17 @@ TOLERANCE = 1e-10
 AGREEMENT = 1e-6
 """Difference of the two costs, relative to what the terms of the cost add up to."""
 
-NONE = 1e20
-"""Bounds from here on are none."""
+NONE = 1e6
+"""Bounds from here on are left out if the answer is far within them: they stand for none."""
+
+NOISE = 1e-9
+"""Difference of two costs, in good units, that Clarabel's tolerance can make."""
+
+ACTIVE = 1e-7
+"""Distance from a limit, in good units, at which it may carry a multiplier."""
+
+NEAR = 1e4
+"""An answer below this is far within bounds of NONE."""
 
 ANSWERS = ("optimal", "locally_optimal")
 
@@ -69,11 +79,11 @@ class Outcome:
     @property
     def wrong(self) -> bool:
         """Whether both have an answer, at different costs."""
-        return self.difference is not None and self.difference > AGREEMENT
+        return self.theirs == "Solved" and self.difference is not None and self.difference > AGREEMENT
 
 
-def plain_program(problem: lfo.OptimalControlProblem) -> PlainProgram:
-    """Return the quadratic program of a problem with boxes, stop bands and joint rows."""
+def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgram:
+    """Return the quadratic program of a problem with boxes, stop bands and joint rows, and bounds below ``none``."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     states, variables = (T + 1) * n, (T + 1) * n + T * m
     equations, limits = _Rows(variables), _Rows(variables)
@@ -96,14 +106,14 @@ def plain_program(problem: lfo.OptimalControlProblem) -> PlainProgram:
         P[np.ix_(at, at)] += H
         gradient[at] += linear - H @ reference
         constant += 0.5 * float(reference @ H @ reference)
-    _add_bounds(problem, equations, limits)
+    _add_bounds(problem, equations, limits, none)
     _add_bands(problem, equations)
     for family in problem.stage_rows:
         for t in range(T):
             C, D = (np.broadcast_to(one, (T, *one.shape[-2:]))[t] for one in (family.C, family.D))
             e = np.broadcast_to(family.e, (T, family.rows))[t]
             at = np.concatenate([np.arange(t * n, t * n + n), states + np.arange(t * m, t * m + m)])
-            for i in np.flatnonzero(e < NONE):
+            for i in np.flatnonzero(e < none):
                 limits.add(at, np.concatenate([C[i], D[i]]), e[i])
     return PlainProgram(sp.csc_array(P), gradient, constant, *equations.matrix(), *limits.matrix())
 
@@ -129,7 +139,7 @@ def _shapes(n: int, m: int) -> dict[str, tuple[int, ...]]:
     return {"Q": (n, n), "R": (m, m), "S": (n, m), "q": (n,), "r": (m,)}
 
 
-def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _Rows) -> None:
+def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _Rows, none: float) -> None:
     """Add the bounds of all states and controls; an interval of no width is an equation."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x = [
@@ -145,9 +155,9 @@ def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _R
         if lower[i] == upper[i]:
             equations.add(i, 1.0, lower[i])
             continue
-        if upper[i] < NONE:
+        if upper[i] < none:
             limits.add(i, 1.0, upper[i])
-        if lower[i] > -NONE:
+        if lower[i] > -none:
             limits.add(i, -1.0, -lower[i])
 
 
@@ -169,16 +179,77 @@ def _add_bands(problem: lfo.OptimalControlProblem, equations: _Rows) -> None:
                 equations.add(at, np.sin(turns), 0.0)
 
 
-def solved_plainly(program: PlainProgram) -> tuple[str, float | None]:
-    """Return the status of plain Clarabel, and its cost."""
+def fitted_error(program: PlainProgram, z: Array) -> float:
+    """Return how wrong the cost of a point can be, to first order, with the multipliers that fit it best."""
+    slack = program.h - program.G @ z
+    active = slack <= ACTIVE * (1 + np.abs(program.h))
+    columns = sp.vstack([program.A, program.G[active]]).T.toarray()
+    gradient = program.P @ z + program.q
+    least = np.concatenate([np.full(len(program.b), -np.inf), np.zeros(int(active.sum()))])
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    y = lsq_linear(columns / norms, -gradient, (least, np.inf), tol=1e-15).x / norms if columns.size else np.zeros(0)
+    slope = gradient + columns @ y
+    missed = np.concatenate([program.A @ z - program.b, slack[active]])
+    beyond = np.abs(np.minimum(slack[~active], 0.0)).sum()
+    return float(np.abs(y) @ np.abs(missed) + np.abs(slope) @ np.abs(z) + beyond)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Clarabel's answer, in good units.
+
+    Attributes
+    ----------
+    status : str
+        Its own word, or "unsure" where it says "Solved" of a point whose cost is not known to AGREEMENT.
+    program : PlainProgram
+    z, y : (variables,), (rows,)
+        The point, and the duals of equations and limits: >= 0 for limits.
+    cost : float
+    error : float
+        How wrong the cost can be, to first order: residuals times multipliers, and complementarity.
+    """
+
+    status: str
+    program: PlainProgram
+    z: Array
+    y: Array
+    cost: float
+    error: float
+
+    def worth(self, z: Array) -> float:
+        """Return by how much the violations of another point can make it cheaper, to first order."""
+        program, count = self.program, len(self.program.b)
+        missed = np.concatenate([np.abs(program.A @ z - program.b), np.maximum(program.G @ z - program.h, 0.0)])
+        return float((np.abs(self.y) * missed).sum()) if count or len(program.h) else 0.0
+
+
+def solved_plainly(problem: lfo.OptimalControlProblem) -> Reference:
+    """Return what plain Clarabel says; bounds that stand for none are left out first."""
+    reference = _clarabel(problem, plain_program(problem, NONE))
+    if reference.status == "Solved" and np.abs(reference.z).max() < NEAR:
+        return reference
+    return _clarabel(problem, plain_program(problem, np.inf))
+
+
+def _clarabel(problem: lfo.OptimalControlProblem, program: PlainProgram) -> Reference:
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
     A, b = sp.csc_matrix(sp.vstack([program.A, program.G])), np.concatenate([program.b, program.h])
     cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.h))]
     answer = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
-    status = str(answer.status)
-    return status, answer.obj_val + program.constant if status == "Solved" else None
+    z, y, status = np.array(answer.x), np.array(answer.z), str(answer.status)
+    cost, slack = 0.5 * z @ (program.P @ z) + program.q @ z + program.constant, b - A @ z
+    error = float((np.abs(y) * np.abs(slack)).sum() + (np.abs(z) * np.abs(program.P @ z + program.q + A.T @ y)).sum())
+    if status == "Solved" and error > max(AGREEMENT * cost_scale(problem, *_signals(problem, z)), NOISE):
+        status = "unsure"
+    return Reference(status, program, z, y, float(cost), error)
+
+
+def _signals(problem: lfo.OptimalControlProblem, z: Array) -> tuple[Array, Array]:
+    x, u = np.split(z, [(problem.horizon + 1) * problem.state_dim])
+    return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
 
 
 def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
@@ -196,12 +267,22 @@ def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
 def check(seed: int) -> Outcome:
     """Solve one problem here, in its units, and plainly, in good ones."""
     sample = random_linear(seed)
-    theirs, cost = solved_plainly(plain_program(sample.good))
+    reference = solved_plainly(sample.good)
     result = lfo.solve(sample.problem, throw=False)
-    difference = None
-    if cost is not None and result.status in ANSWERS and result.trajectory is not None:
+    difference, words = None, result.message
+    if reference.status == "Solved" and result.status in ANSWERS and result.trajectory is not None:
         x, u = result.trajectory.x * sample.units.x, result.trajectory.u * sample.units.u
-        excess = sample.good.value(x, u) - cost
+        excess = sample.good.value(x, u) - reference.cost
         scale = cost_scale(sample.good, x, u)
-        difference = abs(excess) / scale if scale > 0 else (0.0 if excess == 0 else np.inf)
-    return Outcome(seed, result.status, result.method, theirs, difference, result.message)
+        difference = abs(excess) / scale if abs(excess) > NOISE else 0.0
+        if difference > AGREEMENT and excess < 0:
+            worth = reference.worth(np.concatenate([x.ravel(), u.ravel()]))
+            words = f"cheaper by {-excess:.1e}, of which violations are worth {worth:.1e}"
+            if worth < -excess / 2:
+                return Outcome(seed, result.status, result.method, "not the optimum", difference, words)
+        if difference > AGREEMENT:
+            error = fitted_error(reference.program, np.concatenate([x.ravel(), u.ravel()]))
+            words += f" multipliers fit this point to {error:.1e}, Clarabel's to {reference.error:.1e}"
+            if error <= AGREEMENT * scale:
+                return Outcome(seed, result.status, result.method, "another optimum", difference, words)
+    return Outcome(seed, result.status, result.method, reference.status, difference, words)

@@ -64,7 +64,7 @@ class _Attempt:
     @property
     def ended(self) -> bool:
         """Whether nothing more is to be tried."""
-        return self.candidate.interrupted or self.candidate.status == "limit"
+        return self.candidate.interrupted
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,4 +276,5 @@ def _failed(words: str) -> Candidate:
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
     """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
     own = own_scaling(transcription, z, scaling.columns)
-    return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows)
+    sizes = own_scaling(transcription, z, scaling.columns, per_time=True).columns / own.columns
+    return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows, sizes)

@@ -13,6 +13,10 @@ import scipy.sparse as sp
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
 
+NOTHING = 1e-3
+"""An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""
+
+
 class Block(Enum):
     """Names of row blocks."""
 
@@ -37,7 +41,8 @@ class Residuals:
     dual : float
         Largest entry of P z + q + A'y, and of duals with a sign that their row cannot have.
     gap : float
-        Difference between primal and dual objective.
+        How wrong the objective can be to first order: violations times duals, duals of rows that are not at their
+        bound, and slopes that are left times variables; relative to what the terms of the objective add up to.
     """
 
     primal: float
@@ -151,8 +156,11 @@ class Program:
         """Return 1/2 z'P z + q'z + constant."""
         return float(0.5 * z @ (self.P @ z) + self.q @ z + self.constant)
 
-    def residuals(self, z: Array, y: Array) -> Residuals:
-        """Measure an answer from the data alone; no solver's word is taken."""
+    def residuals(self, z: Array, y: Array, sizes: Array | float = 1.0) -> Residuals:
+        """Measure an answer from the data alone; no solver's word is taken.
+
+        An objective is zero if it is small beside the one at a point of these sizes, (variables,).
+        """
         if not (np.isfinite(z).all() and np.isfinite(y).all()):
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
@@ -161,18 +169,24 @@ class Program:
         outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
         bound = np.where((y > 0) & self.alone, self.upper, self.lower)
         impossible = ~np.isfinite(bound) & (y != 0)
-        support = float((y * np.where(np.isfinite(bound), bound, 0.0)).sum())
+        slope, apart = Pz + self.q + Aty, np.where(np.isfinite(bound), bound, 0.0) - Az
         with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
-            curvature, linear = float(z @ Pz), float(self.q @ z)
+            wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
+            wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
+            total = max(self._magnitude(np.abs(z)), NOTHING * self._magnitude(sizes * np.ones(len(z))))
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
             primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
             dual=float(
-                max(np.abs(Pz + self.q + Aty).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar)
+                max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar)
                 / max(1.0, *size)
             ),
-            gap=abs(curvature + linear + support) / max(1.0, curvature, abs(linear), abs(support)),
+            gap=wrong / total if total > 0 else wrong,
         )
+
+    def _magnitude(self, z: Array) -> float:
+        """Return what the terms of the objective add up to in absolute value, for z >= 0."""
+        return float(0.5 * z @ (abs(self.P) @ z) + np.abs(self.q) @ z)
 
     def infeasibility_residual(self, y: Array) -> float:
         """Return how far y is from a proof that no point exists: A'y = 0, scaled to a support of -1; inf if it is >= 0.

@@ -28,6 +28,12 @@ HESSIAN_REGULARISATION = 1e-6
 ROW_REGULARISATION = 1e-10
 """Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory."""
 
+NEGLIGIBLE = 1e-6
+"""A component whose typical magnitude, relative to what the data state of it, is below this does not move."""
+
+ROUNDING = 1e-12
+"""What is smaller than this part of its unit until then is rounding."""
+
 UNNOTICED = 1e-3
 """A component that is smaller than this part of what would change another one by its size, spread over the horizon,
 does not move: that part is its unit."""
@@ -83,7 +89,8 @@ def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, p
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
     columns = transcription.column_units(x, u)
     signals = np.concatenate([x.ravel(), u.ravel()])
-    columns[: len(signals)] = np.where(signals > 0, signals, fallback[: len(signals)])
+    least = ROUNDING * fallback[: len(signals)]
+    columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
     return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
@@ -159,7 +166,7 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     x, u = (_capped(size, tube) for size, tube in ((x, problem.state_tube), (u, problem.control_tube)))
     steady = np.tile(x, (problem.horizon + 1, 1)), np.tile(u, (problem.horizon, 1))
     x, u = (
-        np.where(size.max(0) > 0, size.max(0), stated)
+        np.where(size.max(0) > NEGLIGIBLE * stated, size.max(0), stated)
         for size, stated in zip(_floored(transcription, *steady), guess, strict=True)
     )
     return x, u
