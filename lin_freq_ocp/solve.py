@@ -27,6 +27,7 @@ from lin_freq_ocp.errors import (
 )
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
@@ -53,6 +54,10 @@ DIVERGED = 1e6
 
 EXPLAIN_SECONDS = 5.0
 """Time for saying why a problem has no solution, unless a time limit leaves less."""
+
+ACCURATE = 1e-9
+"""Relative violations from which the Fourier-domain method's answer is not compared with that of the sparse program:
+where constraints nearly depend on one another, larger ones are worth more than a proof allows."""
 
 METHODS = ("auto", "convex", "spectral", *MODE_METHODS, *SMOOTH_METHODS)
 
@@ -186,26 +191,33 @@ def _linear(
 ) -> Result:
     if method in (*MODE_METHODS, *SMOOTH_METHODS):
         raise UnsupportedError(f"method: got {method!r}, which is for dynamics with modes; these have none.")
-    started, result = time.perf_counter(), None
+    started, first = time.perf_counter(), None
+    contradiction = contradiction_at_ends(problem)
+    if contradiction is not None:
+        claim = Candidate("infeasible", None, None, contradiction, None, "an end lies outside the state set")
+        result = _judged(problem, claim, "spectral" if method == "spectral" else "convex", None)
+        if result.status == "infeasible":
+            return result
     if method == "spectral" or (method == "auto" and backend == "auto"):
-        result = _spectral(problem, method == "spectral", tolerance, time_limit)
-    if result is not None:
-        return result
+        first, ended = _spectral(problem, method == "spectral", tolerance, time_limit)
+        if first is not None and ended:
+            return first
     left = None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
-    return _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    second = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+    return first if first is not None and second.status != "optimal" and _proven(first) else second
 
 
 def _spectral(
     problem: OptimalControlProblem, required: bool, tolerance: float | None, time_limit: float | None
-) -> Result | None:
-    """Return what the Fourier-domain method ends with; None, unless required, if that is no answer with a proof."""
+) -> tuple[Result | None, bool]:
+    """Return what the Fourier-domain method ends with, None where it does not apply, and whether that is the answer."""
     rows = row_form(problem)
     try:
         solver = SpectralSolver(rows.problem)
     except UnsupportedError:
         if required:
             raise
-        return None
+        return None, False
     candidate: Candidate = solver.solve(tolerance=tolerance, time_limit=time_limit)
     if rows.polyhedra:
         found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
@@ -213,12 +225,18 @@ def _spectral(
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, time_limit)
     result = _judged(problem, candidate, "spectral", None)
-    certificate = result.certificate
-    optimal = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
-    proven = result.status == "optimal" and optimal
+    residuals = candidate.residuals
+    accurate = residuals is not None and residuals.primal <= max(ACCURATE, tolerance or 0.0)
     excluded = result.status == "infeasible" and "numerical" not in result.message
-    ended = proven or result.interrupted or excluded or result.status == "limit"
-    return result if required or ended else None
+    ended = (accurate and _proven(result)) or result.interrupted or excluded or result.status == "limit"
+    return result, required or ended
+
+
+def _proven(result: Result) -> bool:
+    """Whether the judge calls a result optimal, satisfied and globally so."""
+    certificate = result.certificate
+    satisfied = certificate is not None and certificate.pmp == "satisfied" and certificate.globally_optimal
+    return result.status == "optimal" and satisfied
 
 
 def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:

@@ -7,21 +7,13 @@ the terms of the cost add up to in absolute value.
 
 from __future__ import annotations
 
-import multiprocessing
-from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
-from random_linear import Sample, random_linear
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from random_linear import random_linear
 from scipy.optimize import lsq_linear
-from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.arrays import Array

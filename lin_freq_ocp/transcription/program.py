@@ -12,7 +12,6 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 
-
 NOTHING = 1e-3
 """An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""
 
@@ -132,9 +131,7 @@ class Program:
         below = self.alone & np.isfinite(self.lower) & (self.lower < -size) & ~self.equality
         if not (above.any() or below.any()):
             return None
-        return replace(
-            self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper)
-        )
+        return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
 
     def one_sided(self) -> OneSided:
         """Return the rows outside cones as most solvers want them."""
@@ -178,8 +175,7 @@ class Program:
         return Residuals(
             primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
             dual=float(
-                max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar)
-                / max(1.0, *size)
+                max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar) / max(1.0, *size)
             ),
             gap=wrong / total if total > 0 else wrong,
         )
