@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.polish import polished
 from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.linear import LinearTranscription
@@ -75,6 +76,7 @@ class _Solves:
     solver: Solver
     tolerance: float | None
     end: float
+    enough: float
 
     @property
     def left(self) -> float | None:
@@ -94,7 +96,15 @@ class _Solves:
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> _Attempt:
         solution = self.solver(program, tolerance or self.tolerance or DEFAULT_TOLERANCE, self.left)
-        return _measured(self.transcription, scaling, program, solution, self.tolerance)
+        attempt = _measured(self.transcription, scaling, program, solution, self.tolerance)
+        if attempt.z is None or attempt.ended or attempt.error <= self.enough or program.cones or _over(self):
+            return attempt
+        assert solution.z is not None and solution.y is not None
+        better = polished(program, solution.z, solution.y)
+        if better is None:
+            return attempt
+        claimed = replace(solution, claim=Claim.SOLVED, z=better[0], y=better[1])
+        return _better(attempt, _measured(self.transcription, scaling, program, claimed, self.tolerance))
 
 
 def solve_convex(
@@ -116,19 +126,20 @@ def solve_convex(
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
-    solves = _Solves(transcription, solver, tolerance, np.inf if time_limit is None else ready + time_limit)
-    candidate = _best(solves, scaling, ACCURATE if backend_name == "clarabel" else SOLVED_TOLERANCE).candidate
+    end = np.inf if time_limit is None else ready + time_limit
+    enough = max(ACCURATE if backend_name == "clarabel" else SOLVED_TOLERANCE, tolerance or 0.0)
+    candidate = _best(_Solves(transcription, solver, tolerance, end, enough), scaling).candidate
     return replace(candidate, seconds={"setup": ready - started, "solve": time.perf_counter() - ready})
 
 
-def _best(solves: _Solves, scaling: Scaling, enough: float) -> _Attempt:
+def _best(solves: _Solves, scaling: Scaling) -> _Attempt:
     """Return the best attempt: in the given units, in those of the answers, and in others if none is good."""
-    best = _followed(solves, solves.attempt(scaling), enough)
+    best = _followed(solves, solves.attempt(scaling))
     allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
     for other in _others(solves, scaling):
         if best.ended or best.error <= allowed or _over(solves):
             break
-        best = _better(best, _followed(solves, other(best), enough))
+        best = _better(best, _followed(solves, other(best)))
     return best
 
 
@@ -149,11 +160,11 @@ def _of_point(transcription: LinearTranscription, best: _Attempt, natural: Scali
     return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
 
 
-def _followed(solves: _Solves, attempt: _Attempt, enough: float) -> _Attempt:
+def _followed(solves: _Solves, attempt: _Attempt) -> _Attempt:
     """Return the attempt, or a better one in the units that its answer turned out to need."""
     best = attempt
     for _ in range(REVISIONS):
-        if best.ended or best.z is None or best.error <= enough or _over(solves):
+        if best.ended or best.z is None or best.error <= solves.enough or _over(solves):
             break
         revised = revised_scaling(solves.transcription, best.scaling, best.z)
         if revised is None:
