@@ -31,11 +31,14 @@ SOLVED_TOLERANCE = 1e-6
 ACCURATE = 1e-8
 """Relative residuals from which an answer of Clarabel is not improved by other units."""
 
+ENDLESS = 1e100
+"""A point beyond so many units is no point."""
+
 FAR = 1e4
 """Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
 where the answer does not keep them, they come back."""
 
-REVISIONS = 3
+REVISIONS = 2
 """How often the units may follow the answer."""
 
 UNBOUNDED_TOLERANCE = 1e-6
@@ -277,7 +280,7 @@ def _measured(
         solution.words,
         interrupted=claim is Claim.INTERRUPTED,
     )
-    return _Attempt(candidate, scaling, point, residuals.worst)
+    return _Attempt(candidate, scaling, point if np.isfinite(residuals.worst) else None, residuals.worst)
 
 
 def _failed(words: str) -> Candidate:
@@ -286,6 +289,8 @@ def _failed(words: str) -> Candidate:
 
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
     """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
+    if not (np.abs(z) < ENDLESS * scaling.columns).all():  # it has diverged
+        return Residuals(np.inf, np.inf, np.inf)
     own = own_scaling(transcription, z, scaling.columns)
     sizes = own_scaling(transcription, z, scaling.columns, per_time=True).columns / own.columns
     return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows, sizes)

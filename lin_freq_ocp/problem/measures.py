@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -166,7 +167,7 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
-    followed = _completed(problem, stated)
+    followed = _completed(problem, stated, np.max)
     bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
     sizes = np.where(stated > 0, stated, bounds)
     limited = _limited_sizes(problem)
@@ -207,16 +208,19 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
     return np.where(np.isfinite(least), least, 0.0)
 
 
-def _completed(problem: OptimalControlProblem, sizes: Array) -> Array:
-    """Return sizes with those that follow from others filled in."""
+def _completed(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
+    """Return sizes with those that follow from others filled in; ``chosen`` of what makes others as large as they are.
+
+    The smallest keeps within what all of them say; the largest is more than is likely, however small one of them is.
+    """
     for _ in range(len(sizes)):  # one more component, at least, is known after each pass
         if sizes.all():
             break
-        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes))
+        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes, chosen))
     return sizes
 
 
-def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
+def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callable[..., Array]) -> Array:
     """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
     n, m = problem.state_dim, problem.control_dim
     A, B, d = problem.dynamics.gains()
@@ -224,7 +228,8 @@ def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)
-    needed = np.divide(known[:n, None], gain, out=np.full(gain.shape, np.inf), where=useful).min(0)
+    absent = np.inf if chosen is np.min else 0.0
+    needed = chosen(np.divide(known[:n, None], gain, out=np.full(gain.shape, absent), where=useful), axis=0)
     forwards = np.append(caused, np.zeros(m))
     return np.where(forwards > 0, forwards, np.where(np.isfinite(needed), needed, 0.0))
 
