@@ -20,6 +20,7 @@ from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
 from lin_freq_ocp.transcription.units import (
     natural_scaling,
     own_scaling,
+    own_sizes,
     plain_scaling,
     revised_scaling,
     stated_scaling,
@@ -95,7 +96,8 @@ class _Solves:
         attempt = self._solve(near, scaling, tolerance)
         if attempt.ended or attempt.candidate.status in ("optimal", "infeasible") or _over(self):
             return attempt
-        return _better(attempt, self._solve(program, scaling, tolerance))
+        complete = self._solve(program, scaling, tolerance)
+        return complete if attempt.candidate.status == "unbounded" else _better(attempt, complete)
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> _Attempt:
         solution = self.solver(program, tolerance or self.tolerance or DEFAULT_TOLERANCE, self.left)
@@ -292,5 +294,5 @@ def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y
     if not (np.abs(z) < ENDLESS * scaling.columns).all():  # it has diverged
         return Residuals(np.inf, np.inf, np.inf)
     own = own_scaling(transcription, z, scaling.columns)
-    sizes = own_scaling(transcription, z, scaling.columns, per_time=True).columns / own.columns
+    sizes = own_sizes(transcription, z) / own.columns
     return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows, sizes)

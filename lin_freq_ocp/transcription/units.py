@@ -88,10 +88,15 @@ def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, p
     if not per_time:
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
     columns = transcription.column_units(x, u)
-    signals = np.concatenate([x.ravel(), u.ravel()])
-    least = ROUNDING * fallback[: len(signals)]
+    signals, least = np.concatenate([x.ravel(), u.ravel()]), ROUNDING * fallback[: transcription.signals]
     columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
     return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+
+
+def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
+    """Return how large the variables of a point are, (variables,): none smaller than what could be noticed."""
+    x, u = _floored(transcription, *_by_time(transcription, z))
+    return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
 
 
 def stated_scaling(transcription: LinearTranscription) -> Scaling:
