@@ -27,8 +27,7 @@ WORDS_FOR_NONE = (1e6, 1e9, 1e20, 1e30)
 """Bounds that stand for none, in good units."""
 
 ROUNDING = 1e-14
-"""What a state at an end is no more than this is zero: a mode that no control moves may have to start far away to be
-anywhere else."""
+"""Signals below this are zero: a mode that no control moves may have to start far away to be anywhere else."""
 
 OVERGROWN = 1e5
 """A trajectory beyond this is not of order 1: its dynamics are replaced by damped ones."""
@@ -123,8 +122,7 @@ def _around_trajectory(rng: np.random.Generator, n: int, m: int, T: int) -> lfo.
         stage_rows=_rows(rng, near) if rng.random() < 0.25 else None,
     )
     kind = rng.integers(0, 6, 2)
-    first_and_last = np.where(np.abs(near.x) < ROUNDING, 0.0, near.x)[[0, -1]]
-    ends = [_end(rng, x, code, np.abs(near.x).max(0)) for x, code in zip(first_and_last, kind, strict=True)]
+    ends = [_end(rng, x, code, np.abs(near.x).max(0)) for x, code in zip(near.x[[0, -1]], kind, strict=True)]
     if rng.random() < SPOILT:
         away = rng.standard_normal(n) * 10.0 ** rng.uniform(-3, 1)
         ends[1] = None if ends[1] is None else lfo.Box(ends[1].lower + away, ends[1].upper + away)
@@ -142,6 +140,7 @@ def _with_trajectory(
             Q=0.1, R=1.0, P=0.1, x_ref=rng.standard_normal((T + 1, n)), u_ref=rng.standard_normal((T, m))
         )
         near = least_cost(replace(bare, cost=liked))
+        near = lfo.Trajectory(*(np.where(np.abs(one) < ROUNDING, 0.0, one) for one in (near.x, near.u)))
         if np.abs(near.x).max() < OVERGROWN:
             break
     return bare, near

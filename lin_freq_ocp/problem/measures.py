@@ -167,7 +167,8 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
-    followed = _completed(problem, stated, np.max)
+    others = np.where(stated > 0, stated, bounds)
+    followed = _completed(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
     bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
     sizes = np.where(stated > 0, stated, bounds)
     limited = _limited_sizes(problem)
@@ -224,7 +225,7 @@ def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callabl
     """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
     n, m = problem.state_dim, problem.control_dim
     A, B, d = problem.dynamics.gains()
-    gain = problem.horizon * np.hstack([A, B])
+    gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # what a component makes of itself says nothing
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)

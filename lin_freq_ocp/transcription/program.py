@@ -16,6 +16,10 @@ NOTHING = 1e-3
 """An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""
 
 
+ROUNDING = 1e-13
+"""An objective below this part of what it is where all variables are 1 is zero."""
+
+
 class Block(Enum):
     """Names of row blocks."""
 
@@ -170,7 +174,8 @@ class Program:
         with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
             wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
-            total = max(self._magnitude(np.abs(z)), NOTHING * self._magnitude(sizes * np.ones(len(z))))
+            least = NOTHING * self._magnitude(sizes * np.ones(len(z))), ROUNDING * self._magnitude(np.ones(len(z)))
+            total = max(self._magnitude(np.abs(z)), *least)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
             primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),

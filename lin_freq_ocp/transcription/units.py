@@ -169,11 +169,7 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
     x, u = (signal.max(0) for signal in _by_time(transcription, z))
     x, u = (_capped(size, tube) for size, tube in ((x, problem.state_tube), (u, problem.control_tube)))
-    steady = np.tile(x, (problem.horizon + 1, 1)), np.tile(u, (problem.horizon, 1))
-    x, u = (
-        np.where(size.max(0) > NEGLIGIBLE * stated, size.max(0), stated)
-        for size, stated in zip(_floored(transcription, *steady), guess, strict=True)
-    )
+    x, u = (np.where(size > NEGLIGIBLE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
     return x, u
 
 
