@@ -7,13 +7,22 @@ the terms of the cost add up to in absolute value.
 
 from __future__ import annotations
 
+import multiprocessing
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+
 from dataclasses import dataclass, replace
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
 from random_linear import random_linear
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
 from scipy.optimize import lsq_linear
+from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.arrays import Array
@@ -293,3 +302,34 @@ def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: fl
     wrong = ours < -excess / 2 if excess < 0 else theirs > excess / 2
     status = "not the optimum" if wrong else "another optimum" if error <= AGREEMENT * scale else reference.status
     return replace(outcome, theirs=status, words=words)
+
+
+def check_all(seeds: Sequence[int], processes: int) -> list[Outcome]:
+    """Check all seeds, with one BLAS thread per process, and show progress on a terminal."""
+    terminal = Console(stderr=True)
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, spawn, initializer=threadpool_limits, initargs=(1,)) as pool:
+        checked = pool.map(check, seeds, chunksize=10)
+        if terminal.is_terminal:
+            checked = track(checked, "linear problems", len(seeds), console=terminal, transient=True)
+        return list(checked)
+
+
+def summary(outcomes: Sequence[Outcome]) -> Table:
+    """Return how many problems ended how, here and there."""
+    table = Table("here", "Clarabel", "problems", title="random linear problems in any units, against plain Clarabel")
+    for (ours, theirs), count in Counter((one.ours, one.theirs) for one in outcomes).most_common():
+        table.add_row(ours, theirs, str(count))
+    table.add_row("no answer", "an answer", str(sum(one.unanswered for one in outcomes)))
+    table.add_row("another cost", "", str(sum(one.wrong for one in outcomes)))
+    return table
+
+
+def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
+    """Check all seeds and print what became of them; return whether all have an answer of the right cost."""
+    outcomes = check_all(seeds, processes)
+    console.print(summary(outcomes))
+    failed = [one for one in outcomes if one.unanswered or one.wrong]
+    for one in failed:
+        console.print(str(one), soft_wrap=True, markup=False, highlight=False)
+    return not failed
