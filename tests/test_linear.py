@@ -34,7 +34,7 @@ def test_random_problems_in_any_units_cost_what_plain_clarabel_says(first):
         assert not outcome.wrong, outcome
 
 
-@pytest.mark.parametrize("seed", [130, 368, 282, 723, 2212])
+@pytest.mark.parametrize("seed", [130, 368, 282, 723])
 def test_problems_whose_answers_were_wrong(seed):
     outcome = verify_linear.check(seed)
     assert not outcome.unanswered, outcome

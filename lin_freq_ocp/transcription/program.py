@@ -19,6 +19,9 @@ NOTHING = 1e-3
 ROUNDING = 1e-13
 """An objective below this part of what it is where all variables are 1 is zero."""
 
+CONIC_ROUNDING = 1e-6
+"""The same with cones, where a point is as an interior-point method leaves it."""
+
 
 class Block(Enum):
     """Names of row blocks."""
@@ -174,7 +177,8 @@ class Program:
         with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
             wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
-            least = NOTHING * self._magnitude(sizes * np.ones(len(z))), ROUNDING * self._magnitude(np.ones(len(z)))
+            rounding = CONIC_ROUNDING if self.cones else ROUNDING
+            least = NOTHING * self._magnitude(sizes * np.ones(len(z))), rounding * self._magnitude(np.ones(len(z)))
             total = max(self._magnitude(np.abs(z)), *least)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
