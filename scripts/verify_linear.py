@@ -11,7 +11,6 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-
 from dataclasses import dataclass, replace
 
 import clarabel

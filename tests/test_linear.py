@@ -91,9 +91,7 @@ def test_an_end_outside_the_state_set_is_an_infeasible_problem_with_cures(change
 @pytest.mark.parametrize("outside", [lfo.Ball(1.0, [0, 0]), lfo.Polyhedron([[1, 1]], [1.0])])
 def test_a_point_outside_a_set_that_is_no_box_is_infeasible_too(outside):
     """The initial state is 1e-3 outside; the terminal one, which is free here, could be inside."""
-    result = lfo.solve(
-        replace(BRAKING, state_set=outside, initial_state=[1.001, 0], terminal_state=None), throw=False
-    )
+    result = lfo.solve(replace(BRAKING, state_set=outside, initial_state=[1.001, 0], terminal_state=None), throw=False)
     assert result.status == "infeasible"
     assert "rigorous" in result.message
 

@@ -104,7 +104,8 @@ class _Solves:
         attempt = _measured(self.transcription, scaling, program, solution, self.tolerance)
         if attempt.z is None or attempt.ended or attempt.error <= self.enough or program.cones or _over(self):
             return attempt
-        assert solution.z is not None and solution.y is not None
+        assert solution.z is not None
+        assert solution.y is not None
         better = polished(program, solution.z, solution.y)
         if better is None:
             return attempt

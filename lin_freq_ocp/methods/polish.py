@@ -47,9 +47,7 @@ def polished(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None
     return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
 
 
-def _held(
-    program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
-) -> tuple[Array, Array] | None:
+def _held(program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask) -> tuple[Array, Array] | None:
     """Return the optimum with some rows as equations, and its multipliers."""
     rows = np.flatnonzero(equal | above | below)
     A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
