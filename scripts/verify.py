@@ -24,8 +24,8 @@ Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and D
 and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
 (verify_nonsmooth.py).
 
-Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 5000 for "linear", 900 for "spectral", 50 for
-"explain", 200 for "mixed" and 200 for "flips".
+Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 5000 for "linear", 900
+for "spectral", 50 for "explain", 200 for "mixed" and 200 for "flips".
 Exit status 1 if a check fails.
 """
 

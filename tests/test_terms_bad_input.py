@@ -251,18 +251,6 @@ SETS = {
         "the fixed state at t = 0 violates by 0.5",
         "a set that contains it",
     ),
-    "outside with bounds per time": (
-        lambda: problem(state_set=Box(np.zeros((9, 2)), 2) & Ball(0.5)),
-        "state_set",
-        "t = 0 violates by 0.5",
-        "contains it",
-    ),
-    "start outside bounds": (
-        lambda: problem(state_set=Box(-0.5, 0.5) & Ball(3)),
-        "initial_state",
-        "[1, 1] in component 0",
-        "within the bounds [-0.5, 0.5]",
-    ),
     "too many": (lambda: problem(control_set=[Ball(1)] * 9), "control_set", "a sequence of 9", "8 sets, one per time"),
     "too few": (lambda: problem(state_set=[Ball(1)] * 8), "state_set", "a sequence of 8", "9 sets, one per time"),
     "one is none": (lambda: problem(control_set=[Ball(1)] * 7 + [3]), "control_set", "3 at place 7", "8 sets, one"),

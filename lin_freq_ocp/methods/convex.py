@@ -69,7 +69,9 @@ class _Attempt:
     @property
     def ended(self) -> bool:
         """Whether nothing more is to be tried."""
-        return self.candidate.interrupted
+        return self.candidate.interrupted or (
+            self.candidate.status == "limit" and "time" in self.candidate.words.lower()
+        )
 
 
 @dataclass(frozen=True, eq=False)
