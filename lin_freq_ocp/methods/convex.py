@@ -39,6 +39,9 @@ FAR = 1e4
 """Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
 where the answer does not keep them, they come back."""
 
+LEAST_TIME = 1e-3
+"""Seconds that are left to a solver when the time is over: it ends at once, with its words."""
+
 REVISIONS = 2
 """How often the units may follow the answer."""
 
@@ -87,7 +90,7 @@ class _Solves:
     @property
     def left(self) -> float | None:
         """Return the seconds that are left, or None for no limit."""
-        return None if self.end == np.inf else self.end - time.perf_counter()
+        return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
 
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> _Attempt:
         """Solve in the given units, and measure."""
@@ -192,8 +195,7 @@ def _better(one: _Attempt, other: _Attempt) -> _Attempt:
 
 
 def _over(solves: _Solves) -> bool:
-    left = solves.left
-    return left is not None and left <= 0
+    return time.perf_counter() >= solves.end
 
 
 def require_convex(problem: OptimalControlProblem) -> None:
