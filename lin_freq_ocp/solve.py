@@ -28,6 +28,7 @@ from lin_freq_ocp.errors import (
 )
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.free_of_cost import free_of_cost
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
@@ -216,29 +217,34 @@ def _linear(
 ) -> Result:
     if method in (*MODE_METHODS, *SMOOTH_METHODS):
         raise UnsupportedError(f"method: got {method!r}, which is for dynamics with modes; these have none.")
-    started, refused = time.perf_counter(), ""
+    started, first, refused = time.perf_counter(), None, ""
+    contradiction = contradiction_at_ends(problem)
+    if contradiction is not None:
+        claim = Candidate("infeasible", None, None, contradiction, None, "an end lies outside the state set")
+        result = _judged(problem, claim, "spectral" if method == "spectral" else "convex", None, tolerance)
+        if result.status == "infeasible":
+            return result
     if method == "spectral" or (method == "auto" and backend == "auto"):
         try:
-            result = _spectral(problem, method == "spectral", tolerance, time_limit)
+            first = _spectral(problem, tolerance, time_limit)
         except UnsupportedError as error:
             if method == "spectral":
                 raise
-            result, refused = None, str(error)
-        if result is not None:
-            return result
+            refused = str(error)
+        if first is not None and (method == "spectral" or _ended(first)):
+            return first
     left = _left(np.inf if time_limit is None else started + time_limit)
     try:
-        return _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
+        second = _convex(problem, PROVER if backend == "auto" else backend, tolerance, left)
     except UnsupportedError as error:
         if not refused or str(error) in refused:
             raise
         raise UnsupportedError(f"{error} Before that: {refused}") from None
+    return first if first is not None and _worth(first) > _worth(second) else second
 
 
-def _spectral(
-    problem: OptimalControlProblem, required: bool, tolerance: float | None, time_limit: float | None
-) -> Result | None:
-    """Return what the Fourier-domain method ends with; None, unless required, if that is no answer with a proof."""
+def _spectral(problem: OptimalControlProblem, tolerance: float | None, time_limit: float | None) -> Result:
+    """Return what the Fourier-domain method ends with."""
     started, rows = time.perf_counter(), row_form(problem)
     end = np.inf if time_limit is None else started + time_limit
     solver = SpectralSolver(rows.problem)
@@ -248,11 +254,19 @@ def _spectral(
         candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, _left(end))
-    result = _judged(problem, candidate, "spectral", None, tolerance)
+    return _judged(problem, candidate, "spectral", None, tolerance)
+
+
+def _ended(result: Result) -> bool:
+    """Whether the Fourier-domain method's answer is proven, or the time is over: no other method is asked."""
     proven = result.status == "optimal" and result.certificate is not None and result.certificate.pmp == "satisfied"
     excluded = result.status == "infeasible" and "numerical" not in result.message
-    ended = proven or result.interrupted or excluded or result.status == "limit"
-    return result if required or ended else None
+    return proven or result.interrupted or excluded or result.status == "limit"
+
+
+def _worth(result: Result) -> int:
+    """Return a rank of what is proven by a result."""
+    return 2 if result.status in ("optimal", "infeasible", "unbounded") else int(result.status == "locally_optimal")
 
 
 def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:

@@ -1,7 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
-    python scripts/verify.py [--part known|convex|spectral|explain|mixed|flips|modes|nonsmooth|limits]... [--problems N]
-                             [--seed 0] [--processes 2]
+    python scripts/verify.py [--part known|convex|linear|spectral|explain|mixed|flips|modes|nonsmooth|limits]...
+                             [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -9,6 +9,8 @@ and of Clarabel's answer the worst condition of the certificate and the gap.
 Then random problems: every one is solved by lin_freq_ocp and by CVXPY on a program written by `to_cvxpy`, and the two
 costs are compared; every optimum must satisfy every condition of the maximum principle and be proven by its gap, and
 every infeasible problem by a verified ray.
+
+Then random linear problems of every shape, in units of 1e-9 to 1e9, against plain Clarabel (verify_linear.py).
 
 Then random time-invariant problems by the Fourier-domain method and by the sparse program (verify_spectral.py).
 
@@ -22,8 +24,8 @@ Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and D
 and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
 (verify_nonsmooth.py). And time limits of 1 and 3 s on problems that take far longer (verify_limits.py).
 
-Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 900 for "spectral", 50 for
-"explain", 200 for "mixed" and 200 for "flips".
+Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 5000 for "linear", 900
+for "spectral", 50 for "explain", 200 for "mixed" and 200 for "flips".
 Exit status 1 if a check fails.
 """
 
@@ -40,6 +42,7 @@ import numpy as np
 import verify_explain
 import verify_flips
 import verify_limits
+import verify_linear
 import verify_mixed
 import verify_modes
 import verify_nonsmooth
@@ -53,7 +56,7 @@ import lin_freq_ocp as lfo
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
-PROBLEMS = {"convex": 1000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
+PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
 """How many random problems each part solves unless told otherwise."""
 
 WIDTH = 132
@@ -276,7 +279,7 @@ def main() -> int:
     parser.add_argument("--part", action="append", choices=PARTS, help="may be repeated; default: all")
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--processes", type=int, default=2, help="of the part 'spectral'")
+    parser.add_argument("--processes", type=int, default=2, help="of the parts 'linear' and 'spectral'")
     options = parser.parse_args()
     parts, console, good = options.part or PARTS, Console(width=WIDTH), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
@@ -285,6 +288,8 @@ def main() -> int:
         console.print(table)
     if "convex" in parts:
         good &= random_convex(console, seeds["convex"])
+    if "linear" in parts:
+        good &= verify_linear.verify(console, seeds["linear"], options.processes)
     if "spectral" in parts:
         good &= verify_spectral.verify(console, seeds["spectral"], options.processes)
     if "explain" in parts:

@@ -138,7 +138,7 @@ class TestEndings:
     def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
             honest = clarabel_.solve(program, tolerance, time_limit)
-            return Solution(Claim.SOLVED, honest.z * (1 + 1e-3), honest.y, "Solved")
+            return Solution(Claim.SOLVED, 1e3 + honest.z[::-1], 1e3 + honest.y[::-1], "Solved")
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.NumericalError, match="residuals are too large"):

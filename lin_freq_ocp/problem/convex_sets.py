@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem import set_geometry
-from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_number, real_array
+from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, frozen, positive_number, real_array
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty
 from lin_freq_ocp.problem.phrases import (
     AT_MOST,
@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.phrases import (
     price,
     vector,
 )
-from lin_freq_ocp.problem.sets import Box, Everything
+from lin_freq_ocp.problem.sets import NO_BOUND, Box, Everything
 
 HARD = np.asarray(np.inf)
 """The weight of a constraint that must hold."""
@@ -143,7 +143,7 @@ class Polyhedron(ConvexSet):
     F : (rows, n)
         Coefficients.
     g : (rows,)
-        Limits; inf where there is none.
+        Limits; inf, or 1e20 and above, where there is none.
 
     Raises
     ------
@@ -164,6 +164,7 @@ class Polyhedron(ConvexSet):
             raise ProblemError("Polyhedron.g", f"shape {limits.shape}", expected)
         if (limits == -np.inf).any():
             raise ProblemError("Polyhedron.g", "-inf", "a number, or inf for no limit")
+        limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
         impossible = ~matrix.any(axis=1) & (limits < 0)
         if impossible.any():
             row = int(np.argmax(impossible))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,10 @@ REPLAY_LIMIT = 1e-3
 
 WEIGHTY = 0.1
 """A component with less than this part of a row's largest coefficient is not what the row's limit is about."""
+
+
+FAR_BEYOND = 1e4
+"""Factor between a bound and what else is said of a component from which the bound stands for none."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,8 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
     A component is as large as its ends and references, else its bounds, else (a control) what other sets and rows
     allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
-    what other sets and rows allow; 1 only where nothing at all is said.
+    what other sets and rows allow; 1 only where nothing at all is said. Bounds far beyond what ends, references and
+    dynamics say of a component stand for none.
     """
     n, sizes, limited = problem.state_dim, given_sizes(problem), _limited_sizes(problem)
     sizes[n:] = np.where(sizes[n:] > 0, sizes[n:], limited[n:])
@@ -168,8 +174,19 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
     stated = np.concatenate([ends, references])
-    bounds = np.concatenate([_finite(tube).max((0, 1)) for tube in (problem.state_tube, problem.control_tube)])
+    bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
+    others = np.where(stated > 0, stated, bounds)
+    followed = _completed(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
+    bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
     return np.where(stated > 0, stated, bounds)
+
+
+def _bounded_sizes(tube: Box) -> Array:
+    """Return how large bounds (times, k) are at most times; of two that are far apart, the smaller one; 0: none."""
+    sides = np.ma.masked_equal(_finite(tube), 0.0)
+    lower, upper = np.ma.filled(np.ma.median(sides, axis=1), 0.0)
+    smaller, larger = np.minimum(lower, upper), np.maximum(lower, upper)
+    return np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:
@@ -188,24 +205,28 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
     return np.where(np.isfinite(least), least, 0.0)
 
 
-def _completed(problem: OptimalControlProblem, sizes: Array) -> Array:
-    """Return sizes with those that follow from others filled in."""
+def _completed(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
+    """Return sizes with those that follow from others filled in; ``chosen`` of what makes others as large as they are.
+
+    The smallest keeps within what all of them say; the largest is more than is likely, however small one of them is.
+    """
     for _ in range(len(sizes)):  # one more component, at least, is known after each pass
         if sizes.all():
             break
-        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes))
+        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes, chosen))
     return sizes
 
 
-def _implied_sizes(problem: OptimalControlProblem, known: Array) -> Array:
+def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callable[..., Array]) -> Array:
     """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
     n, m = problem.state_dim, problem.control_dim
     A, B, d = problem.dynamics.gains()
-    gain = problem.horizon * np.hstack([A, B])
+    gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # what a component makes of itself says nothing
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)
-    needed = np.divide(known[:n, None], gain, out=np.full(gain.shape, np.inf), where=useful).min(0)
+    absent = np.inf if chosen is np.min else 0.0
+    needed = chosen(np.divide(known[:n, None], gain, out=np.full(gain.shape, absent), where=useful), axis=0)
     forwards = np.append(caused, np.zeros(m))
     return np.where(forwards > 0, forwards, np.where(np.isfinite(needed), needed, 0.0))
 

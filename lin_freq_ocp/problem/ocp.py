@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_se
 from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.problem_terms import BEYOND_BANDS, bounded_bins, terms_of
 from lin_freq_ocp.problem.regions import Border, borders, require_partition
-from lin_freq_ocp.problem.sets import Box, box_of, end_set, stacked
+from lin_freq_ocp.problem.sets import Box, box_of, end_set, end_within, stacked
 from lin_freq_ocp.problem.spectrum import stopped_bins
 from lin_freq_ocp.problem.stage_rows import row_families
 from lin_freq_ocp.problem.stage_sets import StageSets, stage_sets
@@ -47,7 +47,8 @@ class OptimalControlProblem:
     control_set, state_set : set, sequence of sets, or None
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states).
     initial_state, terminal_state : (n,), set, or None
-        A point (a number, for a single state), a set, or free; taken together with the state set of that time.
+        A point (a number, for a single state), a set, or free; taken together with the state set of that time. Outside
+        that set, the problem is infeasible.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states.
     stage_rows : StageRows, sequence of StageRows, or None
@@ -127,19 +128,19 @@ class OptimalControlProblem:
         ProblemError
             If an end does not fit the problem.
         """
-        problem, ends = copy(self), list(self.ends)
+        problem, ends = copy(self), list(self.met_ends)
         for t, field, given in ((0, "initial_state", initial_state), (-1, "terminal_state", terminal_state)):
             if given is not None:
                 assign(problem, **{field: end_set(field, given, self.state_dim)})
-                ends[t] = (
-                    box_of(getattr(problem, field))
-                    .at_dimension(self.state_dim, field)
-                    .intersection(self.state_boxes.at(t), field)
-                )
-        problem.__dict__["ends"] = tuple(ends)
+                end = box_of(getattr(problem, field)).at_dimension(self.state_dim, field)
+                ends[t] = end_within(end, self.state_boxes.at(t))
+        problem.__dict__["met_ends"] = tuple(ends)
         problem.__dict__.pop("state_tube", None)
         boxes = isinstance(problem.initial_state, Box) and isinstance(problem.terminal_state, Box)
-        if not boxes or any(term.kind == "state set" for term in self.terms):  # what else there is knows no ends
+        outside = any(beyond.any() for _, beyond in ends)
+        if (
+            not boxes or outside or any(term.kind == "state set" for term in self.terms)
+        ):  # what else there is knows no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem
@@ -311,14 +312,19 @@ class OptimalControlProblem:
         """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
         return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
 
-    @cached_property
+    @property
     def ends(self) -> tuple[Box, Box]:
-        """The bounds of X_0 and X_T, (n,): of the initial and the terminal set, within those of their times."""
+        """Return the bounds of X_0 and X_T, (n,): of the initial and the terminal set, within those of their times."""
+        return self.met_ends[0][0], self.met_ends[1][0]
+
+    @cached_property
+    def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
+        """The bounds of both ends, and in which components, (n,), no point of an end is in the state set of its time.
+
+        There the bounds are those of the end, and the bounds of the state set are terms.
+        """
         boxes = self.state_boxes
-        return (
-            self.initial_box.intersection(boxes.at(0), "initial_state"),
-            self.terminal_box.intersection(boxes.at(-1), "terminal_state"),
-        )
+        return end_within(self.initial_box, boxes.at(0)), end_within(self.terminal_box, boxes.at(-1))
 
     @cached_property
     def state_tube(self) -> Box:

@@ -10,11 +10,12 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, real_array
-from lin_freq_ocp.problem.convex_sets import ConvexSet, Part, dimension_of
+from lin_freq_ocp.problem.convex_sets import HARD, ConvexSet, Part, dimension_of
 from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
 from lin_freq_ocp.problem.nonsmooth_costs import CostSum
 from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
 from lin_freq_ocp.problem.phrases import MOST_TEXT, combination, plural, short_name
+from lin_freq_ocp.problem.sets import INSIDE
 from lin_freq_ocp.problem.spectrum import Band, component_indices
 from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.stage_rows import StageRows
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 BEYOND_BANDS = (MagnitudeBound, EnergyBound, LinearConstraint)
 """What may stand beside bands in control_spectrum and state_spectrum."""
-
-INSIDE = 1e-9
-"""How far, relative to its size, a fixed end may lie outside a set of its time: rounding."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -101,12 +99,12 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
     given : set, sequence of sets (one per time), or None
     times : times that the set or sets hold at
     fixed : mapping from time to value
-        Where the signal is fixed: there a hard set is only looked at, not made a constraint.
+        Where the signal is fixed: there a hard set is made a constraint only if the value lies outside.
 
     Raises
     ------
     ProblemError
-        If a dimension does not fit, or a fixed value lies outside its set.
+        If a dimension does not fit.
     """
     listed = given if isinstance(given, (list, tuple)) else [given] * len(times)
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
@@ -119,10 +117,8 @@ def set_terms(kind: str, given: Any, dimension: int, times: Indices, fixed: dict
             raise ProblemError(where, f"a set in {own} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
             parts_of[id(one)] = one.parts(dimension)
-        if t in fixed:
-            _require_inside(where, parts_of[id(one)], int(t), fixed[t])
         for k, part in enumerate(parts_of[id(one)]):
-            if t in fixed and hard(part.penalty.weight):
+            if t in fixed and hard(part.penalty.weight) and _inside(part, fixed[t]):
                 continue
             parts.setdefault((k, *_signature(part)), []).append((int(t), part))
     of_state = kind != "control_set"
@@ -139,6 +135,7 @@ def terms_of(problem: OptimalControlProblem) -> tuple[Term, ...]:
     fixed = problem.fixed_ends
     found = [
         *row_terms(problem.stage_rows, T),
+        *missed_bounds(problem),
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
         *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
@@ -152,6 +149,16 @@ def terms_of(problem: OptimalControlProblem) -> tuple[Term, ...]:
     if isinstance(problem.cost, CostSum):
         found += problem.cost.terms(n, m, T)
     return uniquely_named(found)
+
+
+def missed_bounds(problem: OptimalControlProblem) -> Iterator[Term]:
+    """Yield the bounds of the state set that no point of an end keeps, one term for each end and component."""
+    boxes, identity = problem.state_boxes, np.eye(problem.state_dim)
+    for t, (_, beyond) in zip((0, problem.horizon), problem.met_ends, strict=True):
+        for i in np.flatnonzero(beyond):
+            limits = np.array([boxes.upper[t, i], -boxes.lower[t, i]])
+            rows = StageMap(np.array([t]), np.stack([identity[i], -identity[i]]), None, np.zeros(2))
+            yield Term(f"state bound on {problem.state_names[i]}", "state set", rows, Below(limits[None], HARD))
 
 
 def _listed(given: Any) -> Sequence[OutputSpectrum]:
@@ -266,12 +273,10 @@ def _bounded(
     return Term(f"mask on {name}", kind, magnitudes, Norm(2, one.limits(len(bins), where), weight), source, one.factor)
 
 
-def _require_inside(where: str, parts: Sequence[Part], t: int, value: Array) -> None:
-    excess = max((float(part.penalty.violation((part.F @ value + part.c)[None]).max()) for part in parts), default=0.0)
-    if excess > INSIDE * max(1.0, float(np.abs(value).max())):
-        raise ProblemError(
-            where, f"a set that the fixed state at t = {t} violates by {excess:g}", "a set that contains it"
-        )
+def _inside(part: Part, value: Array) -> bool:
+    """Whether a value satisfies a part of a set, up to rounding."""
+    excess = float(part.penalty.violation((part.F @ value + part.c)[None]).max())
+    return excess <= INSIDE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
 def _signature(part: Part) -> tuple[object, ...]:

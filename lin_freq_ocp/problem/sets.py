@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.convex_sets import Intersection
 
 
+NO_BOUND = 1e20
+"""A bound from here on is none: other tools write infinity so."""
+
+INSIDE = 1e-9
+"""How far, relative to its size, an end may lie outside the set of its time: rounding."""
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class Box:
     """The set of all v with lower <= v <= upper, componentwise.
@@ -24,7 +31,9 @@ class Box:
     Parameters
     ----------
     lower, upper : float, (n,) or (times, n)
-        Bounds; None, the default, or -inf and inf, where there is none. A single number holds for every component.
+        Bounds; None, the default, or -inf and inf, where there is none. A single number holds for every component. A
+        bound of 1e20 or more in absolute value stands for none, and becomes infinite; two that are equal are a point,
+        however large.
 
     Raises
     ------
@@ -63,6 +72,7 @@ class Box:
             raise ProblemError(
                 f"Box.lower{place}", f"{low[i]:g} above upper{place} = {high[i]:g}", "lower <= upper", "Exchange them?"
             )
+        low, high = _without_words(low, high)
         assign(self, lower=frozen(low), upper=frozen(high))
 
     def at_dimension(self, dimension: int, field: str) -> Box:
@@ -72,19 +82,6 @@ class Box:
         if self.lower.shape[-1] != dimension:
             raise ProblemError(field, f"bounds for {self.lower.shape[-1]} components", f"bounds for {dimension}")
         return self
-
-    def intersection(self, other: Box, field: str) -> Box:
-        """Return the box of points in both; ProblemError where there is none."""
-        lower, upper = frozen(np.maximum(self.lower, other.lower)), frozen(np.minimum(self.upper, other.upper))
-        if (lower > upper).any():
-            i = int(np.argmax(lower > upper))
-            raise ProblemError(
-                field,
-                f"[{self.lower[i]:g}, {self.upper[i]:g}] in component {i}",
-                f"a point within the bounds [{other.lower[i]:g}, {other.upper[i]:g}] of that time",
-                "Widen the bounds or move the point.",
-            )
-        return _checked(lower, upper)
 
     def at(self, t: int) -> Box:
         """Return the box of one time, of bounds (times, n)."""
@@ -215,6 +212,21 @@ def end_set(field: str, given: Any, dimension: int) -> Any:
     return box if isinstance(given, Box) else given
 
 
+def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
+    """Return the box of an end within the bounds of its time, both (n,), and where no point is in both.
+
+    There, and where only rounding is between them, the box is that of the end alone.
+    """
+    lower, upper = np.maximum(end.lower, bounds.lower), np.minimum(end.upper, bounds.upper)
+    excess = np.maximum(lower - upper, 0.0)
+    if not excess.any():
+        return _checked(frozen(lower), frozen(upper)), np.zeros(lower.shape, dtype=bool)
+    apart = excess > 0
+    beyond = excess > INSIDE * np.maximum(np.abs(lower), np.abs(upper))
+    kept = np.where(apart, end.lower, lower), np.where(apart, end.upper, upper)
+    return _checked(*map(frozen, kept)), beyond
+
+
 def box_of(given: Any) -> Any:
     """Return a Box as it is, the bounds of any other set, and anything else for others to refuse."""
     return given if isinstance(given, Box) else getattr(given, "box", given)
@@ -225,6 +237,27 @@ def _checked(lower: Array, upper: Array) -> Box:
     box = Box.__new__(Box)
     assign(box, lower=lower, upper=upper)
     return box
+
+
+def _without_words(low: Array, high: Array) -> tuple[Array, Array]:
+    """Return bounds that are infinite where they stand for none."""
+    words = (np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)
+    if not words.any():
+        return low, high
+    apart = low < high
+    low, high = np.where(apart & (low <= -NO_BOUND), -np.inf, low), np.where(apart & (high >= NO_BOUND), np.inf, high)
+    for side, bound, impossible in (
+        ("lower", low, apart & (low >= NO_BOUND)),
+        ("upper", high, apart & (high <= -NO_BOUND)),
+    ):
+        if impossible.any():
+            raise ProblemError(
+                f"Box.{side}",
+                f"{bound[impossible][0]:g}",
+                f"a number below {NO_BOUND:g} in absolute value",
+                "That is beyond what stands for no bound at all; choose other units.",
+            )
+    return low, high
 
 
 def _bound(side: str, value: Bound, absent: float) -> Array:

@@ -10,8 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_number, real_array, shaped, times_vectors
+from lin_freq_ocp.problem.arrays import (
+    Array,
+    Mask,
+    assign,
+    brief,
+    frozen,
+    positive_number,
+    real_array,
+    shaped,
+    times_vectors,
+)
 from lin_freq_ocp.problem.phrases import AT_MOST, inequalities, plural, price
+from lin_freq_ocp.problem.sets import NO_BOUND
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -25,7 +36,7 @@ class StageRows:
     D : (rows, m), (T, rows, m), or None
         Coefficients of the control; at least one of C and D is given.
     e : (rows,) or (T, rows)
-        Upper limits, always given; inf where a row has none at that time.
+        Upper limits, always given; inf, or 1e20 and above, where a row has none at that time.
     name : str
         Under which the multipliers, and whatever is said of these rows, stand.
     penalty : float, optional
@@ -73,6 +84,7 @@ class StageRows:
             raise ProblemError("stage_rows.e", f"shape {limits.shape}", "one limit per row, or (T, rows)")
         if (limits == -np.inf).any():
             raise ProblemError(f"stage_rows.e{_place(limits == -np.inf)}", "-inf", "a number, or inf for no bound")
+        limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
         rows = limits.shape[-1]
         soft = None if penalty is None else positive_number("stage_rows.penalty", penalty)
         assign(self, C=_matrix("C", C, rows), D=_matrix("D", D, rows), e=limits, name=name, penalty=soft)

@@ -106,9 +106,9 @@ class LinearTranscription:
         )
 
     def column_units(self, state_units: Array, control_units: Array) -> Array:
-        """Return one unit per variable from one per state component (n,) and control component (m,)."""
-        T = self.problem.horizon
-        steady = np.tile(state_units, (T + 1, 1)), np.tile(control_units, (T, 1))
+        """Return one unit per variable from those of states, (n,) or (T+1, n), and of controls, (m,) or (T, m)."""
+        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
+        steady = np.broadcast_to(state_units, (T + 1, n)), np.broadcast_to(control_units, (T, m))
         return np.concatenate([*(part.ravel() for part in steady), self.conic_terms.slack_units(*steady)])
 
     @property

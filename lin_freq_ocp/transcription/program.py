@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 
@@ -11,6 +11,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+
+NOTHING = 1e-3
+"""An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""
+
+
+ROUNDING = 1e-13
+"""An objective below this part of what it is where all variables are 1 is zero."""
+
+CONIC_ROUNDING = 1e-6
+"""The same with cones, where a point is as an interior-point method leaves it."""
 
 
 class Block(Enum):
@@ -37,7 +47,8 @@ class Residuals:
     dual : float
         Largest entry of P z + q + A'y, and of duals with a sign that their row cannot have.
     gap : float
-        Difference between primal and dual objective.
+        How wrong the objective can be to first order: violations times duals, duals of rows that are not at their
+        bound, and slopes that are left times variables; relative to what the terms of the objective add up to.
     """
 
     primal: float
@@ -121,6 +132,14 @@ class Program:
         alone[self.in_cones] = False
         return alone
 
+    def without_bounds_beyond(self, size: float) -> Program | None:
+        """Return the program without bounds that are farther than ``size`` from zero; None if there are none."""
+        above = self.alone & np.isfinite(self.upper) & (self.upper > size) & ~self.equality
+        below = self.alone & np.isfinite(self.lower) & (self.lower < -size) & ~self.equality
+        if not (above.any() or below.any()):
+            return None
+        return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
+
     def one_sided(self) -> OneSided:
         """Return the rows outside cones as most solvers want them."""
         equal = self.equality
@@ -141,8 +160,11 @@ class Program:
         """Return 1/2 z'P z + q'z + constant."""
         return float(0.5 * z @ (self.P @ z) + self.q @ z + self.constant)
 
-    def residuals(self, z: Array, y: Array) -> Residuals:
-        """Measure an answer from the data alone; no solver's word is taken."""
+    def residuals(self, z: Array, y: Array, sizes: Array | float = 1.0) -> Residuals:
+        """Measure an answer from the data alone; no solver's word is taken.
+
+        An objective is zero if it is small beside the one at a point of these sizes, (variables,).
+        """
         if not (np.isfinite(z).all() and np.isfinite(y).all()):
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
@@ -151,18 +173,39 @@ class Program:
         outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
         bound = np.where((y > 0) & self.alone, self.upper, self.lower)
         impossible = ~np.isfinite(bound) & (y != 0)
-        support = float((y * np.where(np.isfinite(bound), bound, 0.0)).sum())
+        slope, apart = Pz + self.q + Aty, np.where(np.isfinite(bound), bound, 0.0) - Az
         with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
-            curvature, linear = float(z @ Pz), float(self.q @ z)
+            wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
+            wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
+            rounding = CONIC_ROUNDING if self.cones else ROUNDING
+            least = NOTHING * self._magnitude(sizes * np.ones(len(z))), rounding * self._magnitude(np.ones(len(z)))
+            total = max(self._magnitude(np.abs(z)), *least)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
             primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
             dual=float(
-                max(np.abs(Pz + self.q + Aty).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar)
-                / max(1.0, *size)
+                max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar) / max(1.0, *size)
             ),
-            gap=abs(curvature + linear + support) / max(1.0, curvature, abs(linear), abs(support)),
+            gap=wrong / total if total > 0 else wrong,
         )
+
+    def _magnitude(self, z: Array) -> float:
+        """Return what the terms of the objective add up to in absolute value, for z >= 0."""
+        return float(0.5 * z @ (abs(self.P) @ z) + np.abs(self.q) @ z)
+
+    def infeasibility_residual(self, y: Array) -> float:
+        """Return how far y is from a proof that no point exists: A'y = 0, scaled to a support of -1; inf if it is >= 0.
+
+        What a row's bounds cannot carry, y on a side without one or outside the polar of a cone, counts likewise.
+        """
+        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
+        carried = np.isfinite(bound)
+        support = float((y * np.where(carried, bound, 0.0)).sum())
+        if support >= 0:
+            return np.inf
+        outside = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        lost = np.abs(y[~carried]).max(initial=0.0)
+        return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
 
     def descent_ray_residual(self, z: Array) -> float:
         """Return how far z is from unbounded descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""

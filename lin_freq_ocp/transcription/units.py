@@ -2,7 +2,8 @@
 
 Bounds say what is allowed, not what happens (30 rad/s allowed, 0.5 reached), so magnitudes come from the trajectory
 that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them. What counts is the deviation
-from the references, in which the program is written.
+from the references, in which the program is written. Once there is a trajectory, its own magnitudes are the units: an
+answer is measured in them (``own_scaling``), and solved again in them if they are not those that it was found in.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.arrays import Array, times_vectors
 from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets import Box
@@ -28,7 +29,14 @@ ROW_REGULARISATION = 1e-10
 """Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory."""
 
 NEGLIGIBLE = 1e-6
-"""A component whose typical magnitude, relative to its bounds or ends, is below this does not move: those decide."""
+"""A component whose typical magnitude, relative to what the data state of it, is below this does not move."""
+
+ROUNDING = 1e-12
+"""What is smaller than this part of its unit until then is rounding."""
+
+UNNOTICED = 1e-3
+"""A component that is smaller than this part of what would change another one by its size, spread over the horizon,
+does not move: that part is its unit."""
 
 TERM_SHARE = 0.1
 """With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
@@ -66,22 +74,53 @@ def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
     return _scaling(first, columns, columns)
 
 
+def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+    """Return the units in which a point z (in the program's own units) is of order 1.
+
+    Parameters
+    ----------
+    fallback : (variables,)
+        Units of variables that are zero, and that nothing else gives a size.
+    per_time : bool
+        Whether a component may have another unit at every time, as where it decays over many orders of magnitude.
+    """
+    x, u = _floored(transcription, *_by_time(transcription, z))
+    if not per_time:
+        x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
+    columns = transcription.column_units(x, u)
+    signals, least = np.concatenate([x.ravel(), u.ravel()]), ROUNDING * fallback[: transcription.signals]
+    columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
+    return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+
+
+def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
+    """Return how large the variables of a point are, (variables,): none smaller than what could be noticed."""
+    x, u = _floored(transcription, *_by_time(transcription, z))
+    return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
+
+
+def stated_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the units that the data of a problem state."""
+    columns = transcription.column_units(*stated_sizes(transcription.problem))
+    return _scaling(transcription, columns, columns)
+
+
+def plain_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the problem's own units."""
+    program = transcription.program
+    return Scaling(np.ones(program.A.shape[1]), np.ones(program.A.shape[0]), 1.0)
+
+
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
-    reached = transcription.column_units(*_largest(transcription, z))
-    columns = np.where(reached > NEGLIGIBLE * scaling.columns, reached, scaling.columns)
-    return _if_different(_scaling(transcription, columns, np.abs(z)), scaling)
+    revised = own_scaling(transcription, z, scaling.columns)
+    return revised if distance(revised, scaling) > REVISED else None
 
 
-def stated_scaling(transcription: LinearTranscription, scaling: Scaling) -> Scaling | None:
-    """Return the units that bounds, ends and references state, or None if those tried are much the same."""
-    columns = transcription.column_units(*stated_sizes(transcription.problem))
-    return _if_different(_scaling(transcription, columns, columns), scaling)
-
-
-def _if_different(scaling: Scaling, tried: Scaling) -> Scaling | None:
-    changes = np.append(scaling.columns / tried.columns, scaling.cost / tried.cost)
-    return scaling if np.abs(np.log(changes)).max() > np.log(REVISED) else None
+def distance(one: Scaling, other: Scaling) -> float:
+    """Return the largest factor between the units of two scalings."""
+    changes = np.append(one.columns / other.columns, one.cost / other.cost)
+    return float(np.exp(np.abs(np.log(changes)).max()))
 
 
 def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
@@ -99,7 +138,7 @@ def _scaling(transcription: LinearTranscription, columns: Array, typical: Array)
 def _row_units(program: Program, columns: Array, problem: OptimalControlProblem) -> Array:
     """Return one factor per row: a dynamics or bound row is divided by its component's unit, any other likewise."""
     rows = np.empty(program.A.shape[0])
-    rows[program.rows[Block.DYNAMICS]] = np.tile(1.0 / columns[: problem.state_dim], problem.horizon)
+    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
     norms = _row_norms(_scaled(program.A, np.ones(len(rows)), columns))
     for block in set(program.rows) - {Block.DYNAMICS}:
         rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
@@ -128,8 +167,10 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     except RuntimeError:  # exactly singular
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
-    x, u = _largest(transcription, z)
-    return _moderate(x, problem.state_tube, guess[0]), _moderate(u, problem.control_tube, guess[1])
+    x, u = (signal.max(0) for signal in _by_time(transcription, z))
+    x, u = (_capped(size, tube) for size, tube in ((x, problem.state_tube), (u, problem.control_tube)))
+    x, u = (np.where(size > NEGLIGIBLE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
+    return x, u
 
 
 def _kkt(P: Any, mean: float, A: Any) -> Any:
@@ -143,18 +184,34 @@ def _kkt(P: Any, mean: float, A: Any) -> Any:
     return sp.csc_array((values, (i, j)), shape=(signals + count, signals + count))
 
 
-def _largest(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
-    """Return the largest magnitude over time of every state and control component of z."""
+def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
+    """Return the magnitudes of states, (T+1, n), and controls, (T, m), of z."""
     problem = transcription.problem
     x, u = np.split(np.abs(z[: transcription.signals]), [(problem.horizon + 1) * problem.state_dim])
-    return x.reshape(-1, problem.state_dim).max(0), u.reshape(-1, problem.control_dim).max(0)
+    return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
 
 
-def _moderate(reached: Array, tube: Box, guess: Array) -> Array:
-    """Return what is reached, but not beyond the bounds, and the guess where nothing moves."""
+def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
+    """Return magnitudes (T+1, n) and (T, m), none smaller than what could be noticed in the dynamics."""
+    program, problem = transcription.program, transcription.problem
+    A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
+    constant = np.abs(program.lower[program.rows[Block.DYNAMICS]]).reshape(-1, problem.state_dim)
+    part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()
+    caused = times_vectors(A, x[:-1]) + times_vectors(B, u) + constant
+    x[1:] = np.maximum(x[1:], part * caused)
+    for matrix, signal in ((A, x[:-1]), (B, u)):
+        noticed = np.where(
+            (matrix > 0) & (x[1:, :, None] > 0), x[1:, :, None] / np.where(matrix > 0, matrix, 1), np.inf
+        )
+        needed = noticed.min(1)
+        np.maximum(signal, np.where(np.isfinite(needed), part * needed, 0.0), out=signal)
+    return x, u
+
+
+def _capped(reached: Array, tube: Box) -> Array:
+    """Return what is reached, but not beyond the bounds."""
     widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
-    magnitude = np.minimum(reached, np.where(widest > 0, widest, np.inf))
-    return np.where(magnitude > NEGLIGIBLE * guess, magnitude, guess)
+    return np.minimum(reached, np.where(widest > 0, widest, np.inf))
 
 
 def _row_norms(matrix: Any) -> Array:

@@ -314,4 +314,7 @@ def _equilibrated_inverse(matrix: Array) -> Array:
     for _ in range(EQUILIBRATIONS):
         largest = np.abs(matrix * scale[:, None] * scale).max(1)
         scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
-    return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    try:
+        return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    except np.linalg.LinAlgError:  # exactly singular: what follows is no answer
+        return np.full_like(matrix, np.nan)

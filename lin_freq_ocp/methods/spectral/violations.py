@@ -16,6 +16,9 @@ NEARLY_ACTIVE = 0.05
 SMALL_VIOLATION = 0.3
 """Relative violation from which on nearly active samples say something."""
 
+LARGEST_SCALE = 1e3
+"""Bounds are measured relative to their size, up to this many units of what they bound: larger ones stand for none."""
+
 ABSENT = -1.0
 """Excess of a row that cannot be violated."""
 
@@ -45,7 +48,7 @@ class Violations:
         self.free_end = np.isnan(lti.end)
         ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
-        self.scale = np.where(largest > 0, largest, 1.0)
+        self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
         self._row_scale = self.scale[self.rows, None]
         t, f = lti.fixed_points
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])

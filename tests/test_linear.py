@@ -1,0 +1,152 @@
+"""Linear problems in any units, bounds that stand for none, ends outside the state set, and loose tolerances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import verify_linear
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.polish import polished
+from lin_freq_ocp.transcription.linear import LinearTranscription
+
+BRAKING = lfo.OptimalControlProblem(
+    lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
+    50,
+    lfo.QuadraticCost(R=1.0),
+    control_set=lfo.Box(-5, 5),
+    initial_state=[0, 0],
+    terminal_state=[1, 0],
+    control_spectrum=lfo.low_pass(cutoff_hz=2.0),
+)
+LOWEST = 0.5050507855147837
+"""Its optimum, by Clarabel on a program written elsewhere, with the bounds +-5 and without any."""
+
+
+@pytest.mark.parametrize("first", range(0, 40, 10))
+def test_random_problems_in_any_units_cost_what_plain_clarabel_says(first):
+    for seed in range(first, first + 10):
+        outcome = verify_linear.check(seed)
+        assert not outcome.unanswered, outcome
+        assert not outcome.wrong, outcome
+
+
+@pytest.mark.parametrize("seed", [130, 368, 282, 723])
+def test_problems_whose_answers_were_wrong(seed):
+    outcome = verify_linear.check(seed)
+    assert not outcome.unanswered, outcome
+    assert not outcome.wrong, outcome
+
+
+@pytest.mark.parametrize("method", ["auto", "convex"])
+@pytest.mark.parametrize("bound", [1e6, 1e9, 1e11, 1e20, 1e30, np.inf])
+def test_a_bound_that_stands_for_none_changes_nothing(bound, method):
+    """+-5 but ``bound`` at the last sample: scales that come from it made errors of 0.15 m/s look like rounding."""
+    upper = np.full((50, 1), 5.0)
+    upper[-1] = bound
+    result = lfo.solve(replace(BRAKING, control_set=lfo.Box(-upper, upper)), method=method, throw=False)
+    assert result.trajectory is not None
+    assert result.cost == pytest.approx(LOWEST, rel=1e-7)
+    A, B = np.array([[1, 0.1], [0, 1]]), np.array([[0.005], [0.1]])
+    x, u = result.trajectory.x, result.trajectory.u
+    np.testing.assert_allclose(x[1:], x[:-1] @ A.T + u @ B.T, atol=1e-8)
+    np.testing.assert_allclose(x[[0, -1]], [[0, 0], [1, 0]], atol=1e-8)
+
+
+def test_bounds_of_1e20_and_more_are_none():
+    box = lfo.Box([-1e20, -1.0, -2e25], [3.0, 1e21, np.inf])
+    np.testing.assert_array_equal(box.lower, [-np.inf, -1.0, -np.inf])
+    np.testing.assert_array_equal(box.upper, [3.0, np.inf, np.inf])
+    np.testing.assert_array_equal(lfo.Box([3e21], [3e21]).lower, [3e21])  # a point, however small the unit
+    assert lfo.StageRows([[1.0]], None, [1e20]).e[0] == np.inf
+    assert lfo.Polyhedron([[1.0]], [1e20]).g[0] == np.inf
+    with pytest.raises(lfo.ProblemError, match=r"Box\.lower"):
+        lfo.Box([1e20], [2e20])
+
+
+@pytest.mark.parametrize(
+    ("changed", "family", "moved"),
+    [
+        ({"state_set": lfo.Box([-1, None], [2, None]), "initial_state": [-1.001, 0]}, {"initial state"}, "t = 0"),
+        ({"state_set": lfo.Box(None, [0.999, None])}, {"terminal state"}, "t = 50"),
+    ],
+)
+def test_an_end_outside_the_state_set_is_an_infeasible_problem_with_cures(changed, family, moved):
+    problem = replace(BRAKING, **changed)
+    with pytest.raises(lfo.InfeasibleError) as caught:
+        lfo.solve(problem)
+    result = caught.value.result
+    assert result.status == "infeasible"
+    assert "rigorous" in result.message
+    assert any(moved in str(one) for one in result.conflict)
+    cures = {cure.block: cure.amount for cure in result.explanation.cures}
+    assert set(result.explanation.family) == family | {"state bound on x_0"}
+    assert cures["state bound on x_0"] == pytest.approx(1e-3, rel=1e-2)
+    assert family <= set(cures)
+
+
+@pytest.mark.parametrize("outside", [lfo.Ball(1.0, [0, 0]), lfo.Polyhedron([[1, 1]], [1.0])])
+def test_a_point_outside_a_set_that_is_no_box_is_infeasible_too(outside):
+    """The initial state is 1e-3 outside; the terminal one, which is free here, could be inside."""
+    result = lfo.solve(replace(BRAKING, state_set=outside, initial_state=[1.001, 0], terminal_state=None), throw=False)
+    assert result.status == "infeasible"
+    assert "rigorous" in result.message
+
+
+def test_a_measured_state_may_be_outside_by_rounding():
+    at_bound = replace(BRAKING, state_set=lfo.Box([-0.3, None], None), initial_state=[-(0.1 + 0.2), 0])
+    assert at_bound.initial_box.lower[0] < -0.3
+    assert lfo.solve(at_bound, throw=False).status == "optimal"
+
+
+def test_with_ends_moves_an_end_out_of_the_state_set_and_back():
+    problem = replace(BRAKING, state_set=lfo.Box([-1, None], [2, None]))
+    outside = problem.with_ends(initial_state=[-1.5, 0])
+    assert lfo.solve(outside, throw=False).status == "infeasible"
+    again = outside.with_ends(initial_state=[0, 0])
+    assert again.terms == ()
+    assert lfo.solve(again).cost == pytest.approx(LOWEST, rel=1e-7)
+
+
+@pytest.mark.parametrize("method", ["auto", "convex"])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-9])
+def test_a_looser_tolerance_never_makes_a_worse_status(tolerance, method):
+    problem = lfo.library.double_integrator()
+    strict = lfo.solve(problem, method=method)
+    result = lfo.solve(problem, method=method, tolerance=tolerance, throw=False)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(strict.cost, rel=10 * tolerance)
+
+
+def test_a_free_start_whose_best_place_is_far_away():
+    """x_T = -0.9 costs least, and needs no control from -0.9 * 2^31 on."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.5]], [[1.0]]),
+        31,
+        lfo.QuadraticCost(R=1.0, p=[1.0]),
+        control_set=lfo.Box(-1, 1),
+        terminal_state=lfo.Box(-0.9, -0.7),
+    )
+    candidate = solve_convex(problem, "clarabel", None, None)
+    assert candidate.status == "optimal"
+    assert problem.value(candidate.trajectory.x, candidate.trajectory.u) == pytest.approx(-0.9, rel=1e-7)
+    assert candidate.trajectory.x[0, 0] == pytest.approx(-0.9 * 2**31, rel=1e-3)
+
+
+def test_a_rough_point_is_polished_to_rounding():
+    """The box is active: the rows that hold it with force are found from a point that is wrong by 1e-4."""
+    problem = replace(BRAKING, control_spectrum=None, control_set=lfo.Box(-0.2, 0.2))
+    program = LinearTranscription(problem).program
+    exact = solve_convex(problem, "clarabel", 1e-12, None)
+    z = LinearTranscription(problem).point(exact.trajectory)
+    multipliers = exact.multipliers
+    y = np.concatenate([multipliers.eta.ravel(), multipliers.mu[[0, -1]].ravel(), multipliers.nu.ravel()])
+    rng = np.random.default_rng(0)
+    rough = z + 1e-4 * rng.standard_normal(len(z)), y * (1 + 1e-4 * rng.standard_normal(len(y)))
+    assert program.residuals(*rough).worst > 1e-5
+    better = polished(program, *rough)
+    assert program.residuals(*better).worst < 1e-11
+    assert (np.abs(problem.control_set.upper - exact.trajectory.u) < 1e-9).any()
