@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.value_bound import value_bounds
 from lin_freq_ocp.certificate.value_step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -214,27 +214,31 @@ class _Bounding:
     gap: float
     deadline: float
     best: float = -float("inf")
+    sets: str = ""
 
     def __post_init__(self):
         self._known = {_modes(self.search.problem, self.found[0]).tobytes()}
 
     def run(self) -> str:
         """Bound until the gap is proven or the time is over; return what is to be said of the answer."""
+        words = ""
+        if cost_is_never_negative(self.search.problem):
+            self.best, self.sets = 0.0, NEVER_NEGATIVE
         try:
-            while self._leads_further():
+            while not self._proven and self._leads_further():
                 pass
         except UnsupportedError as error:
-            return str(error)
+            words = str(error)
         except OutOfTimeError:
             pass
         except KeyboardInterrupt:
             self.search.interrupted = True
         if self.best == -float("inf"):
-            return UNBOUNDED
+            return words or UNBOUNDED
         trajectory, multipliers, certificate = self.found
-        bound = Bound(self.best, "rigorous", sets="dynamic programming over cells of the states, with intervals")
+        bound = Bound(self.best, "rigorous", sets=self.sets)
         self.found = trajectory, multipliers, replace(certificate, bound=bound)
-        return "" if self._proven else f"the global bound leaves a gap of {self.found[2].gap:.1e}"
+        return "" if self._proven else words or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
 
     @property
     def _wanted(self) -> float:
@@ -257,7 +261,8 @@ class _Bounding:
             self._report,
         )
         for level in levels:
-            self.best = max(self.best, level.value)
+            if level.value > self.best:
+                self.best, self.sets = level.value, "dynamic programming over cells of the states, with intervals"
             if self._proven:
                 return False
             if level.path is None or level.sequence is None or level.sequence.tobytes() in self._known:

@@ -31,6 +31,9 @@ EIGENVALUE_ERROR = 1e-12
 NUMERICAL_REACH = 10.0
 """Where nothing bounds a component: how far, in multiples of its size, a merely numerical bound looks."""
 
+NEVER_NEGATIVE = "a cost that is never negative"
+"""Where the bound 0 follows from."""
+
 ARITHMETIC = 16 * float(np.finfo(np.float64).eps)
 """Rounding of the few operations in double precision that follow, relative to what they add."""
 
@@ -116,8 +119,8 @@ def lower_bound(lift: Lift, scale: float) -> Bound | None:
     nearby = nearby_bounds(problem, lift.trajectory, deviations, cost, allowed)
     if nearby is not None:
         proven = _better(proven, _evaluate(lift, curvatures, nearby, cost, "rigorous")[0])
-    if proven.value < 0 and _cost_is_never_negative(problem):
-        proven = replace(proven, value=0.0, sets="a cost that is never negative")
+    if proven.value < 0 and cost_is_never_negative(problem):
+        proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
     near = _cut(problem, curvatures, _around(lift), f"{NUMERICAL_REACH:g} times the trajectory")
@@ -149,7 +152,7 @@ def _better(one: Bound, other: Bound) -> Bound:
     return other if other.value > one.value else one
 
 
-def _cost_is_never_negative(problem: OptimalControlProblem) -> bool:
+def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     """Whether the cost, which is convex, has no linear terms: squares, norms and penalties are never below zero."""
     return not any(np.any(part) for part in (problem.quadratic.q, problem.quadratic.r, problem.quadratic.p))
 

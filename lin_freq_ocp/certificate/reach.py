@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.arrays import Array, Mask
@@ -30,6 +31,9 @@ BLOCK = 1024
 
 MOST_STEPS = 20_000
 """Horizons up to which radii are looked for step by step, which takes 0.1 ms each."""
+
+MOST_UNKNOWN = 1000
+"""Components whose radii are looked for all at once, by a dense matrix, which takes a second."""
 
 Pair = tuple[Array, Array]
 
@@ -175,6 +179,7 @@ def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, known: l
     for times in (steps, reversed(steps), steps):
         for t in times:
             _one_step(problem.linear.at(t)[:2], residual[t], rows.get(t, []), t, radii)
+    _all_steps(problem.linear, residual, radii)
     return all(bool(np.isfinite(part).all()) for pair in radii for part in pair)
 
 
@@ -238,6 +243,33 @@ def _one_step(matrices: Pair, residual: Array, rows: list[tuple[Array, float]], 
     for part, values in ((alpha_x, alpha), (beta_x, beta)):
         part[t], part[t + 1] = values[:n], values[n + m :]
     alpha_u[t], beta_u[t] = alpha[n : n + m], beta[n : n + m]
+
+
+def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Radii) -> None:
+    """Fill in what the equations of all steps together determine, as a free state whose ends are fixed in part."""
+    (alpha_x, beta_x), (alpha_u, beta_u) = radii
+    unknown = np.isinf(np.concatenate([alpha_x.ravel(), alpha_u.ravel()]))
+    if not 0 < unknown.sum() <= min(MOST_UNKNOWN, residual.size):
+        return
+    T, n = residual.shape
+    columns, of_u = np.zeros((T, n, len(unknown))), (T + 1) * n + np.arange(T * alpha_u.shape[1]).reshape(T, -1)
+    for t in range(T):
+        A, B, _ = dynamics.at(t)
+        columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
+        columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
+    matrix = columns.reshape(T * n, -1)
+    Q, R = np.linalg.qr(matrix[:, unknown])
+    if np.abs(np.diag(R)).min() <= DETERMINED * np.abs(R).max():
+        return
+    inverse = solve_triangular(R, Q.T)
+    if np.abs(inverse @ matrix[:, unknown] - np.eye(int(unknown.sum()))).max() > DETERMINED:
+        return
+    size, given = OUTWARD * np.abs(inverse), np.abs(matrix[:, ~unknown])
+    for of_x, of_controls, moved in ((alpha_x, alpha_u, residual.ravel()), (beta_x, beta_u, np.zeros(T * n))):
+        values = np.concatenate([of_x.ravel(), of_controls.ravel()])
+        values[unknown] = size @ (given @ values[~unknown] + moved)
+        of_x[:] = values[: of_x.size].reshape(of_x.shape)
+        of_controls[:] = values[of_x.size :].reshape(of_controls.shape)
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
