@@ -196,13 +196,16 @@ def compare_command(
 @problem_argument
 @click.argument("solution", metavar="SOLUTION.npz|.csv|.mat")
 @settings_option
+@click.option("--tolerance", type=float, help="Relative residuals up to which conditions hold, 1e-6 by default.")
 @json_option
-def certify_command(problem: str, solution: str, settings: tuple[str, ...], as_json: bool) -> int:
+def certify_command(
+    problem: str, solution: str, settings: tuple[str, ...], tolerance: float | None, as_json: bool
+) -> int:
     """Judge a trajectory (an .npz, with multipliers if it has them, a .csv or a .mat) by the maximum principle."""
     description = build(problem, settings)
     trajectory, multipliers = load_trajectory(solution, description)
     with progress("certifying"):
-        certificate = certify(description, trajectory, multipliers)
+        certificate = certify(description, trajectory, multipliers, tolerance)
     if as_json:
         print_json(certificate_summary(description, certificate))
     else:
@@ -307,6 +310,8 @@ def _print_certificate(problem: OptimalControlProblem, certificate: Certificate 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
     """Say whether there are others, or the direction that proves that there are none, and what holds at borders."""
     descent = certificate.descent
+    if certificate.rounded is not None:
+        say(f"rounding    {certificate.rounded}")
     if certificate.borders is not None:
         say(f"borders     {certificate.borders}")
     if descent is not None:

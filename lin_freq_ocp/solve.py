@@ -14,6 +14,7 @@ from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
+from lin_freq_ocp.certificate.rounded import Rounded, decimals_of
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.certify_modes import certify_modes
 from lin_freq_ocp.errors import (
@@ -31,7 +32,7 @@ from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.free_of_cost import free_of_cost
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
-from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs import QuadraticCost
@@ -61,6 +62,9 @@ EXPLAIN_SECONDS = 5.0
 
 LOOSEST = 1e-2
 """The judge forgives what a tolerance allows, up to here: beyond, nothing would be said of the point."""
+
+ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Tolerances that a trajectory of few decimals is tried with, if it fails the usual one."""
 
 METHODS = ("auto", "convex", "spectral", *MODE_METHODS, *SMOOTH_METHODS)
 
@@ -162,7 +166,12 @@ def solve(
     return result
 
 
-def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multipliers | None = None) -> Certificate:
+def certify(
+    problem: OptimalControlProblem,
+    trajectory: Any,
+    multipliers: Multipliers | None = None,
+    tolerance: float | None = None,
+) -> Certificate:
     """Judge any trajectory, from anywhere, against the maximum principle and the global bound.
 
     Parameters
@@ -176,30 +185,54 @@ def certify(problem: OptimalControlProblem, trajectory: Any, multipliers: Multip
         holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
         piecewise-affine dynamics, also those of other mode sequences that the trajectory lies in, and
         ``certificate.borders`` tells what holds where modes meet, and which change of a mode improves.
+    tolerance : float, optional
+        Residuals, relative to their scales, up to which conditions hold, and distance at which bounds are active; 1e-6
+        by default, at most 1e-2. What is said of borders of modes, and of the global bound, keeps its own.
+
+    Returns
+    -------
+    Certificate
+        Where linear dynamics' conditions fail, and the trajectory has few decimals, ``rounded`` says how far rounding
+        explains it.
 
     Raises
     ------
     ProblemError
         If a shape does not fit the problem, or a result has no trajectory.
+    UnsupportedError
+        If the tolerance is not above zero, or above 1e-2.
     """
     require_problem(problem)
+    if tolerance is not None and not 0 < tolerance <= LOOSEST:
+        raise UnsupportedError(f"tolerance: got {tolerance!r}; expected a number above zero, {LOOSEST:g} at most.")
+    allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
     trajectory, multipliers = _unpacked(trajectory, multipliers)
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, trajectory)
     problem.require(trajectory)
     if multipliers is not None:
-        return judge(problem, trajectory, multipliers)
+        return judge(problem, trajectory, multipliers, allowed)
     if not isinstance(problem.dynamics, LinearDynamics):
-        return certify_modes(problem, trajectory)
-    fit = fit_multipliers(problem, trajectory)
-    normal = judge(problem, trajectory, fit.multipliers)
+        return certify_modes(problem, trajectory).within(allowed)
+    fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
+    normal = judge(problem, trajectory, fit.multipliers, allowed)
     if normal.pmp == "satisfied":
         return normal
     abnormal = abnormal_multipliers(problem, trajectory) if normal.feasible else None
-    certificate = normal if abnormal is None else judge(problem, trajectory, abnormal)
+    certificate = normal if abnormal is None else judge(problem, trajectory, abnormal, allowed)
     if certificate.pmp != "satisfied":
-        certificate = normal
+        certificate = replace(normal, rounded=_rounded(problem, trajectory))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
+
+
+def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded | None:
+    """Return what few decimals explain of a trajectory that does not satisfy the maximum principle, if they do."""
+    decimals = decimals_of(trajectory)
+    for level in ROUNDED_TO if decimals is not None else ():
+        fit = fit_multipliers(problem, trajectory, level)
+        if decimals is not None and judge(problem, trajectory, fit.multipliers, level).pmp == "satisfied":
+            return Rounded(decimals, level)
+    return None
 
 
 def _unpacked(given: Any, multipliers: Multipliers | None) -> tuple[Any, Multipliers | None]:

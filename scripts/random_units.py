@@ -103,7 +103,8 @@ def drawn(seed: int) -> Drawn:
     T = int(rng.integers(3, 6) if modes_or_pieces else rng.integers(4, 40))
     modes = _modes(rng, kind, n, m, T)
     u = 0.5 * rng.standard_normal((T, m))
-    cutoff = float(rng.uniform(0.8, 2.8)) if rng.random() < 0.6 else None
+    nyquist = 2 * np.pi * (T // 2) / T
+    cutoff = float(rng.uniform(0.25, 0.9)) * nyquist if rng.random() < 0.6 else None
     if cutoff is not None:
         spectrum = np.fft.rfft(u, axis=0)
         spectrum[2 * np.pi * np.arange(len(spectrum)) / T > cutoff] = 0

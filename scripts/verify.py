@@ -1,6 +1,6 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
-    python scripts/verify.py [--part known|convex|linear|spectral|explain|mixed|flips|modes|nonsmooth|limits]...
+    python scripts/verify.py [--part known|convex|linear|spectral|explain|mixed|flips|modes|nonsmooth|units|limits]...
                              [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
@@ -47,6 +47,7 @@ import verify_mixed
 import verify_modes
 import verify_nonsmooth
 import verify_spectral
+import verify_units
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -56,7 +57,7 @@ import lin_freq_ocp as lfo
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
-PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200}
+PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200, "units": 2000}
 """How many random problems each part solves unless told otherwise."""
 
 WIDTH = 132
@@ -279,7 +280,7 @@ def main() -> int:
     parser.add_argument("--part", action="append", choices=PARTS, help="may be repeated; default: all")
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--processes", type=int, default=2, help="of the parts 'linear' and 'spectral'")
+    parser.add_argument("--processes", type=int, default=2, help="of the parts 'linear', 'spectral' and 'units'")
     options = parser.parse_args()
     parts, console, good = options.part or PARTS, Console(width=WIDTH), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
@@ -298,6 +299,8 @@ def main() -> int:
         good &= verify_mixed.verify(console, seeds["mixed"])
     if "flips" in parts:
         good &= verify_flips.verify(console, seeds["flips"])
+    if "units" in parts:
+        good &= verify_units.verify(console, seeds["units"], options.processes)
     if "modes" in parts:
         good &= verify_modes.verify(console)
     if "nonsmooth" in parts:

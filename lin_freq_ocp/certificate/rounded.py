@@ -32,8 +32,9 @@ class Rounded:
     satisfied_to: float
 
     def __str__(self) -> str:
+        level = round(-np.log10(self.satisfied_to))
         return (
-            f"satisfied to {self.satisfied_to:.0e}: the trajectory has {self.decimals} decimals, "
+            f"satisfied to 1e-{level}: the trajectory has {self.decimals} decimals, "
             "and rounding is the likely reason for the rest"
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, 
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes import judge_modes
+from lin_freq_ocp.certificate.rounded import Rounded
 from lin_freq_ocp.certificate.smooth import judge_smooth
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array
@@ -51,6 +52,8 @@ class Certificate:
         meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
     borders : BorderFacts or None
         What holds where modes meet; None for linear dynamics.
+    rounded : Rounded or None
+        If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
     """
 
     pmp: str
@@ -62,6 +65,7 @@ class Certificate:
     bound: Bound | None
     descent: Direction | None = None
     borders: BorderFacts | None = None
+    rounded: Rounded | None = None
 
     @property
     def lower_bound(self) -> float | None:
@@ -105,6 +109,12 @@ class Certificate:
             return False
         return self.gap <= gap and self.worth_of_residuals <= gap * self.cost_scale
 
+    def within(self, tolerance: float) -> Certificate:
+        """Return the certificate with another tolerance of its conditions; what is said of borders stays."""
+        conditions = tuple(one.within(tolerance) for one in self.conditions)
+        pmp = self.pmp if self.pmp == "not_applicable" else _principle(conditions)
+        return replace(self, conditions=conditions, pmp=pmp)
+
     def status_within(self, gap: float) -> str:
         """Return "optimal", as ``proven_within`` says, else "locally_optimal" or "numerical_error".
 
@@ -135,6 +145,7 @@ class Certificate:
             f"theorem   {self.pmp}, {normal}",
             f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
         ]
+        lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
         return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
 
     def __repr__(self) -> str:
@@ -187,9 +198,8 @@ def judge(
             lifted, borders = lift(problem, trajectory, multipliers), None
             conditions, worth = all_conditions(lifted), worth_of_residuals(lifted)
             bound = lower_bound(lifted, cost_scale(problem, trajectory)) if multipliers.eta_C == 1 else None
-        conditions = tuple(one.within(tolerance) for one in conditions)
-        pmp = "satisfied" if all(condition.passed for condition in conditions) else "violated"
-        return Certificate(
+        pmp = _principle(conditions)
+        certificate = Certificate(
             pmp=pmp if borders is None or borders.jumping is None else "not_applicable",
             normal=multipliers.eta_C == 1,
             conditions=conditions,
@@ -199,6 +209,11 @@ def judge(
             bound=bound,
             borders=borders,
         )
+        return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
+
+
+def _principle(conditions: tuple[Condition, ...]) -> str:
+    return "satisfied" if all(condition.passed for condition in conditions) else "violated"
 
 
 def _number(value: float | None, form: str = ".12g") -> str:

@@ -65,8 +65,13 @@ class _NormalCone:
     prices: Array
 
 
-def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Fit:
+def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near: float = ACTIVE) -> Fit:
     """Return normal multipliers (eta_C = 1) that fit the trajectory best.
+
+    Parameters
+    ----------
+    near : float
+        Distance at which a bound counts as active, on a program scaled to order 1.
 
     Raises
     ------
@@ -74,11 +79,11 @@ def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> F
         If the fitting problem could not be solved.
     """
     transcription, scaling, program = scaled_program(problem)
-    y, s = fitted_duals(program, transcription.point(trajectory) / scaling.columns)
+    y, s = fitted_duals(program, transcription.point(trajectory) / scaling.columns, near)
     return Fit(transcription.multipliers(scaling.dual(y), 1.0), transcription.direction(scaling.primal(-s)))
 
 
-def fitted_duals(program: Program, z: Array) -> tuple[Array, Array]:
+def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Array, Array]:
     """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s.
 
     Raises
@@ -86,7 +91,7 @@ def fitted_duals(program: Program, z: Array) -> tuple[Array, Array]:
     NumericalError
         If the fitting problem could not be solved.
     """
-    cone = _normal_cone(program, z)
+    cone = _normal_cone(program, z, near)
     solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
     if solution.z is None:
         raise NumericalError(f"No multipliers could be fitted to the trajectory ({solution.words}); pass multipliers=.")
@@ -101,7 +106,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     linear program asks for those with the largest product with a fixed random vector, all entries within [-1, 1].
     """
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns)
+    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE)
     count, variables = len(cone.lower), program.A.shape[1]
     signs = np.sign(cone.lower) + np.sign(cone.upper)
     free = (cone.lower < 0) & (cone.upper > 0)
@@ -166,7 +171,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
         problem = problem.with_modes(measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, at_edges=True)
+    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
         what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
@@ -178,7 +183,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
 
-def _normal_cone(program: Program, z: Array, at_edges: bool = False) -> _NormalCone:
+def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False) -> _NormalCone:
     """Return the normal cone at z; rows that are violated count as active.
 
     With ``at_edges``, a second-order cone at whose edge z lies has the multiples of one normal, else its whole polar.
@@ -186,16 +191,16 @@ def _normal_cone(program: Program, z: Array, at_edges: bool = False) -> _NormalC
     slack = program.A @ z - program.lower
     alone = np.flatnonzero(program.alone)
     Az = (program.A @ z)[alone]
-    lower = np.where(Az <= program.lower[alone] + ACTIVE, -np.inf, 0.0)
-    upper = np.where(Az >= program.upper[alone] - ACTIVE, np.inf, 0.0)
+    lower = np.where(Az <= program.lower[alone] + near, -np.inf, 0.0)
+    upper = np.where(Az >= program.upper[alone] - near, np.inf, 0.0)
     columns = [sp.csc_array((np.ones(len(alone)), (alone, np.arange(len(alone)))), shape=(len(slack), len(alone)))]
     polars, prices = list[slice](), np.zeros(len(alone))
     for cone in program.cones:
         s, rows, count = slack[cone], np.arange(cone.start, cone.stop), len(lower)
         tail = float(np.linalg.norm(s[1:]))
-        if s[0] - tail > ACTIVE:
+        if s[0] - tail > near:
             continue
-        if at_edges and tail > ACTIVE:
+        if at_edges and tail > near:
             block, low = np.append(-1.0, s[1:] / tail)[:, None], 0.0
         else:
             block, low = np.eye(len(s)), -np.inf

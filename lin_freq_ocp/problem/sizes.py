@@ -24,7 +24,7 @@ zero up to rounding: no size follows from them."""
 GAP_TOLERANCE = 1e-6
 """Relative gap (J - D)/S up to which a feasible point is called globally optimal."""
 
-DATA_ROUNDING = 1e-9
+DATA_ROUNDING = 1e-12
 """Deviations of states and controls, relative to their sizes, that solvers and printed data leave: where the cost is
 zero up to what they cost, a gap of that much is none."""
 
@@ -102,7 +102,7 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
 
 
 def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return what deviations of DATA_ROUNDING cost: from the references, and from the trajectory in penalties."""
+    """Return what deviations of DATA_ROUNDING cost: squares from the references, penalties from the trajectory."""
     x, u = trajectory.x, trajectory.u
     moved = [
         np.broadcast_to(DATA_ROUNDING * size, signal.shape)
@@ -113,7 +113,9 @@ def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) ->
         for term in problem.terms
         for sign in (-1, 1)
     ]
-    return problem.quadratic.magnitudes().value(*moved) + sum(changes)
+    plain, (x, u) = problem.quadratic.magnitudes(), moved  # without linear terms, which S has as they are
+    linear = float((x[:-1] * plain.q).sum() + (u * plain.r).sum() + x[-1] @ plain.p)
+    return plain.value(x, u) - linear + sum(changes)
 
 
 def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
