@@ -256,9 +256,9 @@ class _Bounding:
             multipliers,
             certificate.cost,
             self._wanted,
-            certificate.cost_scale,
             self.deadline,
             self._report,
+            certificate.cost_scale,
         )
         for level in levels:
             if level.value > self.best:
@@ -285,7 +285,7 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove that there is no trajectory, whatever the frequency constraints: D is infinite."""
     try:
         deadline = time.perf_counter() + seconds
-        levels = value_bounds(problem, _none(problem), np.inf, FEASIBILITY_LOSS, FEASIBILITY_LOSS, deadline)
+        levels = value_bounds(problem, _none(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS)
         return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):
         return False

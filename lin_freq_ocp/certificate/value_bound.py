@@ -83,9 +83,9 @@ def value_bounds(
     multipliers: Multipliers,
     cost: float,
     gap: float,
-    scale: float,
     deadline: float = np.inf,
     progress: Callable[[int, float], None] | None = None,
+    scale: float | None = None,
 ) -> Iterator[ValueBound]:
     """Yield bounds, each as close as the last or closer, until one is cost - gap.
 
@@ -97,12 +97,13 @@ def value_bounds(
         Of a trajectory; inf if none is known. D is a bound whatever it is, but never more than cost - gap / 2.
     gap : float
         Wanted distance from the cost.
-    scale : float
-        S, what the terms of the cost add up to: errors of the first level are relative to it.
     deadline : float
         Of ``time.perf_counter``, at which OutOfTimeError is raised.
     progress : callable, optional
         Called with the number of the level, from 1, and how much of it is done, from 0 to 1.
+    scale : float, optional
+        S, what the terms of the cost add up to: losses expected of the first level are relative to it. Default: the
+        cost, or the gap if that is larger.
 
     Raises
     ------
@@ -111,6 +112,7 @@ def value_bounds(
     OutOfTimeError
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
+    scale = scale or max(abs(cost), gap)
     cut, best = cost - gap / 2 - costs.constant, -np.inf
     stages = Stages.below(problem, costs, cut)
     level, count = _first_level(stages, cost - costs.constant, scale), 0
