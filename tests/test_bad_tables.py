@@ -36,7 +36,6 @@ BAD = {
     "F of other size": ("state_set[0].F", [[1.0]], "state_set[0]: got a set in 1 dimensions; expected a set in 2"),
     "g of other size": ("state_set[0].g", [1.0, 2.0], "state_set[0].g: got shape (2,)"),
     "g without a number": ("state_set[0].g", [-INF], "state_set[0].g: got -inf"),
-    "fixed state outside": ("state_set[0].g", [-5.0], "state_set[0]: got a set that the fixed state at t = 0 violates"),
     "W of other size": ("state_set[1].W", [[1.0]], "state_set[1]: got a set in 1 dimensions"),
     "W a vector": ("state_set[1].W", [1.0, 0.0], "state_set[1].W: got shape (2,)"),
     "radius of an ellipsoid": ("state_set[1].radius", -1.0, "state_set[1].radius: got -1.0"),

@@ -166,7 +166,7 @@ def require_words(summary):
     assert (summary["bound"] is None) == (summary["lower_bound"] is None) == (summary["gap"] is None)
     if summary["gap"] is not None:
         cost = summary["cost"]
-        assert summary["gap"] == pytest.approx((cost - summary["lower_bound"]) / abs(cost), abs=1e-12)
+        assert summary["gap"] * abs(cost) == pytest.approx(cost - summary["lower_bound"], abs=1e-12 * abs(cost))
     certificate = summary["certificate"]
     if certificate is not None:
         assert certificate["pmp"] in ("satisfied", "violated", "not_applicable")
@@ -222,7 +222,6 @@ def files(tmp_path_factory):
         (("pendulum", "--time-limit", "1e-3"), 3, "limit", ("spectral", None)),
         (("pendulum", "--time-limit", "1e-3", "--method", "convex"), 3, "limit", ("convex", "clarabel")),
         (("pendulum", "--time-limit", "1e-3", "--backend", "osqp"), 3, "limit", ("convex", "osqp")),
-        (("pendulum", "--tolerance", "10"), 3, "numerical_error", ("convex", "clarabel")),
         (("pendulum", "--tolerance", "10", "--method", "spectral"), 3, "numerical_error", ("spectral", None)),
         (("pendulum", *HARMLESS), 0, "optimal", ("spectral", None)),
     ],

@@ -58,7 +58,7 @@ def test_bounds_and_ends_are_those_of_the_problem():
 
 def test_words_say_horizon_cost_bounds_ends_and_bands():
     words = " ".join(run("show", "double_integrator")[1].split())
-    for part in ("200 steps of 0.02 s (4 s)", "u' R u", "at 0", "at 1", "0.3", "low_pass", "5 Hz", "[m/s^2]"):
+    for part in ("200 steps of 0.02 s (4 s)", "u' R u", "at 0", "at 1", "0.3", "low pass", "5 Hz", "[m/s^2]"):
         assert part in words
 
 

@@ -53,7 +53,7 @@ def working(process):
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("module", ["lin_freq_ocp.starting", "numpy", "lin_freq_ocp.problem.arrays"])
+@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.problem.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 

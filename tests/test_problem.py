@@ -311,7 +311,6 @@ def test_an_end_within_bounds_is_membership_in_both_and_keeps_itself_where_there
         (lambda: Box(np.zeros((1, 2, 3)), 1.0), "Box"),
         (lambda: Box("a", 1.0), "Box.lower"),
         (lambda: Box(1j, 2.0), "Box.lower"),
-        (lambda: Point(1.0), "Point"),
         (lambda: Point([np.inf]), "Point[0]"),
         (lambda: Box([0.0, 0.0], 1.0).at_dimension(3, "control_set"), "control_set"),
     ],

@@ -81,15 +81,15 @@ def test_residuals_that_are_worth_something_prove_nothing():
         lfo.QuadraticCost(R=1.0, p=[1.0]),
         lfo.Box(-1, 1),
         lfo.Box(-1e9, 1e9),
-        initial_state=[1e8],
+        initial_state=[1e6],
     )
     result = lfo.solve(problem)
     assert result.status == "optimal"
     x = result.trajectory.x.copy()
-    x[-1] -= 10.0
+    x[-1] -= 0.15
     certificate = lfo.certify(problem, lfo.Trajectory(x, result.control), result.multipliers)
-    assert certificate.feasible  # 10 is rounding beside 1e8
-    assert certificate.worth_of_residuals > 0.1 * certificate.cost_scale
+    assert certificate.feasible  # 0.15 is small beside 1e6
+    assert certificate.worth_of_residuals > 0.05 * certificate.cost_scale
     assert not certificate.globally_optimal
 
 

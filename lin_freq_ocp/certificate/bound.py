@@ -23,7 +23,7 @@ from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.problem.arrays import Array, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import GAP_TOLERANCE, trajectory_sizes
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 
 EIGENVALUE_ERROR = 1e-12
 """What a computed smallest eigenvalue of a correlation matrix may be too large by."""
@@ -99,19 +99,19 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
         return np.where(np.isinf(v), -np.inf, slope * v + 0.5 * curvature * np.where(np.isinf(v), 0.0, v) ** 2)
 
 
-def lower_bound(lift: Lift, scale: float) -> Bound | None:
+def lower_bound(lift: Lift, allowed: float) -> Bound | None:
     """Return D for normal multipliers, or None if the cost is not convex.
 
     Parameters
     ----------
     lift : Lift
-    scale : float
-        S, what gaps are relative to.
+    allowed : float
+        Difference of cost and bound from which no better one is looked for.
     """
     curvatures = _stage_curvatures(lift)
     if curvatures is None:
         return None
-    problem, allowed = lift.problem, GAP_TOLERANCE * scale
+    problem = lift.problem
     cost = problem.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
     proven, deviations = _evaluate(lift, curvatures, stated_bounds(problem), cost, "rigorous")
     if cost - proven.value <= allowed:

@@ -88,9 +88,10 @@ class Condition:
         return self.residual / self.scale if self.scale > 0 else (0.0 if self.residual == 0 else np.inf)
 
 
-def all_conditions(lift: Lift) -> tuple[Condition, ...]:
-    """Judge all conditions, in the paper's order."""
-    problem, (x, u), least = lift.problem, (lift.trajectory.x, lift.trajectory.u), floors(lift)
+def all_conditions(lift: Lift, least: Floors | None = None) -> tuple[Condition, ...]:
+    """Judge all conditions, in the paper's order; ``least`` are the least scales, those of the lift by default."""
+    problem, (x, u) = lift.problem, (lift.trajectory.x, lift.trajectory.u)
+    least = least or floors(lift)
     level = least.level
     mu, nu = lift.multipliers.mu, lift.multipliers.nu
     return (

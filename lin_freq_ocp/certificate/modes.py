@@ -30,7 +30,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
+from lin_freq_ocp.problem.sizes import measured_modes, trajectory_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
@@ -46,9 +46,9 @@ def judge_modes(
     sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)
-    least = floors(lifted)
+    least = floors(lifted, trajectory_sizes(problem, trajectory))
     own = _state_equation(problem, trajectory, sequence, least)
-    linear = [own if one.name == own.name else one for one in all_conditions(lifted)]
+    linear = [own if one.name == own.name else one for one in all_conditions(lifted, least)]
     added = _mode_holds(arrays, trajectory, sequence), _weights_of_modes(weights, meeting)
     stages = border_stages(lifted, least, arrays, meeting)
     others = all(one.passed for one in (*linear, added[0]) if one.name not in OF_BORDERS)
@@ -80,7 +80,7 @@ def _weights(
     weights = np.zeros((T, modes))
     weights[np.arange(T), sequence] = 1.0
     lifted = lift(_averaged(problem, weights), trajectory, multipliers)
-    for stage in border_stages(lifted, floors(lifted), arrays, meeting):
+    for stage in border_stages(lifted, floors(lifted, trajectory_sizes(problem, trajectory)), arrays, meeting):
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)
     return weights

@@ -129,9 +129,10 @@ def nearby_bounds(
 
 
 def _within(bounds: Pair, others: Pair) -> Pair:
-    """Return the intersection of two boxes; where they do not meet, a box around what is between them."""
+    """Return the intersection of two boxes; where they do not meet, and nothing is left, one of the first."""
     lower, upper = np.maximum(bounds[0], others[0]), np.minimum(bounds[1], others[1])
-    return np.minimum(lower, upper), np.maximum(lower, upper)
+    nearest = np.clip(others[0], *bounds)
+    return np.where(lower > upper, nearest, lower), np.where(lower > upper, nearest, upper)
 
 
 Radii = list[Pair]

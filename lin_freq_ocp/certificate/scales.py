@@ -43,10 +43,13 @@ class Floors:
     terms: tuple[Array, ...]
 
 
-def floors(lift: Lift) -> Floors:
-    """Return the least scales of a problem along a trajectory."""
+def floors(lift: Lift, sizes: tuple[Array, Array] | None = None) -> Floors:
+    """Return the least scales of a problem along a trajectory, whose components have these sizes, (n,) and (m,).
+
+    The default are those of the lift's own problem; of one with modes, the lift knows the average only.
+    """
     problem, T = lift.problem, lift.problem.horizon
-    x, u = trajectory_sizes(problem, lift.trajectory)
+    x, u = trajectory_sizes(problem, lift.trajectory) if sizes is None else sizes
     steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
     terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
     if lift.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good

@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.arrays import Array, Mask
 from lin_freq_ocp.problem.formula_text import text_of
 from lin_freq_ocp.problem.formulas import Formula
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import trajectory_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
@@ -63,7 +64,8 @@ def _selections(
         linear = problem.affine_at(trajectory, found)
         sequence = linear.piecewise.sequence_of(trajectory.x, trajectory.u)
         lifted = lift(replace(linear, dynamics=linear.piecewise.along(sequence)), trajectory, multipliers)
-        scale, required = stationarity_scale(lifted, floors(lifted)), required_slopes(lifted)
+        least = floors(lifted, trajectory_sizes(linear, trajectory))
+        scale, required = stationarity_scale(lifted, least), required_slopes(lifted)
         slopes = np.stack([_slopes(problem, trajectory, multipliers, found, one, at_zero, j) for j in range(-1, count)])
         for t in np.flatnonzero(at_zero):
             columns, missing = ((slopes[1:, t] - slopes[0, t]) / scale).T, (required[t] - slopes[0, t]) / scale

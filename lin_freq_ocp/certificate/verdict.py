@@ -197,7 +197,8 @@ def judge(
             _require_no_weights(multipliers)
             lifted, borders = lift(problem, trajectory, multipliers), None
             conditions, worth = all_conditions(lifted), worth_of_residuals(lifted)
-            bound = lower_bound(lifted, cost_scale(problem, trajectory)) if multipliers.eta_C == 1 else None
+            allowed = max(GAP_TOLERANCE, tolerance) * cost_scale(problem, trajectory)
+            bound = lower_bound(lifted, allowed) if multipliers.eta_C == 1 else None
         pmp = _principle(conditions)
         certificate = Certificate(
             pmp=pmp if borders is None or borders.jumping is None else "not_applicable",

@@ -88,6 +88,7 @@ class _Solves:
     transcription: LinearTranscription
     solver: Solver
     tolerance: float | None
+    asked: float
     end: float
     enough: float
 
@@ -109,7 +110,7 @@ class _Solves:
         return complete if attempt.candidate.status == "unbounded" else _better(attempt, complete)
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> _Attempt:
-        solution = self.solver(program, tolerance or self.tolerance or DEFAULT_TOLERANCE, self.left)
+        solution = self.solver(program, tolerance or self.asked, self.left)
         attempt = _measured(self.transcription, scaling, program, solution, self.tolerance)
         if attempt.z is None or attempt.ended or attempt.error <= self.enough or program.cones or _over(self):
             return attempt
@@ -149,8 +150,10 @@ def solve_convex(
     if ready >= end + GRACE:
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         return Candidate("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0})
-    enough = max(ACCURATE if backend_name == "clarabel" else SOLVED_TOLERANCE, tolerance or 0.0)
-    candidate = _best(_Solves(transcription, solver, tolerance, end, enough), scaling).candidate
+    interior = backend_name == "clarabel"  # whose last steps cost little, and are worth a proof
+    enough = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
+    asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
+    candidate = _best(_Solves(transcription, solver, tolerance, asked, end, enough), scaling).candidate
     return replace(candidate, seconds={"setup": ready - started, "solve": time.perf_counter() - ready})
 
 
@@ -173,7 +176,7 @@ def _others(solves: _Solves, natural: Scaling) -> list[Callable[[_Attempt], _Att
         lambda best: solves.attempt(stated_scaling(transcription)),
         lambda best: solves.attempt(plain_scaling(transcription)),
     ]
-    if solves.tolerance is not None and solves.tolerance > DEFAULT_TOLERANCE:
+    if solves.asked > DEFAULT_TOLERANCE:
         ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
     return ways
 

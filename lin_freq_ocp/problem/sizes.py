@@ -21,6 +21,9 @@ NO_GAIN = 1e-14
 """Entries of a row of [A, B] below this part of its largest one are rounding, as in a linearisation where a state is
 zero up to rounding: no size follows from them."""
 
+NOTHING = 1e-20
+"""Components that are nowhere larger are zero, as bounds of 1e20 and more are none."""
+
 GAP_TOLERANCE = 1e-6
 """Relative gap (J - D)/S up to which a feasible point is called globally optimal."""
 
@@ -41,12 +44,15 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
     own = _own_sizes(problem, offset)
     known = np.maximum(own, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
+    known = np.where(known > NOTHING, known, 0.0)
     gain = np.hstack([A, B])
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     anchored = (own > 0) | _has_slope(problem)
     needed = _needed(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
-    sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), gain @ sizes))
+    caused = gain @ sizes
+    most = np.where(caused > 0, caused, np.where(needed[:n] > 0, needed[:n], 0.0))
+    sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
     sizes = np.where(alone, np.maximum(sizes, _priced(problem, trajectory)), sizes)
     sizes = np.where(sizes > 0, sizes, 1.0)
@@ -102,7 +108,7 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
 
 
 def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return what deviations of DATA_ROUNDING cost: squares from the references, penalties from the trajectory."""
+    """Return what deviations of DATA_ROUNDING cost: squares from the references, all else from the trajectory."""
     x, u = trajectory.x, trajectory.u
     moved = [
         np.broadcast_to(DATA_ROUNDING * size, signal.shape)
@@ -113,9 +119,7 @@ def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) ->
         for term in problem.terms
         for sign in (-1, 1)
     ]
-    plain, (x, u) = problem.quadratic.magnitudes(), moved  # without linear terms, which S has as they are
-    linear = float((x[:-1] * plain.q).sum() + (u * plain.r).sum() + x[-1] @ plain.p)
-    return plain.value(x, u) - linear + sum(changes)
+    return problem.quadratic.magnitudes().value(*moved) + sum(changes)
 
 
 def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
