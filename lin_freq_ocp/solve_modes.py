@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.mode_bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.certify_modes import best_multipliers
@@ -128,9 +128,8 @@ def _judged(
     if not outcome.words and not proof.value >= needed:
         outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed), end))
         proof = tree_bound(problem, outcome.tree)
-    if certificate is not None and np.isfinite(proof.value):
-        words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
-        certificate = replace(certificate, bound=Bound(proof.value, "rigorous", sets=words))
+    if certificate is not None:
+        certificate = replace(certificate, bound=_bound(problem, proof))
     status, message = _status(outcome, certificate, proof, gap)
     return Result(
         problem=problem,
@@ -147,6 +146,14 @@ def _judged(
         tree=outcome.tree,
         tree_bound=proof,
     )
+
+
+def _bound(problem: OptimalControlProblem, proof: TreeBound) -> Bound | None:
+    """Return the bound of a tree, or that of a cost that is never negative, whichever is better."""
+    if proof.value < 0 and cost_is_never_negative(problem):
+        return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
+    words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
+    return Bound(proof.value, "rigorous", sets=words) if np.isfinite(proof.value) else None
 
 
 def _certificate(

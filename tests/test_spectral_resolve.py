@@ -10,6 +10,7 @@ import pytest
 from test_spectral_class import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.methods.spectral.working_set import Rows
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}
@@ -226,6 +227,17 @@ def test_data_that_do_not_fit_are_refused_by_name(solver, name):
         solver.solve(**arguments)
     assert str(caught.value).startswith(field)
     assert str(caught.value).removeprefix(field)[0] in ":["
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"initial_state": [1.0, 0.9, 0.0]}, {"bounds": {"state_set": lfo.Box(-1.0, [1.0, 0.5, 1.0])}}],
+    ids=["a start outside its bounds", "an end outside its new bounds"],
+)
+def test_an_end_outside_the_state_set_is_infeasible_with_a_ray(solver, given):
+    found = solver.solve(**given)
+    assert (found.status, found.trajectory) == ("infeasible", None)
+    assert prove_infeasible(found.problem, found.ray).bound.kind == "rigorous"
 
 
 def test_a_free_end_cannot_be_fixed_afterwards():

@@ -17,6 +17,7 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
+from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
@@ -150,6 +151,10 @@ class SpectralSolver:
         """Solve with the ends, references and bounds in ``data``, while no other thread does."""
         started = time.perf_counter()
         problem, lti = self._with(*data)
+        ray = contradiction_at_ends(problem)
+        if ray is not None:
+            words, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": time.perf_counter() - started}
+            return SpectralSolution("infeasible", None, None, ray, None, words, seconds, problem=problem)
         if warm_start is not None:
             self._require_own(warm_start)
         allowed = tolerance or VIOLATION_TOLERANCE
