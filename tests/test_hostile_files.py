@@ -105,7 +105,7 @@ def without_null(value):
 @pytest.mark.parametrize("tables", [GOOD, PIECEWISE, SMOOTH, MODES], ids=["every", "piecewise", "smooth", "modes"])
 def test_spoiled_problem_files(tables, tmp_path):
     rng, path, read = random.Random(15), tmp_path / "problem.toml", 0
-    for _ in range(100):
+    for _ in range(40):
         path.write_text(tomli_w.dumps(without_null(spoiled(tables, rng))), encoding="utf-8")
         read += read_or_refused(lfo.read_problem, path)
     assert 0 < read < 80
@@ -156,7 +156,7 @@ def test_spoiled_solutions(cart, tmp_path):
     with np.load(tmp_path / "run.npz") as archive:
         arrays = dict(archive)
     rng, read = random.Random(15), 0
-    for _ in range(100):
+    for _ in range(40):
         np.savez(tmp_path / "bad.npz", **spoiled_arrays(arrays, rng))
         read += read_or_refused(certified, cart.problem, tmp_path / "bad.npz")
     assert 0 < read < 95
@@ -170,7 +170,7 @@ def certified(problem, path):
 def test_spoiled_archives_of_matlab(cart, tmp_path):
     T, rng, read = cart.problem.horizon, random.Random(15), 0
     arrays = {"x": cart.trajectory.x, "u": cart.trajectory.u, "t": np.arange(T + 1.0)[:, None] * 0.1}
-    for number in range(100):
+    for number in range(40):
         bad = spoiled_arrays(arrays, rng)
         named = {name: value for name, value in bad.items() if name.isidentifier() and value.dtype.kind not in "mM"}
         savemat(tmp_path / "bad.mat", named, do_compression=number % 2 == 0)
@@ -186,7 +186,7 @@ def test_spoiled_tables(cart, tmp_path):
     rng, read, path = random.Random(15), 0, tmp_path / "bad.csv"
     cart.to_csv(path)
     rows = list(csv.reader(io.StringIO(path.read_text())))
-    for number in range(100):
+    for number in range(40):
         bad = deepcopy(rows)
         row = rng.randrange(rng.choice([1, len(bad)]))
         if number % 5 == 0:
@@ -205,7 +205,7 @@ def test_spoiled_runs(cart, tmp_path):
     with zipfile.ZipFile(tmp_path / "run.zip") as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}
     rng, read = random.Random(15), 0
-    for _ in range(100):
+    for _ in range(40):
         bad = dict(contents)
         bad["run.json"] = json.dumps(spoiled(json.loads(bad["run.json"]), rng, [*OTHERS, NESTED, None])).encode()
         with zipfile.ZipFile(tmp_path / "bad.zip", "w") as archive:
@@ -228,7 +228,7 @@ def test_spoiled_sweeps(tmp_path):
     lfo.sweep(partial(lfo.library.double_integrator, horizon=20), {"cutoff_hz": [None, 0.5]}, path=tmp_path / "good")
     lines = [json.loads(line) for line in (tmp_path / "good").read_text().splitlines()]
     rng, read, path = random.Random(15), 0, tmp_path / "bad"
-    for _ in range(100):
+    for _ in range(40):
         bad = deepcopy(lines)
         number = rng.randrange(len(bad))
         bad[number] = spoiled(bad[number], rng, [*OTHERS, NESTED, None])

@@ -15,7 +15,7 @@ BOUNDED = 4
 """A problem with active bounds, a stop band and a witness."""
 
 
-HARD = 238, 474, 595, 765, 847, 898
+HARD = 474, 595, 765, 847, 898
 """Soft borders: optima far away, flat directions, and infeasible problems whose forces must not depend on the cost."""
 
 
