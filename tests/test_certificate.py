@@ -235,6 +235,13 @@ def test_bound_with_a_wrong_sign_is_useless(solved):
     assert certificate.gap == 1
 
 
+@pytest.mark.parametrize(("above", "proven"), [(1e-9, True), (1e-4, False)])
+def test_a_cost_below_the_bound_is_paid_for_by_residuals_and_proves_nothing(solved, above, proven):
+    certificate = solved("paper, constrained").certificate
+    value = certificate.cost + above * certificate.cost_scale
+    assert replace(certificate, bound=replace(certificate.bound, value=value)).globally_optimal is proven
+
+
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 

@@ -103,11 +103,11 @@ class Certificate:
         """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
 
         A numerical bound says nothing of what lies outside its box, and proves nothing. Residuals must not be worth
-        more than the gap, either.
+        more than the gap, either, nor the cost be below the bound by more: then residuals pay for it.
         """
         if self.bound is None or self.gap is None or self.bound.kind != "rigorous" or not self.feasible:
             return False
-        return self.gap <= gap and self.worth_of_residuals <= gap * self.cost_scale
+        return abs(self.gap) <= gap and self.worth_of_residuals <= gap * self.cost_scale
 
     def within(self, tolerance: float) -> Certificate:
         """Return the certificate with another tolerance of its conditions; what is said of borders stays."""
