@@ -242,6 +242,13 @@ def test_a_cost_below_the_bound_is_paid_for_by_residuals_and_proves_nothing(solv
     assert replace(certificate, bound=replace(certificate.bound, value=value)).globally_optimal is proven
 
 
+def test_a_numerical_bound_and_residuals_of_worth_prove_nothing(solved):
+    certificate = solved("paper, constrained").certificate
+    assert certificate.globally_optimal
+    assert not replace(certificate, bound=replace(certificate.bound, kind="numerical")).globally_optimal
+    assert not replace(certificate, worth_of_residuals=1e-4 * certificate.cost_scale).globally_optimal
+
+
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
