@@ -12,9 +12,10 @@ leave_silently()  # before what follows, which takes a second
 
 # isort: split
 from lin_freq_ocp import library
+from lin_freq_ocp.analysis.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.comparison.sweep import Sweep, sweep
+from lin_freq_ocp.comparison.sweep.sweep import Sweep, sweep
 from lin_freq_ocp.errors import (
     BandWarning,
     InfeasibleError,
@@ -28,37 +29,36 @@ from lin_freq_ocp.errors import (
     UnsupportedError,
 )
 from lin_freq_ocp.explain import Cure, Explanation, explain
-from lin_freq_ocp.interchange.csv_file import read_csv
-from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
-from lin_freq_ocp.interchange.mat_file import read_mat
-from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
-from lin_freq_ocp.interchange.results import SavedSolution
-from lin_freq_ocp.interchange.results import load_solution as load
-from lin_freq_ocp.interchange.run_file import SavedRun, load_run
-from lin_freq_ocp.interchange.sweep_file import load_sweep
-from lin_freq_ocp.interchange.time_response import from_time_response, to_time_response
+from lin_freq_ocp.formulas.casadi import from_casadi
+from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
+from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals
+from lin_freq_ocp.interchange.cvxpy.problem import to_cvxpy
+from lin_freq_ocp.interchange.problem_file.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.results.csv_file import read_csv
+from lin_freq_ocp.interchange.results.mat_file import read_mat
+from lin_freq_ocp.interchange.results.solution_file import SavedSolution
+from lin_freq_ocp.interchange.results.solution_file import load_solution as load
+from lin_freq_ocp.interchange.results.time_response import from_time_response, to_time_response
+from lin_freq_ocp.interchange.runs.run_file import SavedRun, load_run
+from lin_freq_ocp.interchange.runs.sweep_file import load_sweep
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
-from lin_freq_ocp.problem.affine_mode import AffineMode
-from lin_freq_ocp.problem.casadi_functions import from_casadi
-from lin_freq_ocp.problem.convex_sets import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.differentiable import DifferentiableFunction
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.expressions import Expression, affine_signals
-from lin_freq_ocp.problem.formulas import Formula, maximum, minimum, norm, signals
-from lin_freq_ocp.problem.nonsmooth_costs import CostSum, L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
+from lin_freq_ocp.problem.dynamics.expressions import Expression, affine_signals
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
-from lin_freq_ocp.problem.sensitivities import Sensitivities
-from lin_freq_ocp.problem.sets import Box, Everything, Point
+from lin_freq_ocp.problem.sets.box import Box, Everything, Point
+from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.smooth_pieces import SmoothPiece
-from lin_freq_ocp.problem.spectrum import band_pass, high_pass, low_pass, notch, stop_band
-from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import certify, solve

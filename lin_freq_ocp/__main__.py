@@ -1,6 +1,6 @@
 """The command line as ``python -m lin_freq_ocp``."""
 
-from lin_freq_ocp.cli import main
+from lin_freq_ocp.cli.app import main
 
 if __name__ == "__main__":
     main()

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.mode_bound import TreeBound
+from lin_freq_ocp.certificate.modes.bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.html import html_table
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
-from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.html import html_table
-from lin_freq_ocp.problem.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 if TYPE_CHECKING:
@@ -183,26 +183,26 @@ class Result:
         A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
         window.
         """
-        from lin_freq_ocp.report.figures import result_figure
+        from lin_freq_ocp.report.figures.figures import result_figure
 
         return result_figure(self)
 
     def save(self, path: str | Path) -> None:
         """Write trajectory and multipliers to an .npz file, or the trajectory to a .csv or a .mat file."""
-        from lin_freq_ocp.interchange.summary import result_summary
-        from lin_freq_ocp.interchange.trajectory_file import save_trajectory
+        from lin_freq_ocp.interchange.results.summary import result_summary
+        from lin_freq_ocp.interchange.results.trajectory_file import save_trajectory
 
         save_trajectory(path, self.problem, self._require_trajectory(), self.multipliers, result_summary(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the trajectory as a table, one row per time."""
-        from lin_freq_ocp.interchange.results import save_csv
+        from lin_freq_ocp.interchange.results.solution_file import save_csv
 
         save_csv(path, self.problem, self._require_trajectory())
 
     def to_mat(self, path: str | Path) -> None:
         """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
-        from lin_freq_ocp.interchange.mat_file import save_mat
+        from lin_freq_ocp.interchange.results.mat_file import save_mat
 
         save_mat(path, self.problem, self._require_trajectory())
 
@@ -218,25 +218,25 @@ class Result:
         SolveError
             If there is no trajectory.
         """
-        from lin_freq_ocp.interchange.frame import to_frame
+        from lin_freq_ocp.interchange.results.frame import to_frame
 
         return to_frame(self.problem, self._require_trajectory())
 
     def to_time_response(self) -> Any:
         """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
-        from lin_freq_ocp.interchange.time_response import to_time_response
+        from lin_freq_ocp.interchange.results.time_response import to_time_response
 
         return to_time_response(self.problem, self._require_trajectory())
 
     def dump(self, path: str | Path) -> None:
         """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
-        from lin_freq_ocp.interchange.run_file import dump_run
+        from lin_freq_ocp.interchange.runs.run_file import dump_run
 
         dump_run(path, self.problem, self.options, self)
 
     def to_json(self, path: str | Path) -> None:
         """Write the object that ``lin-freq-ocp solve --json`` prints."""
-        from lin_freq_ocp.interchange.summary import result_summary, save_json
+        from lin_freq_ocp.interchange.results.summary import result_summary, save_json
 
         save_json(path, result_summary(self))
 

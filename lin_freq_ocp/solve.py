@@ -16,7 +16,6 @@ from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, descent_direction, unbounded_direction
 from lin_freq_ocp.certificate.rounded import Rounded, decimals_of
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.certify_modes import certify_modes
 from lin_freq_ocp.errors import (
     InfeasibleError,
     LimitError,
@@ -28,25 +27,26 @@ from lin_freq_ocp.errors import (
     UnsupportedError,
 )
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex import solve_convex
-from lin_freq_ocp.methods.ends import contradiction_at_ends
-from lin_freq_ocp.methods.free_of_cost import free_of_cost
+from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
+from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve_modes import MODE_METHODS, solve_modes
-from lin_freq_ocp.solve_options import require_taken
-from lin_freq_ocp.solve_smooth import SMOOTH_METHODS, solve_smooth
+from lin_freq_ocp.solving.certify_modes import certify_modes
+from lin_freq_ocp.solving.modes import MODE_METHODS, solve_modes
+from lin_freq_ocp.solving.options import require_taken
+from lin_freq_ocp.solving.smooth import SMOOTH_METHODS, solve_smooth
+from lin_freq_ocp.solving.starts import start_of
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""

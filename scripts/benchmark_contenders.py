@@ -19,7 +19,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
-from lin_freq_ocp.methods.convex import scaled_program
+from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 
 CLAIMS = {Claim.SOLVED: "optimal", Claim.INFEASIBLE: "infeasible", Claim.LIMIT: "limit"}
 STATUSES = {"optimal": "optimal", "optimal_inaccurate": "optimal", "infeasible": "infeasible", "user_limit": "limit"}

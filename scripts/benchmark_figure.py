@@ -13,7 +13,7 @@ from benchmark_measures import Row
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.report.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, dress, new_figure
+from lin_freq_ocp.report.figures.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, dress, new_figure
 
 COLORS = dict(zip(CONTENDERS, (COMPONENTS[0], COMPONENTS[1], CLASSICAL, COMPONENTS[2], COMPONENTS[3]), strict=True))
 LABEL_STEP = 11.0

@@ -11,8 +11,8 @@ import numpy as np
 from benchmark_contenders import Answer, Contender
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import time_signal
 
 PROVEN_GAP = 1e-8
 """Relative gap up to which the reference cost of a case counts as proven."""

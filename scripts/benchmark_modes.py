@@ -37,8 +37,8 @@ from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
 from lin_freq_ocp.methods.modes.node import relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits
-from lin_freq_ocp.transcription.mode_relaxation import RELAXATIONS, ModeRelaxation
-from lin_freq_ocp.transcription.real_rows import real_rows
+from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.transcription.modes.relaxation import RELAXATIONS, ModeRelaxation
 
 GAP, LIMIT = 1e-6, 60.0
 

@@ -8,7 +8,7 @@ Takes any library problem or problem file, and the options of `lin-freq-ocp comp
 
 import sys
 
-from lin_freq_ocp.cli import main
+from lin_freq_ocp.cli.app import main
 
 if __name__ == "__main__":
     arguments = sys.argv[1:] or ["pendulum"]

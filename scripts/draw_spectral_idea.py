@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.lti import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.structure import Structure
-from lin_freq_ocp.report.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, dress, new_figure
+from lin_freq_ocp.methods.spectral.kkt.structure import Structure
+from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
+from lin_freq_ocp.report.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, dress, new_figure
 
 HORIZON, SAMPLING_TIME = 60, 0.1
 """31 bins, four eigenvalues well apart, and few samples at a bound."""

@@ -18,7 +18,7 @@ import numpy as np
 from random_lti import least_cost
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.arrays import Array
 
 SPOILT = 0.06
 """Share of the problems with an end moved away; most of these are infeasible."""

@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 

@@ -16,9 +16,9 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.certificate.conflict import PRACTICAL
 from lin_freq_ocp.explain.blocks import ENDS, Block, blocks, widened, without
-from lin_freq_ocp.problem.measures import stated_sizes
 
 LESS = 0.95
 """Part of a cure that must not help."""

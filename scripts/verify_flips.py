@@ -17,11 +17,11 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.clarke import BorderFacts
+from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.certificate.modes.clarke import BorderFacts
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
-from lin_freq_ocp.problem.sizes import measured_modes
 
 KINDS = ("one kink", "two parallel kinks", "two crossing kinks", "three wedges")
 

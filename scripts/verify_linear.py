@@ -24,7 +24,7 @@ from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.arrays import Array
 
 TOLERANCE = 1e-10
 """Asked of Clarabel."""

@@ -26,12 +26,12 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex import solve_convex
-from lin_freq_ocp.problem.measures import one_step_residual, stated_sizes
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 
 REFERENCE_TOLERANCE = 1e-11
 """What is asked of both reference solvers."""

@@ -23,12 +23,12 @@ from lin_freq_ocp.backends.base import Claim, Solution, backend
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.methods import convex
-from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE, solve_convex
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.methods.convex import sparse_program as convex
+from lin_freq_ocp.methods.convex.sparse_program import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE, solve_convex
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.program import Program
 
 OWN = ["clarabel", "osqp"]

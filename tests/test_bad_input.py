@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import cli
 from lin_freq_ocp.certificate.conditions import Condition
+from lin_freq_ocp.cli import app as cli
 
 CART = """
 schema = 1

@@ -14,11 +14,11 @@ from test_schema import RESULT, faults, printed
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.cli import cli
-from lin_freq_ocp.interchange.summary import certificate_summary
+from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.interchange.results.summary import certificate_summary
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
-from lin_freq_ocp.problem.piecewise_affine import REGION
+from lin_freq_ocp.problem.dynamics.piecewise_affine import REGION
 from lin_freq_ocp.report.tables import certificate_rows
 from lin_freq_ocp.report.words import verdict
 

@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import cli
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.methods import convex
+from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.spectral.exchange import deadline
+from lin_freq_ocp.methods.spectral.algorithm.exchange import deadline
 from lin_freq_ocp.solve import ERRORS
 
 COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
@@ -778,7 +778,7 @@ def test_the_whole_process(tmp_path):
 
 def test_the_import_is_light():
     heavy = ("control", "matplotlib", "cvxpy", "jinja2")
-    code = f"import sys, lin_freq_ocp, lin_freq_ocp.cli; print([name for name in {heavy} if name in sys.modules])"
+    code = f"import sys, lin_freq_ocp, lin_freq_ocp.cli.app; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 

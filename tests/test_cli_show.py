@@ -11,7 +11,7 @@ from test_cli import run
 from test_schema import SHOW, faults
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.cli_show import as_toml
+from lin_freq_ocp.cli.show import as_toml
 
 
 def shown(*arguments):

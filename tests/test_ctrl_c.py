@@ -48,12 +48,12 @@ def imported(module):
 
 def working(process):
     """Wait until processes to work on have been asked for, which then import what they need."""
-    imported("lin_freq_ocp.cli")(process)
+    imported("lin_freq_ocp.cli.app")(process)
     while not len(children(process)) > 1:
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.problem.arrays"])
+@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 

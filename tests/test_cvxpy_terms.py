@@ -8,9 +8,9 @@ import pytest
 from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.maps import SpectrumMap
-from lin_freq_ocp.problem.penalties import Below, Cone
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.problem.terms.maps import SpectrumMap
+from lin_freq_ocp.problem.terms.penalties import Below, Cone
+from lin_freq_ocp.problem.terms.term import Term
 
 
 def labelled(program: cp.Problem) -> dict[str, cp.Constraint]:

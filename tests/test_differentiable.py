@@ -15,11 +15,11 @@ from test_formulas import random_formula
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.comparison.fingerprint import fingerprint
-from lin_freq_ocp.problem.formula_jets import jets, values_of
-from lin_freq_ocp.problem.formula_text import formula_from_text, source_of
-from lin_freq_ocp.problem.formulas import Formula, in_order
-from lin_freq_ocp.problem.interval_jets import interval_jets
+from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
+from lin_freq_ocp.formulas.interval_jets import interval_jets
+from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.text import formula_from_text, source_of
 
 X, U = lfo.signals(2, 1)
 POLE, KEPT = 2.0, exp(-0.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.problem.spectrum.bands import time_signal
 
 
 def test_the_adjoint_equation_has_the_jacobian():
@@ -88,7 +88,7 @@ def test_lipschitz_without_one_sided_derivatives():
     assert quotients.max() > 0.99
 
 
-pendulum_module = import_module("lin_freq_ocp.library.pendulum")  # the package's name is the function
+pendulum_module = import_module("lin_freq_ocp.library.linear.pendulum")  # the package's name is the function
 
 PRINTED_A = {
     (0, 1): -4.823e-5,

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
-from lin_freq_ocp.problem.formula_jets import jets
+from lin_freq_ocp.formulas.jets import jets
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 POLE, A = I_REF * R, exp(-R * TC / L)

@@ -15,10 +15,11 @@ import pytest
 from test_cli import parsed, run
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import cli, errors
-from lin_freq_ocp.comparison.sweep_tasks import process_pool
-from lin_freq_ocp.interchange import template
-from lin_freq_ocp.methods.spectral.violations import Violations
+from lin_freq_ocp import errors
+from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.comparison.sweep.tasks import process_pool
+from lin_freq_ocp.interchange.problem_file import template
+from lin_freq_ocp.methods.spectral.kkt.violations import Violations
 from lin_freq_ocp.report import page
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)

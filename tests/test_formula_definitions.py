@@ -12,8 +12,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.formula_jets import values_of
-from lin_freq_ocp.problem.formulas import in_order
+from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.formulas.nodes import in_order
 
 DOCS = Path(__file__).parents[1] / "docs"
 SCHEMA = Draft202012Validator(json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8")))
@@ -111,7 +111,7 @@ def test_short_formulas_stand_as_they_are(tmp_path):
 
 def dynamics_with(**table):
     head = {"schema": 1, "horizon": 2, "cost": {}}
-    from lin_freq_ocp.interchange.problem_tables import problem_from_tables
+    from lin_freq_ocp.interchange.problem_file.problem_tables import problem_from_tables
 
     return problem_from_tables({**head, "dynamics": {"control_dim": 1, **table}}).smooth_pieces
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.formula_jets import jets, values_of
-from lin_freq_ocp.problem.formula_text import formula_from_text, source_of, text_of
-from lin_freq_ocp.problem.formulas import Formula, in_order
+from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.text import formula_from_text, source_of, text_of
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)

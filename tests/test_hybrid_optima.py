@@ -13,8 +13,8 @@ from hybrid_equations import STEPS, random_points, single_step, successors
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.library.buck_affine import buck_error
-from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.library.piecewise.buck_affine import buck_error
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 
 # --- known optima, by enumeration
 

@@ -16,21 +16,21 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.array_references import INLINE_LIMIT
-from lin_freq_ocp.interchange.band_tables import MAKERS
-from lin_freq_ocp.interchange.problem_file import read_problem, write_problem
-from lin_freq_ocp.interchange.problem_tables import NORM_COSTS
-from lin_freq_ocp.interchange.results import load_solution, save_csv, save_solution
-from lin_freq_ocp.interchange.set_tables import SET_KINDS
-from lin_freq_ocp.interchange.spectrum_tables import BOUNDS
-from lin_freq_ocp.interchange.template import init_problem_file, template
-from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
+from lin_freq_ocp.interchange.problem_file.band_tables import MAKERS
+from lin_freq_ocp.interchange.problem_file.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.problem_file.problem_tables import NORM_COSTS
+from lin_freq_ocp.interchange.problem_file.set_tables import SET_KINDS
+from lin_freq_ocp.interchange.problem_file.spectrum_tables import BOUNDS
+from lin_freq_ocp.interchange.problem_file.template import init_problem_file, template
+from lin_freq_ocp.interchange.results.solution_file import load_solution, save_csv, save_solution
+from lin_freq_ocp.library.linear import pendulum
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box, Everything, Point
-from lin_freq_ocp.problem.spectrum import Band, band_pass, high_pass, low_pass, notch, stop_band
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.box import Box, Everything, Point
+from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GOOD = """

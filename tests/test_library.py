@@ -15,7 +15,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.spectrum import stop_band
+from lin_freq_ocp.problem.spectrum.bands import stop_band
 
 OPTIMA = {  # cost with and without the frequency constraint
     "pendulum": (3199.18631986, 2852.70530277),  # both from two methods that share nothing

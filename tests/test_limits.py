@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp import memory
 from lin_freq_ocp.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.certificate.mode_bound import tree_bound
-from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.certificate.modes.bound import tree_bound
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits
-from lin_freq_ocp.methods.spectral.border import LARGEST_BORDER
-from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.interior_point import interior_point
-from lin_freq_ocp.problem import memory
-from lin_freq_ocp.transcription.dense_rows import dense_rows
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.methods.spectral.kkt.bordered import LARGEST_BORDER
+from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
+from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
+from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 CEILING = 10.0
 """Seconds within which a solve with a limit of a small part of one ends on any machine that runs these tests."""
@@ -65,7 +65,7 @@ def test_the_deadline_and_not_the_limit_reaches_the_solver(monkeypatch: pytest.M
         limits.append(time_limit)
         return clarabel_solve(program, tolerance, time_limit)
 
-    monkeypatch.setattr("lin_freq_ocp.methods.convex.backend", lambda name: recorded)
+    monkeypatch.setattr("lin_freq_ocp.methods.convex.sparse_program.backend", lambda name: recorded)
     solve_convex(balls(60), "clarabel", None, 1000.0)
     assert limits
     assert all(limit is not None and 0 < limit < 1000.0 for limit in limits)
@@ -143,7 +143,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.transcription.linear.real_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.real_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):
@@ -183,7 +183,7 @@ def test_a_large_border_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyP
     def never(self: Any) -> None:
         raise AssertionError("a Hessian was made")
 
-    monkeypatch.setattr("lin_freq_ocp.methods.spectral.border.Border._set_hessian", never)
+    monkeypatch.setattr("lin_freq_ocp.methods.spectral.kkt.bordered.Border._set_hessian", never)
     problem = lfo.library.double_integrator(horizon=2 * LARGEST_BORDER)
     lower, upper = np.full((2 * LARGEST_BORDER, 1), -1.0), np.full((2 * LARGEST_BORDER, 1), 1.0)
     lower[::2] = upper[::2] = 0.0

@@ -9,9 +9,9 @@ import pytest
 import verify_linear
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex import solve_convex
-from lin_freq_ocp.methods.polish import polished
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.methods.convex.polish import polished
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),

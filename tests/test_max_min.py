@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.max_min import SMALLEST_PIECE
-from lin_freq_ocp.problem.polyhedra import cell_of, irredundant, natural_sizes
+from lin_freq_ocp.geometry.polyhedra import cell_of, irredundant, natural_sizes
+from lin_freq_ocp.problem.dynamics.max_min import SMALLEST_PIECE
 
 SEEDS = st.integers(0, 2**32 - 1)
 from_max_min = lfo.PiecewiseAffineDynamics.from_max_min
@@ -223,7 +223,7 @@ def test_what_is_no_expression_is_refused(make, field, words):
 
 
 def test_too_many_combinations_are_refused(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.problem.max_min.MOST_PIECES", 8)
+    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.max_min.MOST_PIECES", 8)
     x, u = lfo.affine_signals(4, 1)
     from_max_min([sum(abs(one) for one in x[:3]), *x[1:]])
     with pytest.raises(lfo.ProblemError, match="more than 8 combinations"):

@@ -11,13 +11,14 @@ import pytest
 from modes import random_problem
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import library, solve_smooth
+from lin_freq_ocp import library
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import nonlinear_backend
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.nonsmooth import minlp
 from lin_freq_ocp.methods.nonsmooth.minlp import solve_minlp
-from lin_freq_ocp.transcription.smooth_program import smooth_program
+from lin_freq_ocp.solving import smooth as solve_smooth
+from lin_freq_ocp.transcription.smooth import smooth_program
 
 BUCK, NORM = library.buck_converter, library.norm_dynamics
 

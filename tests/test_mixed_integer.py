@@ -18,8 +18,8 @@ from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import MixedSolution, bounded, mixed_backend
 from lin_freq_ocp.methods.modes import mixed
 from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
-from lin_freq_ocp.transcription.big_m import excesses
-from lin_freq_ocp.transcription.mixed_integer import big_m_program
+from lin_freq_ocp.transcription.modes.big_m import excesses
+from lin_freq_ocp.transcription.modes.mixed_integer import big_m_program
 from lin_freq_ocp.transcription.program import Block
 
 library = lfo.library

@@ -10,12 +10,12 @@ from modes import brute_force, random_problem
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.mode_bound import tree_bound
+from lin_freq_ocp.analysis.mode_reach import ModeReach
+from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
+from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
 from lin_freq_ocp.methods.modes.node import relaxed
-from lin_freq_ocp.problem.mode_reach import ModeReach
-from lin_freq_ocp.problem.mode_tree import ModeMultipliers, ModeTree
-from lin_freq_ocp.transcription.mode_relaxation import RELAXATIONS, ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import RELAXATIONS, ModeRelaxation
 
 library = lfo.library
 

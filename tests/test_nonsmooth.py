@@ -15,7 +15,7 @@ from test_schema import RESULT
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
-from lin_freq_ocp.certificate.smooth import nearest_in_ball
+from lin_freq_ocp.certificate.modes.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.nonsmooth.newton import newton, starting_point
 from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum

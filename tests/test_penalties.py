@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty
+from lin_freq_ocp.problem.terms.penalties import Below, Cone, Norm, Penalty
 
 GROUPS, DIM = 7, 4
 SEEDS = st.integers(0, 2**32 - 1)

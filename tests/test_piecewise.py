@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.regions import CONTINUITY_TOLERANCE
+from lin_freq_ocp.problem.dynamics.regions import CONTINUITY_TOLERANCE
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -274,7 +274,7 @@ def test_signals_from_elsewhere_become_trajectories(tmp_path):
 
 
 def test_a_run_that_ended_without_a_result_keeps_the_modes(tmp_path):
-    from lin_freq_ocp.interchange.run_file import dump_run
+    from lin_freq_ocp.interchange.runs.run_file import dump_run
 
     problem = problem_of(rotation(), 3, initial_state=[1.0, 1.0], name="rotation")
     dump_run(tmp_path / "run.zip", problem, {"method": "auto"}, error=lfo.UnsupportedError("no"))

@@ -16,12 +16,12 @@ from scipy.optimize import linprog
 from scipy.signal import cont2discrete
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis import measures
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box, Everything, Point, end_within
+from lin_freq_ocp.problem.sets.box import Box, Everything, Point, end_within
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.facts import LONGEST, problem_facts
-from lin_freq_ocp.problem.spectrum import Band
+from lin_freq_ocp.problem.description import LONGEST, problem_facts
+from lin_freq_ocp.problem.spectrum.bands import Band
 
 T = 20
 

@@ -13,8 +13,8 @@ from kinked_maps import problem_of, random_kinks
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem import polyhedra
-from lin_freq_ocp.problem.polyhedra import SAME_FACET, THICKNESS, Cell
+from lin_freq_ocp.geometry import polyhedra
+from lin_freq_ocp.geometry.polyhedra import SAME_FACET, THICKNESS, Cell
 
 SEEDS = st.integers(0, 2**32 - 1)
 FACTOR = 10.0 ** np.arange(-9, 10, 6)
@@ -244,7 +244,7 @@ def test_rows_that_are_equations_leave_the_bounds():
 
 def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
     problem = problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 0.5))
-    monkeypatch.setattr("lin_freq_ocp.problem.regions.uncovered", None)
+    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.regions.uncovered", None)
     assert replace(problem, horizon=7).horizon == 7
     with pytest.raises(TypeError):
         replace(problem, state_set=lfo.Box(-3, 0.4))

@@ -20,22 +20,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from lin_freq_ocp.analysis.measures import padded_spectrum
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import ProblemError, SolveError
-from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.facts import problem_facts
-from lin_freq_ocp.problem.measures import padded_spectrum
+from lin_freq_ocp.library.linear import pendulum
+from lin_freq_ocp.phrases import NOTHING, listed, number, runs_in_words, split_unit
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.phrases import NOTHING, listed, number, runs_in_words, split_unit
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import Band, low_pass, notch, stop_band
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import Band, low_pass, notch, stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report import words
 from lin_freq_ocp.report.entries import entries, shown_filter
-from lin_freq_ocp.report.figures import (
+from lin_freq_ocp.report.figures.figures import (
     comparison_figure,
     comparison_scene,
     gap_figure,
@@ -44,11 +44,11 @@ from lin_freq_ocp.report.figures import (
     result_figure,
     states_figure,
 )
+from lin_freq_ocp.report.figures.scales import frequency_scale, time_scale
+from lin_freq_ocp.report.figures.scene import view
+from lin_freq_ocp.report.figures.style import MOST_POINTS, STYLES, thinned
 from lin_freq_ocp.report.numbers import aligned, quantity, rough
 from lin_freq_ocp.report.page import draw, render, save_report, tiles
-from lin_freq_ocp.report.scales import frequency_scale, time_scale
-from lin_freq_ocp.report.scene import view
-from lin_freq_ocp.report.style import MOST_POINTS, STYLES, thinned
 from lin_freq_ocp.report.tables import (
     NOT_MEANINGFUL,
     certificate_rows,

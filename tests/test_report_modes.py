@@ -17,23 +17,24 @@ from matplotlib.patches import Rectangle
 from test_report import double_integrator, parsed
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import library, solve_smooth
+from lin_freq_ocp import library
+from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.problem.facts import problem_facts
-from lin_freq_ocp.problem.measures import measure
+from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.figures import comparison_scene, result_figure, result_scene, states_figure
-from lin_freq_ocp.report.mode_panels import adjoint_figure, shade_modes, strip_rows, strips_figure
-from lin_freq_ocp.report.mode_words import adjoint_caption, border_sentences, modes_caption, search_sentences
-from lin_freq_ocp.report.modes import NO_MODE, Span, kinks, mode_sequence, spans
+from lin_freq_ocp.report.figures.figures import comparison_scene, result_figure, result_scene, states_figure
+from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS, TINTS
+from lin_freq_ocp.report.modes.panels import adjoint_figure, shade_modes, strip_rows, strips_figure
+from lin_freq_ocp.report.modes.spans import NO_MODE, Span, kinks, mode_sequence, spans
+from lin_freq_ocp.report.modes.words import adjoint_caption, border_sentences, modes_caption, search_sentences
 from lin_freq_ocp.report.page import draw, render, tiles
-from lin_freq_ocp.report.style import THEMED, THEMED_TINTS, TINTS
 from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving import smooth as solve_smooth
 
 
 def vanishing_norm() -> OptimalControlProblem:

@@ -14,9 +14,9 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.filters import filter_limits, filter_stop, filtered
 from lin_freq_ocp.report import words
 from lin_freq_ocp.report.entries import entries
-from lin_freq_ocp.report.figures import comparison_scene, output_spectra_figure, states_figure
+from lin_freq_ocp.report.figures.figures import comparison_scene, output_spectra_figure, states_figure
+from lin_freq_ocp.report.figures.style import REFERENCE
 from lin_freq_ocp.report.page import tiles
-from lin_freq_ocp.report.style import REFERENCE
 from lin_freq_ocp.report.tables import certificate_table, comparison_rows
 
 T = 24

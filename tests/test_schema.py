@@ -18,13 +18,24 @@ from jsonschema import Draft202012Validator
 from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
-from lin_freq_ocp.cli import cli
-from lin_freq_ocp.interchange import band_tables, dynamics_tables, problem_tables, set_tables, spectrum_tables
-from lin_freq_ocp.interchange.summary import comparison_summary, failed_comparison_summary, result_summary, to_json
-from lin_freq_ocp.interchange.template import template
-from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.interchange.problem_file import (
+    band_tables,
+    dynamics_tables,
+    problem_tables,
+    set_tables,
+    spectrum_tables,
+)
+from lin_freq_ocp.interchange.problem_file.template import template
+from lin_freq_ocp.interchange.results.summary import (
+    comparison_summary,
+    failed_comparison_summary,
+    result_summary,
+    to_json,
+)
 from lin_freq_ocp.solve import ERRORS
 
 DOCS = Path(__file__).parents[1] / "docs"

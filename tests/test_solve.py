@@ -11,7 +11,7 @@ from reference import INSTANCES, PENDULUM, STATED, reference_problem
 import lin_freq_ocp as lfo
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.methods import convex
+from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.transcription.program import Block
 

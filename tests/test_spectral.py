@@ -12,9 +12,9 @@ from test_spectral_class import TIGHT, T, problem_of, residuals, wave
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral import exchange
-from lin_freq_ocp.methods.spectral.structure import Structure
-from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.methods.spectral.algorithm import exchange
+from lin_freq_ocp.methods.spectral.kkt.structure import Structure
+from lin_freq_ocp.problem.spectrum.bands import time_signal
 
 LTI = [name for name in STATED if name != "ltv200"]
 LONG = {  # pendulum: horizon, sampling time; and the gap that the certificate must prove

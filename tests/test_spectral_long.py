@@ -9,8 +9,8 @@ import pytest
 from test_spectral_class import END, START, A, B, moving, plant, problem_of, residuals, wave
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
+from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 
 LONG = 640
 """A horizon from which a first working set is guessed from cheaper problems."""

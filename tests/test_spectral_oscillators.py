@@ -7,9 +7,9 @@ import pytest
 from benchmark_cases import oscillator
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex import solve_convex
-from lin_freq_ocp.methods.spectral.lti import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
 
 DAMPING = (0.05, 0.3, 1.0, 0.0, -0.05)
 """Damping ratios; the last two are undamped and unstable."""

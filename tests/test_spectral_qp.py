@@ -9,9 +9,9 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
-from lin_freq_ocp.methods.spectral.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.dual_qp import active_set, block_pivoting, nonnegative_qp
-from lin_freq_ocp.methods.spectral.interior_point import interior_point
+from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import active_set, block_pivoting, nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 
 Qp = tuple[np.ndarray, np.ndarray]
 

@@ -9,7 +9,7 @@ from random_lti import with_witness
 from verify_spectral import Reference, Verdict
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 
 BOUNDED = 4
 """A problem with active bounds, a stop band and a witness."""

@@ -12,8 +12,8 @@ from test_spectral_class import END, START, A, B, T, plant, problem_of, tube
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.problem.spectrum import time_signal
-from lin_freq_ocp.transcription.real_rows import real_rows
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 FREE = lfo.Everything()
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.linalg import block_diag, null_space
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral import kernels
-from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces
-from lin_freq_ocp.transcription.real_rows import real_rows
+from lin_freq_ocp.methods.spectral.model import kernels
+from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem
+from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""

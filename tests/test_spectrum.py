@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lin_freq_ocp.errors import BandWarning, ProblemError
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum import (
+from lin_freq_ocp.problem.spectrum.bands import (
     Band,
     band_pass,
     high_pass,

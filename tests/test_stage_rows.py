@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.interchange.summary import comparison_summary
+from lin_freq_ocp.interchange.results.summary import comparison_summary
 from lin_freq_ocp.methods.multipliers import fit_multipliers
-from lin_freq_ocp.problem.facts import problem_facts
-from lin_freq_ocp.problem.measures import measure
+from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report.page import draw, render
 from lin_freq_ocp.report.tables import certificate_rows, comparison_rows
 from lin_freq_ocp.report.words import finding

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import cli
+from lin_freq_ocp.cli import app as cli
 
 HORIZON, STEP = 30, 0.1
 SLIDE, STICK = 0, 1

@@ -20,11 +20,12 @@ from jsonschema import Draft202012Validator
 from test_cli import parsed, run
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison import sweep_point, sweep_tasks
-from lin_freq_ocp.comparison.fingerprint import fingerprint
-from lin_freq_ocp.comparison.sweep import MEASURED
-from lin_freq_ocp.comparison.sweep_tasks import process_pool
-from lin_freq_ocp.interchange.sweep_file import sweep_summary
+from lin_freq_ocp.comparison.sweep import point as sweep_point
+from lin_freq_ocp.comparison.sweep import tasks as sweep_tasks
+from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
+from lin_freq_ocp.comparison.sweep.sweep import MEASURED
+from lin_freq_ocp.comparison.sweep.tasks import process_pool
+from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
 
 SCHEMA = json.loads((Path(__file__).parents[1] / "docs" / "sweep.schema.json").read_text(encoding="utf-8"))
 

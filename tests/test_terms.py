@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap, TrajectoryMap
+from lin_freq_ocp.problem.terms.maps import SpectrumMap, StageMap, SumMap, TrajectoryMap
 
 N, M = 3, 2
 DIM = 4

@@ -11,18 +11,18 @@ import scipy.sparse as sp
 
 from lin_freq_ocp import library
 from lin_freq_ocp.backends.base import backend
-from lin_freq_ocp.methods.convex import Candidate, scaled_program, solve_convex
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
+from lin_freq_ocp.methods.convex.sparse_program import Candidate, scaled_program, solve_convex
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import Band, low_pass, stop_band, time_signal
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import Band, low_pass, stop_band, time_signal
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.transcription.linear.units import natural_scaling
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
-from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
-from lin_freq_ocp.transcription.units import natural_scaling
 
 # ------------------------------------------------------------------------------------------------------- real rows
 

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import library, solve_smooth
-from lin_freq_ocp.certificate.taylor_bounds import least_of
-from lin_freq_ocp.certificate.value_bound import value_bounds
-from lin_freq_ocp.certificate.value_grid import CostToGo, Lattice, Minima
-from lin_freq_ocp.certificate.value_stages import QuadraticForm
-from lin_freq_ocp.certificate.value_step import OutOfTimeError
+from lin_freq_ocp import library
+from lin_freq_ocp.certificate.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, Minima
+from lin_freq_ocp.certificate.global_bound.stages import QuadraticForm
+from lin_freq_ocp.certificate.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.global_bound.taylor import least_of
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.formulas.interval_jets import interval_jets
+from lin_freq_ocp.formulas.intervals import multiply, outward
+from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.nodes import norm, signals
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
-from lin_freq_ocp.problem.formula_jets import jets
-from lin_freq_ocp.problem.formulas import norm, signals
-from lin_freq_ocp.problem.interval_jets import interval_jets
-from lin_freq_ocp.problem.intervals import multiply, outward
+from lin_freq_ocp.solving import smooth as solve_smooth
 
 ROUNDING = 1e-9
 

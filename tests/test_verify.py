@@ -12,7 +12,7 @@ import verify_flips
 import verify_mixed
 import verify_modes
 
-from lin_freq_ocp.certificate.clarke import Flip
+from lin_freq_ocp.certificate.modes.clarke import Flip
 
 
 @pytest.mark.parametrize("seed", range(16))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.arrays import Array
 from lin_freq_ocp.transcription.program import Program
 
 DEFAULT_TOLERANCE = 1e-10

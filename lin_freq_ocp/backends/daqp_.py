@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim, require_no_cones
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.mixed import EXCLUDED, NOTHING, Bounded, MixedSolution, bounded
-from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.transcription.program import Program
 
 BINARY_CURVATURES = (0.1, 0.01)

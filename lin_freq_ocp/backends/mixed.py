@@ -9,11 +9,11 @@ from importlib import import_module
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.problem.arrays import Array, Indices
 from lin_freq_ocp.transcription.program import Program
-from lin_freq_ocp.transcription.smooth_program import SmoothProgram
+from lin_freq_ocp.transcription.smooth import SmoothProgram
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,10 @@ from pyscipopt import Eventhdlr, Model, quicksum
 from pyscipopt.scip import PY_SCIP_EVENTTYPE
 from scipy.sparse.csgraph import connected_components
 
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.mixed import NOTHING, Bounded, MixedSolution, bounded
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
 from lin_freq_ocp.transcription.program import Program
 
 FEASIBILITY = 1e-6

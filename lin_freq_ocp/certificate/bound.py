@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
-from lin_freq_ocp.problem.arrays import Array, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import trajectory_sizes
 
 EIGENVALUE_ERROR = 1e-12
 """What a computed smallest eigenvalue of a correlation matrix may be too large by."""

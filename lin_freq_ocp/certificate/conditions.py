@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import one_step_residual
+from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
 from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors, floors
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask
-from lin_freq_ocp.problem.maps import StageMap
-from lin_freq_ocp.problem.measures import one_step_residual
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.term import Term
 
 CONDITION_TOLERANCE = 1e-6
 """Residual over scale. Good solvers reach 1e-9; an error in a sign, an index or a row gives 1e-3 or more."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.certificate.bound import Bound, ray_bound
 from lin_freq_ocp.certificate.hamiltonian import lift
-from lin_freq_ocp.problem.arrays import Array, ComplexArray
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

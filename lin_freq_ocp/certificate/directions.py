@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.scales import SCALE_FLOOR
 from lin_freq_ocp.certificate.slopes import leaving, recession, slope_of_penalty
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.maps import TrajectoryMap
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.sizes import trajectory_sizes
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import TrajectoryMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DIRECTION_TOLERANCE = 1e-6

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.penalties import Below
-from lin_freq_ocp.problem.spectrum import time_signal
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.terms.penalties import Below
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from lin_freq_ocp.analysis.measures import one_step_residual
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.maps import StageMap
-from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.penalties import Cone, Norm
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.penalties import Cone, Norm
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 OUTWARD = 1.0 + 1e-9

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 MOST_DECIMALS = 8

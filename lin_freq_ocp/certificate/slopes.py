@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.penalties import Below, Cone
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.problem.terms.penalties import Below, Cone
+from lin_freq_ocp.problem.terms.term import Term
 
 
 def leaving(term: Term, v: Array, change: Array, near: float) -> float:

@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.sizes import GAP_TOLERANCE, cost_scale
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
-from lin_freq_ocp.certificate.clarke import BorderFacts
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import lift
-from lin_freq_ocp.certificate.modes import judge_modes
+from lin_freq_ocp.certificate.modes.clarke import BorderFacts
+from lin_freq_ocp.certificate.modes.conditions import judge_modes
+from lin_freq_ocp.certificate.modes.smooth import judge_smooth
 from lin_freq_ocp.certificate.rounded import Rounded
-from lin_freq_ocp.certificate.smooth import judge_smooth
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.html import html_table
+from lin_freq_ocp.html import html_table
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lin_freq_ocp.analysis.measures import Measures, measure
 from lin_freq_ocp.comparison.filters import FILTERS, filtered, require_filters
 from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.problem.html import html_table
-from lin_freq_ocp.problem.measures import Measures, measure
+from lin_freq_ocp.html import html_table
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 
@@ -92,7 +92,7 @@ class Comparison:
 
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
-        from lin_freq_ocp.report.figures import comparison_figure
+        from lin_freq_ocp.report.figures.figures import comparison_figure
 
         return comparison_figure(self)
 

@@ -11,12 +11,12 @@ from typing import Literal
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stopped_runs
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.maps import SpectrumMap, SumMap
-from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import SpectrumMap, SumMap
 
 PASS_LOSS, STOP_LOSS = 3.0, 20.0
 """Decibels a Butterworth filter may lose at the last kept bin, and must lose half way into the stop band."""

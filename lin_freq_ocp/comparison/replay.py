@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import Measures, amplification, measure, one_step_residual, replay_is_meaningful
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.measures import Measures, amplification, measure, one_step_residual, replay_is_meaningful
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory

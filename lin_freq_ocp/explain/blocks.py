@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.explain.wider import with_bounds, with_wider_term
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.extension import listed
+from lin_freq_ocp.problem.augmented import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.spectrum import Band, bands_of
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 ENDS = ("initial state", "terminal state")
 

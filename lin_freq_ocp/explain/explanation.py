@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explain.blocks import Block, blocks, without
 from lin_freq_ocp.explain.relaxation import Cure, least_cure
-from lin_freq_ocp.problem.arrays import positive_number
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.result import Result
 from lin_freq_ocp.solve import solve
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.explain.blocks import ENDS, Block, kept_stopped, widened
 from lin_freq_ocp.explain.wider import hard_only
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.extension import FurtherStates, extended
-from lin_freq_ocp.problem.measures import stated_sizes
+from lin_freq_ocp.problem.augmented import FurtherStates, extended
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.solve import solve
 
 MARGINS = (1e-6, 1e-4, 1e-2)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.problem.arrays import assign
-from lin_freq_ocp.problem.convex_sets import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
-from lin_freq_ocp.problem.extension import listed
+from lin_freq_ocp.arrays import assign
+from lin_freq_ocp.problem.augmented import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_terms import OutputSpectrum
-from lin_freq_ocp.problem.sets import Box, Everything, box_of
-from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, MagnitudeBound
+from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
+from lin_freq_ocp.problem.sets.convex import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
 
 SETS = ("state_set", "control_set", "initial_state", "terminal_state")
 """The fields of a problem that hold sets."""

@@ -15,9 +15,9 @@ from typing import IO, Any, BinaryIO
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
+from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import reason
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import brief
 
 NPY_MAGIC = b"\x93NUMPY"
 """How every .npy begins, and every entry of an .npz."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.problem.arrays import brief
 
 
 def require_keys(place: str, table: Any, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:

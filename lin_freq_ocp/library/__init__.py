@@ -5,27 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.library.absolute_value import absolute_value
-from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
-from lin_freq_ocp.library.buck_affine import buck_affine
-from lin_freq_ocp.library.buck_converter import buck_converter
-from lin_freq_ocp.library.cart_between_walls import cart_between_walls
-from lin_freq_ocp.library.cart_pole_with_walls import cart_pole_with_walls
-from lin_freq_ocp.library.crane import crane
-from lin_freq_ocp.library.double_integrator import double_integrator
-from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous
-from lin_freq_ocp.library.flexible_joint_arm import flexible_joint_arm
-from lin_freq_ocp.library.flexible_satellite import flexible_satellite
-from lin_freq_ocp.library.mass_chain import mass_chain
-from lin_freq_ocp.library.max_min_network import max_min_network
-from lin_freq_ocp.library.norm_dynamics import norm_dynamics
-from lin_freq_ocp.library.pendulum import pendulum
-from lin_freq_ocp.library.pendulum_with_wall import pendulum_with_wall
-from lin_freq_ocp.library.quadcopter import quadcopter
-from lin_freq_ocp.library.quarter_car import quarter_car
-from lin_freq_ocp.library.scanner import scanner
-from lin_freq_ocp.library.switched_rotation import switched_rotation
-from lin_freq_ocp.library.two_mass_spring import two_mass_spring
+from lin_freq_ocp.library.linear.crane import crane
+from lin_freq_ocp.library.linear.double_integrator import double_integrator
+from lin_freq_ocp.library.linear.elliptic_rendezvous import elliptic_rendezvous
+from lin_freq_ocp.library.linear.flexible_joint_arm import flexible_joint_arm
+from lin_freq_ocp.library.linear.flexible_satellite import flexible_satellite
+from lin_freq_ocp.library.linear.mass_chain import mass_chain
+from lin_freq_ocp.library.linear.pendulum import pendulum
+from lin_freq_ocp.library.linear.quadcopter import quadcopter
+from lin_freq_ocp.library.linear.quarter_car import quarter_car
+from lin_freq_ocp.library.linear.scanner import scanner
+from lin_freq_ocp.library.linear.two_mass_spring import two_mass_spring
+from lin_freq_ocp.library.piecewise.absolute_value import absolute_value
+from lin_freq_ocp.library.piecewise.ball_and_paddle import ball_and_paddle
+from lin_freq_ocp.library.piecewise.buck_affine import buck_affine
+from lin_freq_ocp.library.piecewise.buck_converter import buck_converter
+from lin_freq_ocp.library.piecewise.cart_between_walls import cart_between_walls
+from lin_freq_ocp.library.piecewise.cart_pole_with_walls import cart_pole_with_walls
+from lin_freq_ocp.library.piecewise.max_min_network import max_min_network
+from lin_freq_ocp.library.piecewise.norm_dynamics import norm_dynamics
+from lin_freq_ocp.library.piecewise.pendulum_with_wall import pendulum_with_wall
+from lin_freq_ocp.library.piecewise.switched_rotation import switched_rotation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 __all__ = [

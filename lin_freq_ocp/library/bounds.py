@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lin_freq_ocp.arrays import brief, real_array
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import brief, real_array
-from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sets.box import Box
 
 
 def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> Box:

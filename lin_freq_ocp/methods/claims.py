@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import MixedSolution
-from lin_freq_ocp.problem.arrays import Indices
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DEFAULT_GAP = 1e-6

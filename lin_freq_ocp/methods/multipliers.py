@@ -18,15 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex import scaled_program
+from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.methods.spectral.solver import one_blas_thread
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 

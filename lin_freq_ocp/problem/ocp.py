@@ -10,24 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.problem.arrays import Array, Mask, assign, brief, positive_integer
-from lin_freq_ocp.problem.costs import QuadraticCost
-from lin_freq_ocp.problem.dynamics import LinearDynamics
-from lin_freq_ocp.problem.formulas import Formula
-from lin_freq_ocp.problem.html import html_table
-from lin_freq_ocp.problem.labels import printable
-from lin_freq_ocp.problem.memory import require_horizon
-from lin_freq_ocp.problem.nonsmooth_costs import CostSum, as_cost
-from lin_freq_ocp.problem.piecewise_affine import PiecewiseAffineDynamics, as_sequence
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.html import html_table
+from lin_freq_ocp.memory import require_horizon
+from lin_freq_ocp.problem.costs.norms import CostSum, as_cost
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.labels import printable
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.dynamics.regions import Border, borders, require_partition
 from lin_freq_ocp.problem.problem_terms import BEYOND_BANDS, bounded_bins, terms_of
-from lin_freq_ocp.problem.regions import Border, borders, require_partition
-from lin_freq_ocp.problem.sets import Box, box_of, end_set, end_within, stacked
-from lin_freq_ocp.problem.spectrum import stopped_bins
-from lin_freq_ocp.problem.stage_rows import row_families
-from lin_freq_ocp.problem.stage_sets import StageSets, stage_sets
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.problem.sets.box import Box, box_of, end_set, end_within, stacked
+from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
+from lin_freq_ocp.problem.spectrum.bands import stopped_bins
+from lin_freq_ocp.problem.terms.stage_rows import row_families
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -395,7 +395,7 @@ class OptimalControlProblem:
         return f"OptimalControlProblem({self})"
 
     def _repr_html_(self) -> str:
-        from lin_freq_ocp.problem.facts import problem_facts
+        from lin_freq_ocp.problem.description import problem_facts
 
         return html_table(self.name or "Optimal control problem", problem_facts(self))
 

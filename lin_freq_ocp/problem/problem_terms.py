@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, names, real_array
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask, assign, brief, names, real_array
-from lin_freq_ocp.problem.convex_sets import HARD, ConvexSet, Part, dimension_of
-from lin_freq_ocp.problem.maps import SpectrumMap, StageMap, SumMap
-from lin_freq_ocp.problem.nonsmooth_costs import CostSum
-from lin_freq_ocp.problem.penalties import Below, Cone, Norm, Penalty, hard, weight_of
-from lin_freq_ocp.problem.phrases import MOST_TEXT, combination, plural, short_name
-from lin_freq_ocp.problem.sets import INSIDE
-from lin_freq_ocp.problem.spectrum import Band, component_indices
-from lin_freq_ocp.problem.spectrum_bounds import EnergyBound, LinearConstraint, MagnitudeBound
-from lin_freq_ocp.problem.stage_rows import StageRows
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.phrases import MOST_TEXT, combination, plural, short_name
+from lin_freq_ocp.problem.costs.norms import CostSum
+from lin_freq_ocp.problem.sets.box import INSIDE
+from lin_freq_ocp.problem.sets.convex import HARD, ConvexSet, Part, dimension_of
+from lin_freq_ocp.problem.spectrum.bands import Band, component_indices
+from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.terms.maps import SpectrumMap, StageMap, SumMap
+from lin_freq_ocp.problem.terms.penalties import Below, Cone, Norm, Penalty, hard, weight_of
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.terms.term import Term
 
 if TYPE_CHECKING:
     from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lin_freq_ocp.arrays import Bound, brief, one_component, real_array
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Bound, brief, one_component, real_array
-from lin_freq_ocp.problem.extension import FurtherStates, extended
+from lin_freq_ocp.problem.augmented import FurtherStates, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.sets import Box
-from lin_freq_ocp.problem.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 NAME = "rate limit"
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lin_freq_ocp.arrays import one_component, real_array
 from lin_freq_ocp.errors import NumericalError, ProblemError
-from lin_freq_ocp.problem.arrays import one_component, real_array
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 if TYPE_CHECKING:

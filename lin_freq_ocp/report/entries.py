@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import Measures, one_step_residual, stated_sizes
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.compare import Comparison, Filtered
 from lin_freq_ocp.comparison.filters import filter_stop
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.measures import Measures, one_step_residual, stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box, stacked
-from lin_freq_ocp.problem.terms import Term
+from lin_freq_ocp.problem.sets.box import Box, stacked
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.result import Result
 

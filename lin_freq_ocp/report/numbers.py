@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from lin_freq_ocp.problem.phrases import LARGE, SMALL, number, power, split_unit
+from lin_freq_ocp.phrases import LARGE, SMALL, number, power, split_unit
 
 
 def aligned(value: float | None, digits: int = 4) -> str:

@@ -20,16 +20,17 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.comparison.filters import filter_limits
-from lin_freq_ocp.problem.facts import problem_facts
-from lin_freq_ocp.problem.phrases import number
-from lin_freq_ocp.report import figures, words
+from lin_freq_ocp.phrases import number
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.report import words
 from lin_freq_ocp.report.entries import can_be_filtered, has_frequency_constraint, shown_filter
-from lin_freq_ocp.report.mode_panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
-from lin_freq_ocp.report.mode_words import adjoint_caption, modes_caption, search_sentences
-from lin_freq_ocp.report.modes import kinks, mode_names
+from lin_freq_ocp.report.figures import figures
+from lin_freq_ocp.report.figures.scene import Scene
+from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
+from lin_freq_ocp.report.modes.panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
+from lin_freq_ocp.report.modes.spans import kinks, mode_names
+from lin_freq_ocp.report.modes.words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.numbers import rough
-from lin_freq_ocp.report.scene import Scene
-from lin_freq_ocp.report.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.result import Result
 

@@ -10,15 +10,15 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
-from lin_freq_ocp.comparison.sweep import Sweep
-from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.comparison.sweep.sweep import Sweep
+from lin_freq_ocp.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.report.entries import Entry, Excess, entries
-from lin_freq_ocp.report.modes import mode_names
+from lin_freq_ocp.report.modes.spans import mode_names
 from lin_freq_ocp.report.numbers import aligned
 
 NOT_MEANINGFUL = "not meaningful"

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stopped_runs
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import Comparison
 from lin_freq_ocp.comparison.filters import filter_limits
-from lin_freq_ocp.problem.arrays import Array, Mask
-from lin_freq_ocp.problem.measures import stopped_runs
+from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.phrases import listed, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_frequency_constraint, shown_filter
-from lin_freq_ocp.report.mode_words import border_sentences
-from lin_freq_ocp.report.modes import STOPPED
+from lin_freq_ocp.report.figures.scales import frequency_scale
+from lin_freq_ocp.report.modes.spans import STOPPED
+from lin_freq_ocp.report.modes.words import border_sentences
 from lin_freq_ocp.report.numbers import quantity, rough
-from lin_freq_ocp.report.scales import frequency_scale
 from lin_freq_ocp.result import Result
 
 NAMED = 2

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices, Mask
 
 NOTHING = 1e-3
 """An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""

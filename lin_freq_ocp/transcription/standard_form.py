@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.arrays import Array
+from lin_freq_ocp.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

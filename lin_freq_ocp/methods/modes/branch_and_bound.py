@@ -14,17 +14,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.analysis.mode_tree import ModeNode
+from lin_freq_ocp.analysis.sizes import cost_scale
+from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.node import Duals, Relaxed, relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
-from lin_freq_ocp.problem.arrays import Indices, Mask
-from lin_freq_ocp.problem.mode_reach import Reach
-from lin_freq_ocp.problem.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import cost_scale
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 SHARE_OF_GAP = 0.5
 """Leaves are closed at this part of the gap; the rest is for what a node's solver leaves open."""

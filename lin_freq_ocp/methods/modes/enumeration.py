@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.modes.node import Duals, relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
-from lin_freq_ocp.problem.mode_reach import Reach
-from lin_freq_ocp.problem.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 MOST_SEQUENCES = 10_000
 """More would take minutes; branch and bound needs a small part of them."""

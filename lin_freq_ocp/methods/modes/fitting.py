@@ -28,18 +28,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.analysis.stage_normals import CONTROL, STATE, Normal, stage_normals
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex import scaled_program
+from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
-from lin_freq_ocp.problem.affine_mode import REGION
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION
+from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
-from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
 
 ROUNDS = 12

@@ -11,10 +11,10 @@ from lin_freq_ocp.backends.mixed import MixedSolution, mixed_backend
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
-from lin_freq_ocp.methods.convex import require_convex, solve_convex
+from lin_freq_ocp.methods.convex.sparse_program import require_convex, solve_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.mixed_integer import MixedInteger, big_m_program
-from lin_freq_ocp.transcription.units import COST_LEVEL
+from lin_freq_ocp.transcription.linear.units import COST_LEVEL
+from lin_freq_ocp.transcription.modes.mixed_integer import MixedInteger, big_m_program
 
 POINT_TOLERANCE = 1e-5
 """Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.clarabel_ import solve_standard
-from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.mode_reach import Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 from lin_freq_ocp.transcription.standard_form import StandardForm
 
 TOLERANCES = (1e-8, 1e-6)

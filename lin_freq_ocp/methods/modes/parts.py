@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
-from lin_freq_ocp.problem.arrays import Indices
-from lin_freq_ocp.problem.mode_reach import Reach
-from lin_freq_ocp.problem.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 PARTS = 32

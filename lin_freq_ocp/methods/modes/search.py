@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.methods.modes.node import FINE, Duals, relaxed
-from lin_freq_ocp.problem.arrays import Indices
-from lin_freq_ocp.problem.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.mode_relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 GAP = 1e-6
 """Relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for."""

@@ -18,11 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
-from lin_freq_ocp.problem.affine_mode import REGION
-from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.analysis.stage_normals import CONTROL, STATE, Normal, stage_normals
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
-from lin_freq_ocp.problem.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GOOD_FIT = 1e-8

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.problem.formula_jets import values_of
+from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.analysis.sizes import cost_scale
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
-from lin_freq_ocp.problem.arrays import Array, Indices
-from lin_freq_ocp.problem.measures import stated_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets import Box
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import cost_scale
-from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.starts import Start
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
 """Constant controls to start from, as parts of the way from the lower bound to the upper one."""

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.nonsmooth.system import System, SystemValue
-from lin_freq_ocp.problem.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum import time_signal
+from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.real_rows import bin_multipliers, real_rows
+from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
 
 NEAR_KINK = 1e-3
 """A border of modes, or the zero of a norm, this near in natural units gets a selection of its own."""

@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim, backend
-from lin_freq_ocp.problem.affine_mode import REGION
-from lin_freq_ocp.problem.arrays import Array, Indices
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear import LinearTranscription
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.transcription.linear.units import natural_scaling
 from lin_freq_ocp.transcription.program import Program, Scaling
-from lin_freq_ocp.transcription.units import natural_scaling
 
 PRICES = (1e2, 1e4, 1e6)
 """Of violations, in a cost whose slopes are of order 10: above the multipliers it leaves none; the next is taken if

@@ -21,15 +21,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.formula_jets import jets
-from lin_freq_ocp.problem.formulas import Formula
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.linear import LinearTranscription
-from lin_freq_ocp.transcription.real_rows import real_rows
-from lin_freq_ocp.transcription.units import natural_scaling
+from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.transcription.linear.units import natural_scaling
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ owns, ``kernels`` and ``working_set`` what pointwise rows do to each other, ``st
 ``rays`` prove infeasibility, ``recovery`` returns the theorem's multipliers, ``optimality`` checks the answer.
 """
 
-from lin_freq_ocp.methods.spectral.polyhedra import row_form
+from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 
 __all__ = ["SpectralSolution", "SpectralSolver", "row_form"]

@@ -13,21 +13,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, require_convex
-from lin_freq_ocp.methods.ends import contradiction_at_ends
-from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
-from lin_freq_ocp.methods.spectral.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units, with_ends
-from lin_freq_ocp.methods.spectral.optimality import residuals
-from lin_freq_ocp.methods.spectral.polyhedra import row_form
-from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units, recover, trajectory
-from lin_freq_ocp.methods.spectral.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.working_set import Rows
-from lin_freq_ocp.problem.arrays import positive_number
-from lin_freq_ocp.problem.costs import QuadraticCost
+from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
+from lin_freq_ocp.methods.convex.sparse_program import SOLVED_TOLERANCE, require_convex
+from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
+from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
+from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals
+from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, trajectory
+from lin_freq_ocp.methods.spectral.kkt.structure import Structure, prepare
+from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+from lin_freq_ocp.methods.spectral.model.lti import (
+    Lti,
+    Units,
+    lti_problem,
+    natural_units,
+    refusal,
+    revised_units,
+    with_ends,
+)
+from lin_freq_ocp.methods.spectral.model.row_form import row_form
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.program import Residuals
 

@@ -1,0 +1,1 @@
+"""Quantities computed from a problem and a trajectory without a solver."""

@@ -1,0 +1,98 @@
+"""The normal cone of the sets and rows of one stage at (x_t, u_t), by generators, with the multiplier behind each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.penalties import Below
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+TOUCHING = 1e-6
+"""A bound or row is active at this distance, relative to its size: what the judge forgives."""
+
+STATE, CONTROL = "mu", "nu"
+"""The fields of Multipliers that are normals to boxes; other families are names of terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """One active bound or row of a stage.
+
+    Attributes
+    ----------
+    family : str
+        STATE, CONTROL, or the name of a term.
+    place : (int, int)
+        Where its multiplier stands in the array of the family.
+    sign : float
+        1, or -1 for a lower bound, whose multiplier is negative.
+    column : (n + m,)
+        What a multiplier of ``sign`` adds to the normal (in x, in u).
+    """
+
+    family: str
+    place: tuple[int, int]
+    sign: float
+    column: Array
+
+    def value(self, multipliers: Multipliers) -> float:
+        """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
+        array = multipliers.stage.get(self.family) if self.family not in (STATE, CONTROL) else None
+        if array is None:
+            if self.family not in (STATE, CONTROL):
+                return 0.0
+            array = multipliers.mu if self.family == STATE else multipliers.nu
+        return max(self.sign * float(array[self.place]), 0.0)
+
+
+def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
+    """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
+
+    Balls, cones and soft sets are not among them: their multipliers stay what they are.
+    """
+    found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
+    sizes, signals = trajectory_sizes(problem, trajectory), (trajectory.x[:-1], trajectory.u)
+    tubes, first = (problem.state_tube, problem.control_tube), 0
+    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
+        for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):
+            found[t].append(normal)
+        first = problem.state_dim
+    for term in problem.terms:
+        for t, normal in _of_rows(term, trajectory, problem.horizon):
+            found[t].append(normal)
+    return found
+
+
+def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
+    near = TOUCHING * (size + np.abs(signal))
+    lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
+    for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
+        for t, k in np.argwhere(active):
+            column = np.zeros(total)
+            column[first + k] = sign
+            yield int(t), Normal(family, (int(t), int(k)), sign, column)
+
+
+def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple[int, Normal]]:
+    if not isinstance(term.map, StageMap) or not isinstance(term.penalty, Below) or not term.hard:
+        return
+    values = term.map.values(trajectory.x, trajectory.u)
+    sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
+    near = TOUCHING * np.where(sizes > 0, sizes, 1.0)
+    for group, row in np.argwhere(values >= term.penalty.limit - near):
+        if term.map.times[group] < horizon:
+            parts = [
+                np.zeros(signal.shape[1]) if matrix is None else (matrix if matrix.ndim == 2 else matrix[group])[row]
+                for matrix, signal in ((term.map.C, trajectory.x), (term.map.D, trajectory.u))
+            ]
+            place = int(group), int(row)
+            yield int(term.map.times[group]), Normal(term.name, place, 1.0, np.concatenate(parts))

@@ -1,0 +1,1 @@
+"""Global lower bounds of piecewise-smooth problems, by dynamic programming with interval arithmetic."""

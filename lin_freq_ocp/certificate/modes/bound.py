@@ -1,0 +1,205 @@
+"""The global lower bound of a piecewise-affine problem: a search tree, checked node by node.
+
+For any multipliers, and any mask of modes with the boxes of its reach,
+
+    J* within the mask >= D = sum_t min over modes i of the mask, min over (x, u) in box_i, of
+        l_t(x, u) - <eta_t, A_i x + B_i u + d_i> + <lambda_i, G_i x + H_i u - h_i>    (lambda_i >= 0),
+
+with l_t of bound.py without its map. The leaves of a tree cover all sequences, so the least D of all leaves bounds
+the cost of every trajectory. Nothing that the search says of itself is taken but masks and multipliers.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.certificate.bound import ARITHMETIC, box_minimum, diagonal_curvature
+from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+SWEEPS = 30
+"""Rounds of minimising over one component after the other, where a Hessian is not diagonal: any point bounds, the
+minimiser bounds best."""
+
+
+@dataclass(frozen=True, eq=False)
+class TreeBound:
+    """What a search tree proves.
+
+    Attributes
+    ----------
+    value : float
+        A lower bound on the cost of every trajectory; inf if there is none, -inf if nothing is proven.
+    covers : bool
+        Whether the leaves cover all mode sequences.
+    bounds : (nodes,)
+        The bound of every leaf, as its multipliers prove it; NaN for nodes that were split.
+    """
+
+    value: float
+    covers: bool
+    bounds: Array
+
+    @property
+    def leaves(self) -> int:
+        """Return the number of leaves."""
+        return int((~np.isnan(self.bounds)).sum())
+
+    @property
+    def weakest(self) -> int:
+        """Return the leaf with the least bound."""
+        return int(np.nanargmin(self.bounds))
+
+
+def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
+    """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
+
+    Leaves that are not looked at until ``end``, by ``time.perf_counter``, prove nothing.
+
+    Raises
+    ------
+    ProblemError
+        If multipliers do not have the problem's shape.
+    """
+    reaches, covers = _covered(problem, tree)
+    parents = {node.parent for node in tree.nodes}
+    judge, bounds = _LeafJudge(problem), np.full(len(tree.nodes), np.nan)
+    for index, (node, reach) in enumerate(zip(tree.nodes, reaches, strict=True)):
+        if index in parents:
+            continue
+        if reach is None:
+            bounds[index] = np.inf
+        else:
+            late = time.perf_counter() > end
+            bounds[index] = -np.inf if node.proof is None or late else judge.bound(reach, node.proof)
+    value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
+    return TreeBound(value, covers, bounds)
+
+
+def _covered(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Reach | None], bool]:
+    """Return the reach of every node (None: nothing can be reached), and whether no sequence is missing."""
+    reach = ModeReach(problem)
+    T, modes = problem.horizon, len(problem.piecewise.modes)
+    children: dict[int, list[int]] = {}
+    for index, node in enumerate(tree.nodes):
+        if node.allowed.shape != (T, modes) or not (-1 <= node.parent < index) or (node.parent < 0) != (index == 0):
+            return [None] * len(tree.nodes), False
+        children.setdefault(node.parent, []).append(index)
+    whole = reach.from_start(np.ones((T, modes), dtype=bool))
+    reaches: list[Reach | None] = [whole] + [None] * (len(tree.nodes) - 1)
+    covers = bool(tree.nodes) and _within(whole, tree, 0)
+    for index, own in children.items():
+        before = reaches[index] if index >= 0 else None
+        if before is None:
+            continue
+        stages = {tree.nodes[child].stage for child in own}
+        t = stages.pop()
+        if stages or not 0 <= t < T:
+            return reaches, False
+        left = before.allowed[t].copy()
+        for child in own:
+            modes_of_child = tree.nodes[child].allowed[t]
+            left &= ~modes_of_child
+            reaches[child] = reach.after(before, t, modes_of_child)
+            covers &= _within(reaches[child], tree, child)
+        for i in np.flatnonzero(left):
+            covers &= reach.after(before, t, np.arange(modes) == i) is None
+    return reaches, covers
+
+
+def _within(reach: Reach | None, tree: ModeTree, index: int) -> bool:
+    return reach is None or not (reach.allowed & ~tree.nodes[index].allowed).any()
+
+
+class _LeafJudge:
+    """Evaluates D; what does not depend on the leaf is kept."""
+
+    def __init__(self, problem: OptimalControlProblem):
+        T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
+        named = problem.sampling_time, problem.state_names, problem.control_names  # as bands and terms know them
+        at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)), None, *named)
+        self._problem = replace(problem, dynamics=at_rest)
+        self._arrays = problem.piecewise.arrays(T)
+        self._maps = np.concatenate([self._arrays.A, self._arrays.B], axis=-1)
+        self._rows = np.concatenate([self._arrays.G, self._arrays.H], axis=-1)
+        self._limits = np.where(np.isfinite(self._arrays.h), self._arrays.h, 0.0)
+        x = np.broadcast_to(cost.x_ref, (T + 1, n))
+        u = np.broadcast_to(cost.u_ref, (T, m))
+        self._centre = Trajectory(x, u)
+        self._y = np.hstack([self._centre.x[:-1], self._centre.u])
+        self._images = np.einsum("tijk,tk->tij", self._maps, self._y) + self._arrays.offset
+        self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
+        self._hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))
+
+    def bound(self, reach: Reach, proof: ModeMultipliers) -> float:
+        """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = self._value(reach, proof)
+        if proof.multipliers.eta_C == 0:
+            return np.inf if value > 0 else -np.inf
+        return value if value == value else -np.inf
+
+    def _value(self, reach: Reach, proof: ModeMultipliers) -> float:
+        lifted, centre = lift(self._problem, self._centre, proof.multipliers), self._centre
+        eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
+        region = np.where(np.isfinite(self._arrays.h), np.maximum(proof.region, 0.0), 0.0)
+        slope_x, slope_u = lifted.eta_before - lifted.in_x, -lifted.in_u
+        size_x, size_u = np.abs(lifted.eta_before) + lifted.in_x_terms, lifted.in_u_terms
+        slope = np.hstack([slope_x[:-1], slope_u])[:, None] - np.einsum("tijk,tj->tik", self._maps, eta)
+        slope = (slope + np.einsum("tirk,tir->tik", self._rows, region)).astype(np.float64)
+        size = np.hstack([size_x[:-1], size_u])[:, None] + np.einsum("tijk,tj->tik", np.abs(self._maps), np.abs(eta))
+        size = (size + np.einsum("tirk,tir->tik", np.abs(self._rows), region)).astype(np.float64)
+        low, high = (_endless(bound) - self._y[:, None] for bound in (reach.mode_lower, reach.mode_upper))
+        used = reach.allowed[..., None]
+        low, high = np.where(used, low, 0.0), np.where(used, high, 0.0)
+        minima, spread = _box_minimum(slope, (eta_C * self._hessians)[:, None], low, high)
+        constants = (region * self._slack).sum(-1) - np.einsum("tij,tj->ti", self._images, eta)
+        stages = np.where(reach.allowed, minima + constants, np.inf).min(axis=1)
+        sizes = (size * spread).sum(-1) + (region * np.abs(self._slack)).sum(-1)
+        sizes += np.einsum("tij,tj->ti", np.abs(self._images), np.abs(eta)) + np.abs(minima)
+        rounding = float(np.where(reach.allowed, sizes, 0.0).max(axis=1).sum())
+        end_low, end_high = (_endless(bound[-1]) - centre.x[-1] for bound in (reach.lower, reach.upper))
+        end_slope, end = slope_x[-1].astype(np.float64), eta_C * self._problem.quadratic.P
+        last, reached = _box_minimum(end_slope, end, end_low, end_high)
+        cost = self._problem.value(centre.x, centre.u) if eta_C else 0.0
+        gaps = float(sum(one.gap.sum() for one in lifted.terms))
+        at_centre = float((eta * centre.x[1:]).sum())
+        at_centre += float((lifted.control_signal * centre.u).sum() + (lifted.state_signal * centre.x).sum())
+        rounding += float(size_x[-1].astype(np.float64) @ reached) + abs(float(last)) + abs(cost) + abs(gaps)
+        rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
+        rounding += float(sum(one.gap_terms.sum() for one in lifted.terms))
+        return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC * rounding
+
+
+def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return a lower bound on slope v + 1/2 v'H v over boxes (..., k), and the largest |v_j| that counts there."""
+    curvature = diagonal_curvature(hessian)
+    if curvature is None:
+        return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
+    diagonal = np.broadcast_to(np.diagonal(hessian, axis1=-2, axis2=-1), slope.shape)
+    v = np.zeros_like(slope)
+    if not np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1)):
+        v = np.clip(v, low, high)
+        for _ in range(SWEEPS):
+            for j in range(slope.shape[-1]):
+                gradient = slope[..., j] + (hessian[..., j, :] * v).sum(-1)
+                step = np.where(diagonal[..., j] > 0, gradient / np.where(diagonal[..., j] > 0, diagonal[..., j], 1), 0)
+                v[..., j] = np.clip(v[..., j] - step, low[..., j], high[..., j])
+    moved = (hessian * v[..., None, :]).sum(-1)
+    there = (slope * v).sum(-1) + 0.5 * (v * moved).sum(-1)
+    minimum = there + box_minimum(slope + moved, curvature, low - v, high - v).sum(-1)
+    reachable = np.where(np.isfinite(low) & np.isfinite(high), np.maximum(np.abs(low), np.abs(high)), 0.0)
+    return minimum, reachable
+
+
+def _endless(bound: Array) -> Array:
+    """Return a bound of the reach with infinity where there is none."""
+    return np.where(np.abs(bound) < UNBOUNDED, bound, np.sign(bound) * np.inf)

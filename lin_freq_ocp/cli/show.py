@@ -1,0 +1,84 @@
+"""The command lin-freq-ocp show: what a problem is, before it is solved, and what --set can change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import tomli_w
+from rich.text import Text
+
+from lin_freq_ocp import library
+from lin_freq_ocp.cli.common import (
+    PROVEN,
+    build,
+    is_file,
+    json_option,
+    out,
+    parsed_settings,
+    print_json,
+    print_lines,
+    problem_argument,
+    settings_option,
+)
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.interchange.problem_file.description import Parameter
+
+LONGEST_VALUE = 50
+"""Characters of a value that are shown."""
+
+
+@click.command("show")
+@problem_argument
+@settings_option
+@json_option
+def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
+    """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
+    from lin_freq_ocp.interchange.problem_file import description
+
+    given = parsed_settings(settings)
+    shown = build(problem, settings)
+    if is_file(problem):
+        about, parameters = "", description.parameters_of_file(Path(problem), given)
+    else:
+        function = library.by_name(problem)
+        about, parameters = description.about_function(function), description.parameters_of_function(function, given)
+    summary = description.description_summary(shown, about, parameters)
+    if as_json:
+        print_json(summary)
+        return PROVEN
+    from lin_freq_ocp.report.narrow import terms
+
+    print_lines(str(shown))
+    out.print(Text(f"{about}\n" if about else ""))
+    out.print(terms([(one["what"], one["words"]) for one in summary["facts"]], out.width))
+    out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
+    out.print(terms([(_assignment(one), one.about) for one in parameters], out.width))
+    return PROVEN
+
+
+def _assignment(parameter: Parameter) -> str:
+    """Return a parameter and its default as they are written after --set, and what is set instead."""
+    default, value = (_shortened(as_toml(one)) for one in (parameter.default, parameter.value))
+    return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
+
+
+def as_toml(value: Any) -> str:
+    """Return a value as it stands after --set, in one line."""
+    text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables
+    return text.replace("[ ", "[").replace(", ]", "]").removeprefix("_ = [[").removesuffix("]]")
+
+
+def _without_null(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_null(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_null(entry) for entry in value]
+    return "none" if value is None else value
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

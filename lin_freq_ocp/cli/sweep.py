@@ -1,0 +1,192 @@
+"""The command lin-freq-ocp sweep: a problem at every point of a grid, on several processes.
+
+Exit status: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input; 3 some
+point has none; 130 interrupted, and what is finished is kept.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.atomic import replacing, writing
+from lin_freq_ocp.cli.common import (
+    NOT_PROVEN,
+    PROVEN,
+    ProblemFile,
+    backend_option,
+    builder,
+    complain,
+    err,
+    is_file,
+    json_option,
+    method_option,
+    parsed_settings,
+    print_json,
+    print_table,
+    problem_argument,
+    require_folder,
+    require_keys_of_file,
+    settings_option,
+    time_limit_option,
+    tolerance_option,
+    written,
+)
+from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS
+from lin_freq_ocp.comparison.sweep.sweep import Sweep, sweep
+from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.starting import INTERRUPTED
+
+RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
+"""from:to:count, linear, both ends included."""
+
+GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
+
+
+@click.command("sweep")
+@problem_argument
+@click.option("--grid", "grids", multiple=True, required=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
+@settings_option
+@method_option
+@backend_option
+@time_limit_option
+@tolerance_option
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes to solve on.")
+@click.option(
+    "--out", "folder", type=click.Path(path_type=Path), help="Write sweep.jsonl, .csv and .png here; resume from it."
+)
+@json_option
+def sweep_command(
+    problem: str,
+    grids: tuple[str, ...],
+    settings: tuple[str, ...],
+    method: str,
+    backend: str,
+    time_limit: float | None,
+    tolerance: float | None,
+    workers: int,
+    folder: Path | None,
+    as_json: bool,
+) -> int:
+    """Solve a problem at every point of a grid of parameters, to see what bandwidth, time or a bound costs."""
+    source = _source(problem, settings)
+    grid = parsed_grid(grids, source)
+    path = None
+    if folder is not None:
+        require_folder(folder)
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        path = folder / "sweep.jsonl"
+    options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    with _pool(workers) as executor, _bar() as tell:
+        found = sweep(source, grid, executor, path, **options, progress=tell)
+        if found.interrupted and executor is not None:
+            executor.abandon()
+    if as_json:
+        print_json(sweep_summary(found))
+    else:
+        from lin_freq_ocp.report.tables import sweep_table
+
+        print_table(sweep_table(found), ("seconds", "method", "gap"))
+    status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+    return status if folder is None else written(status, lambda: _save(found, folder))
+
+
+@contextmanager
+def _pool(workers: int) -> Generator[WorkerPool | None]:
+    """Yield processes to work on, if more than one is wanted; on errors and on Ctrl-C they are not waited for."""
+    if workers == 1:
+        yield None
+        return
+    pool = process_pool(workers)
+    try:
+        yield pool
+    except BaseException:
+        pool.abandon()
+        raise
+    pool.shutdown()
+
+
+def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
+    """Return the values of each parameter; "none" is None, as it is in --set.
+
+    Raises
+    ------
+    ProblemError
+        If one is neither a list nor a range, is given twice, or is a key that no problem file has.
+    """
+    result: dict[str, list[Any]] = {}
+    for given in grids:
+        key, equals, text = (part.strip() for part in given.partition("="))
+        if not key or not equals:
+            raise ProblemError("--grid", repr(given), GRID_FORM)
+        if key in result:
+            raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
+        result[key] = _values(key, text)
+    if isinstance(source, ProblemFile):  # what functions take, the sweep looks at itself
+        require_keys_of_file(result, "--grid ")
+    return result
+
+
+def _source(problem: str, settings: Sequence[str]) -> Callable[..., OptimalControlProblem]:
+    given = parsed_settings(settings)
+    return ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
+
+
+def _values(key: str, text: str) -> list[Any]:
+    match = RANGE.fullmatch(text)
+    try:
+        if match:
+            return _range(*match.groups())
+        values = tomllib.loads(f"values = {text}")["values"]
+    except (ValueError, OverflowError, RecursionError) as error:
+        raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
+    if not isinstance(values, list):
+        raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
+    return [None if value == "none" else value for value in values]
+
+
+def _range(first: str, last: str, count: str) -> list[float] | list[int]:
+    """Return so many numbers from the first to the last; whole ones, if all are and both ends are written so."""
+    if int(count) > MOST_POINTS:
+        raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
+    values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
+    whole = [round(value) for value in values]
+    written = not any(mark in first + last for mark in ".eE")
+    return whole if written and whole == values else values
+
+
+def _save(found: Sweep, folder: Path) -> None:
+    found.to_csv(folder / "sweep.csv")
+    try:
+        figure = found.plot()
+    except ProblemError as error:
+        complain(f"no figure: {error}")
+        return
+    with replacing(folder / "sweep.png") as stream:
+        figure.savefig(stream, format="png", dpi=150)
+
+
+@contextmanager
+def _bar() -> Generator[Callable[[int, int], None] | None]:
+    """Show on a terminal how many points are finished."""
+    if not err.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -1,0 +1,165 @@
+"""The grid of a sweep: its points, and the problem at each of them."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import pickle
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.spectrum.bands import low_pass
+
+Source = OptimalControlProblem | Callable[..., OptimalControlProblem]
+"""What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords."""
+
+Parameters = dict[str, Any]
+"""The value of every swept parameter at one point."""
+
+CUTOFFS = ("cutoff", "cutoff_hz")
+"""Of a problem: low passes that take the place of its ``control_spectrum``; in rad/sample, and in Hz."""
+
+MOST_POINTS = 10**6
+"""Points of one grid: more are a slip of the pen, and would not fit into memory."""
+
+PLAIN = (bool, int, float, str, type(None))
+
+
+def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
+    """Return the values of each parameter.
+
+    Raises
+    ------
+    ProblemError
+        If the source is neither problem nor function, or the grid has a name that it does not know, or an entry that
+        is no sequence of different values.
+    """
+    if not callable(source):
+        require_problem(source)
+    if not isinstance(grid, Mapping) or not grid:
+        raise ProblemError("grid", brief(grid), "a mapping from names of parameters to sequences of values")
+    _require_names(source, list(grid))
+    return {name: _values(name, given) for name, given in grid.items()}
+
+
+def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
+    """Return the points of the full product, by their keys; the last parameter changes fastest.
+
+    Raises
+    ------
+    ProblemError
+        If they are too many.
+    """
+    count = math.prod(map(len, values.values()))
+    if count > MOST_POINTS:
+        raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
+    points = [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
+    return {point_key(plain_parameters(point)): point for point in points}
+
+
+def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
+    """Return the problem at one point.
+
+    Raises
+    ------
+    ProblemError
+        If the values describe none, or the function returns something else.
+    """
+    problem = source(**parameters) if callable(source) else with_values(source, parameters)
+    require_problem(problem)
+    return problem
+
+
+def with_values(problem: OptimalControlProblem, values: Mapping[str, Any]) -> OptimalControlProblem:
+    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of all controls.
+
+    Raises
+    ------
+    ProblemError
+        If a value does not fit the problem.
+    """
+    changes = dict(values)
+    for name in CUTOFFS:
+        if name in changes:
+            cutoff = changes.pop(name)
+            changes["control_spectrum"] = None if cutoff is None else low_pass(**{name: cutoff})
+    return replace(problem, **changes)
+
+
+def plain_parameters(parameters: Mapping[str, Any]) -> Parameters:
+    """Return the values as JSON has them; of objects, their kind and a fingerprint."""
+    return {name: plain(value) for name, value in parameters.items()}
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it; of an object, its kind and a fingerprint."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, PLAIN) else f"{type(value).__name__} {fingerprint(value)}"
+
+
+def point_key(parameters: Mapping[str, Any]) -> str:
+    """Return the text by which a point, given by plain values, is known."""
+    return json.dumps(parameters, sort_keys=True)
+
+
+def require_picklable(source: Source, grid: Mapping[str, Any]) -> None:
+    """Raise ProblemError unless the source and the values can be sent to another process."""
+    for field, value in (("problem", source), *((f"grid.{name}", value) for name, value in grid.items())):
+        try:
+            pickle.dumps(value)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            advice = "Define functions at the top level of a module; functools.partial gives them fixed arguments."
+            expected = f"something that can be pickled, for other processes ({error})"
+            raise ProblemError(field, brief(value), expected, advice) from None
+
+
+def _require_names(source: Source, names: Sequence[Any]) -> None:
+    if callable(source):
+        known = _keywords(source)
+    else:
+        known = [*(one.name for one in fields(source)), *CUTOFFS]
+        same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
+        if len(same) > 1:
+            raise ProblemError(f"grid.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
+    for name in names:
+        if known is not None and name not in known:
+            expected = f"some of {', '.join(known)}"
+            raise ProblemError(f"grid.{name}", "no parameter of that name", expected, suggestion(name, known))
+
+
+def _keywords(function: Callable[..., Any]) -> list[str] | None:
+    """Return the keywords that a function takes; None if it takes any, or nobody knows."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return None
+    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+        return None
+    return [one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+
+
+def _values(name: str, given: Any) -> list[Any]:
+    if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
+        raise ProblemError(f"grid.{name}", brief(given), "a sequence of values", "For a single one: [value].")
+    values = list(given)
+    keys = [json.dumps(plain(value)) for value in values]
+    again = [key for key, count in Counter(keys).items() if count > 1]
+    if not values or again:
+        got = f"{again[0]} twice" if again else "nothing"
+        raise ProblemError(f"grid.{name}", got, "one value or more, all different")
+    return values

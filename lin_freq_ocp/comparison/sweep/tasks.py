@@ -1,0 +1,177 @@
+"""The points of a sweep on an executor, as they finish; a point that is lost with its worker is given out again."""
+
+from __future__ import annotations
+
+import signal
+import warnings
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
+from queue import SimpleQueue
+from typing import Any
+
+from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.comparison.sweep.grid import Parameters
+from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
+
+RESUBMISSIONS = 2
+"""How often a lost point is given out again: a worker may die by chance, thrice the point itself is the reason."""
+
+Task = Callable[[Parameters, int], Row]
+"""Solves one point, given how often it was lost before."""
+
+Finished = Generator[tuple[str, Row]]
+"""Keys and rows, in the order in which they finish."""
+
+
+def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | None) -> Finished:
+    """Solve points on an executor; without one, one after another in this process.
+
+    Whatever an executor raises says that a point was lost, because the task itself raises nothing. If the executor
+    takes no more work, as a process pool does not once a worker has died, a warning says so, and the points that are
+    left are solved one after another in a process of their own: should one of them kill it, that one alone is lost.
+
+    Closing the generator, or Ctrl-C, cancels what has not been started.
+    """
+    if executor is None:
+        yield from _here(task, points)
+        return
+    left = yield from _on(executor, task, points)
+    if left:
+        words = "solved one after another, in a process of their own; stopping and resuming the sweep is faster."
+        warnings.warn(f"The executor takes no more work: {len(left)} points are {words}", RuntimeWarning, stacklevel=3)
+        yield from _apart(task, left)
+
+
+class WorkerPool(ProcessPoolExecutor):
+    """Worker processes that leave Ctrl-C, which a terminal sends to every one of its processes, to this one."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a task; Ctrl-C while processes start, in the midst of talking to them, acts when they have."""
+        with interrupts_noted() as interrupt:
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                if interrupt.is_set():
+                    raise KeyboardInterrupt
+
+    def abandon(self) -> None:
+        """End all processes at once: nobody waits for what they compute."""
+        processes = list((self._processes or {}).values())
+        self.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+
+
+def process_pool(workers: int) -> WorkerPool:
+    """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it.
+
+    Where the system can fork, they are copies of one process that has imported the package once for all of them.
+    """
+    if "forkserver" in get_all_start_methods():
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["__main__", solve_point.__module__])
+        resource_tracker.ensure_running()  # which would let Ctrl-C through again, if it were started within
+        with _blocked_interrupts():  # from their first instruction on: processes inherit what is blocked
+            forkserver.ensure_running()
+    else:
+        context = get_context("spawn")
+    return WorkerPool(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+
+
+@contextmanager
+def _blocked_interrupts() -> Generator[None]:
+    """Let Ctrl-C wait, here and in processes that are started within."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _here(task: Task, points: Mapping[str, Parameters]) -> Finished:
+    for key, parameters in points.items():
+        row = task(parameters, 0)
+        if row["status"] == INTERRUPTED:
+            raise KeyboardInterrupt
+        yield key, row
+
+
+def _on(
+    executor: Executor, task: Task, points: Mapping[str, Parameters]
+) -> Generator[tuple[str, Row], None, dict[str, Parameters]]:
+    """Solve points on an executor; return those that it did not take."""
+    done, running = SimpleQueue[Future[Row]](), dict[Future[Row], str]()
+    losses, left = Counter[str](), dict[str, Parameters]()
+
+    def submit(key: str) -> None:
+        try:
+            future = executor.submit(task, points[key], losses[key])
+        except Exception:  # broken, shut down, disconnected: every executor has its own words for it
+            left[key] = points[key]
+            return
+        running[future] = key
+        future.add_done_callback(done.put)
+
+    try:
+        for key in points:
+            submit(key)
+        while running:
+            future = done.get()
+            key, outcome = running.pop(future), _outcome(future)
+            if not isinstance(outcome, str):
+                yield key, outcome
+                continue
+            losses[key] += 1
+            if losses[key] > RESUBMISSIONS:
+                yield key, _lost(points[key], outcome)
+            else:
+                submit(key)
+    except KeyboardInterrupt:
+        for future, key in running.items():
+            if future.done() and not isinstance(outcome := _outcome(future), str):
+                yield key, outcome
+        raise
+    finally:
+        for future in running:
+            future.cancel()
+    return left
+
+
+def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
+    """Solve points one after another in a process of their own, a new one whenever it dies."""
+    pool = process_pool(1)
+    try:
+        for key, parameters in points.items():
+            outcome: Row | str = ""
+            for attempt in range(1 + RESUBMISSIONS):
+                try:
+                    outcome = _outcome(pool.submit(task, parameters, attempt), wait=True)
+                except BrokenExecutor as error:
+                    outcome = type(error).__name__
+                if not isinstance(outcome, str):
+                    break
+                pool.shutdown()
+                pool = process_pool(1)
+            yield key, _lost(parameters, outcome) if isinstance(outcome, str) else outcome
+    except BaseException:  # Ctrl-C, or nobody wants the points that are left
+        pool.abandon()
+        raise
+    pool.shutdown()
+
+
+def _outcome(future: Future[Row], wait: bool = False) -> Row | str:
+    """Return the row of a future, or in words why there is none."""
+    try:
+        row = future.result(None if wait else 0)
+    except CancelledError:
+        return "cancelled"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return INTERRUPTED if row["status"] == INTERRUPTED else row
+
+
+def _lost(parameters: Parameters, words: str) -> Row:
+    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {words}")

@@ -1,0 +1,1 @@
+"""Expression graphs: values, derivatives, interval enclosures and text. They know nothing of optimal control."""

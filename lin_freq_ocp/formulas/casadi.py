@@ -1,0 +1,255 @@
+"""Functions of CasADi: as formulas where all their operations are, else with CasADi's derivatives."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, assign, brief, positive_integer
+from lin_freq_ocp.errors import MissingExtraError, ProblemError, first_line
+from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
+from lin_freq_ocp.formulas.nodes import LARGEST_POWER, MAXIMUM, MINIMUM, POWER, SUM, Formula, extreme, norm, signals
+
+KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
+          "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
+"""Operations of CasADi whose derivatives say nothing of their kinks or jumps."""
+
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "ASSIGN": lambda a: a,
+    "ADD": lambda a, b: a + b,
+    "SUB": lambda a, b: a - b,
+    "MUL": lambda a, b: a * b,
+    "DIV": lambda a, b: a / b,
+    "NEG": lambda a: -a,
+    "TWICE": lambda a: 2.0 * a,
+    "SQ": lambda a: a**2,
+    "INV": lambda a: 1.0 / a,
+    "EXP": np.exp,
+    "LOG": np.log,
+    "SQRT": lambda a: _root(a),
+    "SIN": np.sin,
+    "COS": np.cos,
+    "TANH": np.tanh,
+    "ATAN": np.arctan,
+    "POW": lambda a, b: _power(a, b),
+    "CONSTPOW": lambda a, b: _power(a, b),
+    "FABS": abs,
+    "HYPOT": lambda a, b: norm([a, b]),
+    "FMAX": lambda a, b: extreme(MAXIMUM, (a, b), None),
+    "FMIN": lambda a, b: extreme(MINIMUM, (a, b), None),
+}
+"""Operations of CasADi that formulas have; constants among them are folded by CasADi."""
+
+
+def from_casadi(
+    function: Any, states: int | None = None, controls: int | None = None, name: str = "", smooth: bool = False
+) -> DifferentiableFunction:
+    """Return a function of CasADi as one that makes formulas, with exact derivatives.
+
+    Where formulas have all operations of the function it becomes formulas: maxima, minima and absolute values then
+    make modes in ``PiecewiseSmoothDynamics.from_formulas``, and global bounds and problem files are possible. Any other
+    one is differentiated by CasADi, twice.
+
+    Parameters
+    ----------
+    function : casadi.Function, or Python function
+        A casadi.Function of columns x and u that returns one column; or a Python function that is called with
+        casadi.SX columns x and u and returns an expression, or a list of them.
+    states, controls : int
+        n and m; a casadi.Function knows them.
+    name : str
+        As errors and reports show it; default: that of the function.
+    smooth : bool
+        Says that the function is twice differentiable in spite of its maxima, absolute values or branches, as
+        fabs(x)**3. Functions that it calls, as interpolants, are taken to be so without a word.
+
+    Raises
+    ------
+    MissingExtraError
+        If casadi is not installed.
+    ProblemError
+        If it is no such function, or has kinks that would not be seen.
+    """
+    casadi = _casadi()
+    if not isinstance(smooth, bool):
+        raise ProblemError("from_casadi.smooth", brief(smooth), "true or false")
+    if isinstance(function, casadi.Function):
+        made = function
+    elif callable(function):
+        n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
+        made = _compiled(casadi, function, n, m)
+    else:
+        raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
+    _require_columns(made, states, controls)
+    own = str(made.name() if made is function else getattr(function, "__name__", ""))
+    title = name or (own if own.isidentifier() else "")  # a lambda has none
+    with_derivatives = _Compiled(made, _serialized(made))
+    value, jacobian, hessian = (partial(with_derivatives, what) for what in ("value", "jacobian", "hessian"))
+    found = DifferentiableFunction(value, jacobian, hessian, made.size1_out(0), title, vectorized=True)
+    assign(found, dimensions=(made.size1_in(0), made.size1_in(1)))
+    program = made if made.is_a("SXFunction") else _expanded(made)
+    codes = {program.instruction_id(k) for k in range(program.n_instructions())}
+    kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]
+    translation = None if smooth and kinked else _translation(casadi, program)
+    if translation is not None:
+        assign(found, translation=translation)
+    elif kinked and not smooth:
+        advice = "Write a mode for each side of a kink, or say smooth=True if there is none."
+        got = f"{', '.join(kinked).lower()}, beside operations that formulas do not have"
+        raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
+    return found
+
+
+def _casadi() -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the types that its binding makes
+            return import_module("casadi")
+    except ImportError:
+        raise MissingExtraError(
+            "from_casadi: casadi is not installed. Install it with: pip install 'lin-freq-ocp[casadi]'."
+        ) from None
+
+
+def _compiled(casadi: Any, function: Callable[..., Any], n: int, m: int) -> Any:
+    x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
+    try:
+        given = function(x, u)
+        column = casadi.vertcat(*given) if isinstance(given, (Sequence, np.ndarray)) else casadi.SX(given)
+    except Exception as error:  # whatever a function does that was not made for symbols
+        got = f"{first_line(error)}, from the function"
+        raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
+    return casadi.Function("f", [x, u], [column])
+
+
+def _require_columns(made: Any, states: int | None, controls: int | None) -> None:
+    if (made.n_in(), made.n_out()) != (2, 1):
+        got = f"{made.n_in()} inputs and {made.n_out()} outputs"
+        raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
+    for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
+        if size[1] != 1 or not size[0]:
+            raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
+    for place, (label, given) in enumerate((("states", states), ("controls", controls))):
+        if given is not None and given != made.size1_in(place):
+            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(place)}, as the function has")
+
+
+def _serialized(made: Any) -> str:
+    try:
+        return str(made.serialize())
+    except RuntimeError:  # it calls what has no text
+        return str(made)
+
+
+def _translation(casadi: Any, program: Any) -> _Translation | None:
+    """Return the function as one that makes formulas, if they have all its operations."""
+    named = {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
+    known = {*named, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT}
+    codes = (program.instruction_id(k) for k in range(program.n_instructions()))
+    if not program.is_a("SXFunction") or not known.issuperset(codes):
+        return None
+    n, m = program.size1_in(0), program.size1_in(1)
+    translation = _Translation(program, _serialized(program))
+    try:
+        translation([one for part in signals(n, m) for one in part], n)
+    except ProblemError:  # a power that formulas do not have
+        return None
+    return translation
+
+
+def _expanded(made: Any) -> Any:
+    """Return a function in scalar operations if it has such ones, else itself."""
+    try:
+        return made.expand()
+    except RuntimeError:  # it calls what has none
+        return made
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """Values and derivatives of a function at points, x (points, n) and u (points, m).
+
+    The text tells functions apart, in other processes, too.
+    """
+
+    function: Any = field(compare=False)
+    text: str
+
+    def __call__(self, what: str, x: Array, u: Array) -> Array:
+        function = self._functions[what]
+        columns = function(x.T, u.T).full()
+        outputs, points, count = columns.shape[0], len(x), x.shape[1] + u.shape[1]
+        if what == "value":
+            return np.ascontiguousarray(columns.T)
+        rows = columns.reshape(outputs, points, -1).swapaxes(0, 1)
+        return rows if what == "jacobian" else rows.reshape(points, -1, count, count)
+
+    @cached_property
+    def _functions(self) -> dict[str, Any]:
+        return _with_derivatives(self.function)
+
+
+def _with_derivatives(made: Any) -> dict[str, Any]:
+    """Return functions of (x, u) for the values (k, 1), the Jacobian (k, n + m), the Hessians (k (n + m), n + m)."""
+    casadi = _casadi()
+    kind = casadi.SX if made.is_a("SXFunction") else casadi.MX
+    x, u = kind.sym("x", made.size1_in(0)), kind.sym("u", made.size1_in(1))
+    y, value = casadi.vertcat(x, u), made(x, u)
+    jacobian = casadi.jacobian(value, y)
+    hessian = casadi.jacobian(casadi.vec(jacobian.T), y)  # row after row: of output 0 by all arguments, of output 1 ...
+    outputs = {"value": value, "jacobian": jacobian, "hessian": hessian}
+    return {what: casadi.Function(what, [x, u], [casadi.densify(one)]) for what, one in outputs.items()}
+
+
+@dataclass(frozen=True)
+class _Translation:
+    """A function in scalar operations that formulas have."""
+
+    function: Any = field(compare=False)
+    text: str
+
+    def __call__(self, arguments: Sequence[Formula], states: int) -> list[Formula]:
+        """Return its outputs, with formulas for the components of x and u."""
+        casadi, program = _casadi(), self.function
+        inputs = arguments[:states], arguments[states:]
+        zero = arguments[0] * 0.0
+        operations = {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
+        rows = program.sparsity_out(0).row()
+        made, work = [zero] * program.size1_out(0), [zero] * program.sz_w()
+        for k in range(program.n_instructions()):
+            code, used, place = program.instruction_id(k), program.instruction_input(k), program.instruction_output(k)
+            if code == casadi.OP_CONST:
+                work[place[0]] = zero + program.instruction_constant(k)
+            elif code == casadi.OP_INPUT:
+                work[place[0]] = inputs[used[0]][program.sparsity_in(used[0]).row()[used[1]]]
+            elif code == casadi.OP_OUTPUT:
+                made[rows[place[1]]] = work[used[0]]
+            else:
+                work[place[0]] = operations[code](*(work[i] for i in used))
+        return made
+
+
+def _power(base: Formula, exponent: Formula) -> Formula:
+    """Return base**exponent, which only some constants may be."""
+    value = exponent.constant
+    if value in (0.0, 1.0):
+        return base if value else base * 0.0 + 1.0
+    if value == 0.5:
+        return _root(base)
+    if value is not None and value in range(-LARGEST_POWER, 0):
+        return 1.0 / _power(base, -exponent)
+    return base ** (exponent if value is None else value)
+
+
+def _root(a: Formula) -> Formula:
+    """Return the square root; of a sum of squares as a norm, whose kink is known."""
+    squares = a.kind == SUM and a.data[-1] == 0 and all(factor > 0 for factor in a.data[:-1])
+    if squares and all(one.kind == POWER and one.data == (2.0,) for one in a.arguments):
+        return norm([one.arguments[0] * factor**0.5 for one, factor in zip(a.arguments, a.data[:-1], strict=True)])
+    return a.sqrt()

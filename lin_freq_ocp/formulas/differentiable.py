@@ -1,0 +1,335 @@
+"""Functions of (x, u) that are no formulas, with their derivatives: loops, branches, tables, foreign code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.formulas.derivative_check import Derivative, require_derivative
+from lin_freq_ocp.formulas.nodes import EXTERNAL, Formula
+
+STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
+"""Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
+the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian."""
+
+
+class _Recent:
+    """What a function was at the points of the last call: of several modes, f and regions are often asked there."""
+
+    def __init__(self):
+        self._kept: dict[str, tuple[Array, Array, tuple[Array, ...]]] = {}
+
+    def __reduce__(self):
+        return _Recent, ()
+
+    def of(self, what: str, x: Array, u: Array) -> tuple[Array, ...] | None:
+        """Return what was kept for these points, if they are the last."""
+        points = self._kept.get(what)
+        if points is None or not (np.array_equal(points[0], x) and np.array_equal(points[1], u)):
+            return None
+        return points[2]
+
+    def keep(self, what: str, x: Array, u: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Keep arrays, read-only, and return them."""
+        for array in found:
+            array.flags.writeable = False
+        self._kept[what] = x.copy(), u.copy(), found
+        return found
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class DifferentiableFunction:
+    """A smooth function of (x, u) by what computes it and its derivatives, for pieces that cannot be formulas.
+
+    Called with signals, or formulas in their place, it returns one formula for each output, which can be mixed with
+    others: ``SmoothMode(f=function)``, ``region=lambda x, u: [table(x[:1], u)[0] - x[1]]``. Called with numbers, it
+    returns numbers. Global bounds and problem files need formulas, and are refused in words.
+
+    Parameters
+    ----------
+    call : function
+        Of x (n,) and u (m,), float arrays; returns (outputs,), or one number if there is one output, and always the
+        same for the same arguments. Not a number (nan), or an ArithmeticError, as from 1/0: it is not defined there,
+        and a mode with it does not hold.
+    jacobian : function
+        Of the same; returns the derivatives by (x, u), (outputs, n + m).
+    hessian : function, optional
+        Of the same; returns the second derivatives, (outputs, n + m, n + m). Without it central differences of the
+        Jacobian are taken, right to 1e-9 or so of its size: Newton's method then converges superlinearly, no longer
+        quadratically, to the same point. Where none are defined 0 is taken: second derivatives steer the search, and
+        no condition of the certificate has any.
+    outputs : int
+        Of the function.
+    name : str
+        As errors and reports show it; default: that of ``call``.
+    vectorized : bool
+        Whether the functions take many points at once, x (points, n) and u (points, m), and return
+        (points, outputs) and so on; a search evaluates some 10^5.
+    sizes : float or (n + m,)
+        By how much arguments that are near zero are usually changed: steps of differences are relative to this, or
+        to the argument where that is larger.
+    check_at : sequence of (x, u), optional
+        Points at which to compare the derivatives with differences, see ``check_derivatives``.
+
+    Attributes
+    ----------
+    dimensions : (n, m) or None
+        The only ones that it can be called with, if that is known.
+    translation : function or None
+        What makes formulas of formulas, where ``from_casadi`` found one.
+
+    Raises
+    ------
+    ProblemError
+        Saying which field, what was got and what was expected; on use, also for what the functions return or raise.
+    """
+
+    call: Callable[[Array, Array], ArrayLike]
+    jacobian: Callable[[Array, Array], ArrayLike]
+    hessian: Callable[[Array, Array], ArrayLike] | None
+    outputs: int
+    name: str
+    vectorized: bool
+    sizes: Array
+    dimensions: tuple[int, int] | None = field(repr=False)
+    translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
+    _recent: _Recent = field(repr=False, compare=False)
+
+    def __init__(
+        self,
+        call: Callable[[Array, Array], ArrayLike],
+        jacobian: Callable[[Array, Array], ArrayLike],
+        hessian: Callable[[Array, Array], ArrayLike] | None = None,
+        outputs: int = 1,
+        name: str = "",
+        *,
+        vectorized: bool = False,
+        sizes: ArrayLike = 1.0,
+        check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
+    ):
+        for label, given in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
+            if not callable(given) and not (label == "hessian" and given is None):
+                advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
+                raise ProblemError(f"DifferentiableFunction.{label}", brief(given), "a function of (x, u)", advice)
+        if not isinstance(name, str) or not name.isprintable():
+            raise ProblemError("DifferentiableFunction.name", brief(name), "a printable text")
+        if not isinstance(vectorized, bool):
+            raise ProblemError("DifferentiableFunction.vectorized", brief(vectorized), "true or false")
+        scale = real_array("DifferentiableFunction.sizes", sizes)
+        if scale.ndim > 1 or (scale <= 0).any():
+            raise ProblemError("DifferentiableFunction.sizes", brief(sizes), "one number above zero, or one each")
+        assign(
+            self,
+            call=call,
+            jacobian=jacobian,
+            hessian=hessian,
+            outputs=positive_integer("DifferentiableFunction.outputs", outputs),
+            name=name,
+            vectorized=vectorized,
+            sizes=scale,
+            dimensions=None,
+            translation=None,
+            _recent=_Recent(),
+        )
+        if check_at is not None:
+            self.check_derivatives(check_at)
+
+    @property
+    def title(self) -> str:
+        """Return the name, or that of ``call``."""
+        own = str(getattr(self.call, "__name__", "function"))
+        return self.name or (own if own.isidentifier() else "function")
+
+    def __call__(self, x: Any, u: Any = ()) -> NDArray[Any]:
+        """Return the outputs, (outputs,): formulas if there is a formula among x and u, else numbers.
+
+        Parameters
+        ----------
+        x, u : sequences, or one formula or number
+            What stands for its n states and its m controls, in the function's own count, not the problem's.
+
+        Raises
+        ------
+        ProblemError
+            If these are neither formulas nor numbers, or what the function returns has another shape.
+        """
+        given = [_listed(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
+        arguments, states = [*given[0], *given[1]], len(given[0])
+        self._require(states, len(given[1]))
+        formulas = [one for one in arguments if isinstance(one, Formula)]
+        if not formulas:
+            y = real_array(f"{self.title}(x, u)", arguments)[None]
+            return self.values_at(y[:, :states], y[:, states:])[0]
+        zero = formulas[0] * 0.0
+        listed = [zero + one if not isinstance(one, Formula) else one for one in arguments]
+        for one in listed:
+            if one.dimensions != zero.dimensions:
+                raise ProblemError(self.title, f"signals of {one.dimensions} and {zero.dimensions}", "the same signals")
+        made = np.empty(self.outputs, dtype=object)
+        if self.translation is not None:
+            made[:] = self.translation(listed, states)
+        else:
+            node = zero.node(EXTERNAL, tuple(listed))
+            made[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
+        return made
+
+    def check_derivatives(self, at: Sequence[tuple[ArrayLike, ArrayLike]]) -> None:
+        """Compare the Jacobian with differences of values, and the Hessian, if there is one, with those of Jacobians.
+
+        Parameters
+        ----------
+        at : sequence of (x, u)
+            Points within the domain, best with no numbers that are special, such as 0.
+
+        Raises
+        ------
+        ProblemError
+            Naming the derivative, the point, what was given and what differences say.
+        """
+        if not isinstance(at, (Sequence, np.ndarray)) or not len(at):
+            raise ProblemError("check_at", brief(at), "a list of points (x, u)")
+        for i, point in enumerate(at):
+            if not isinstance(point, (Sequence, np.ndarray)) or len(point) != 2:
+                raise ProblemError(f"check_at[{i}]", brief(point), "a point (x, u)")
+            x, u = (np.atleast_1d(real_array(f"check_at[{i}]", part)) for part in point)
+            self._require(len(x), len(u))
+            pairs = [("call", "jacobian"), ("jacobian", "hessian")][: 1 if self.hessian is None else 2]
+            for lower, upper in pairs:
+                self._check(lower, upper, np.concatenate([x, u]), len(x))
+
+    def _require(self, states: int, controls: int) -> None:
+        if self.dimensions not in (None, (states, controls)):
+            expected = "x ({},) and u ({},)".format(*self.dimensions)
+            raise ProblemError(self.title, f"x ({states},) and u ({controls},)", expected)
+
+    def _check(self, lower: str, upper: str, y: Array, states: int) -> None:
+        def evaluate(what: str, points: Array) -> Array:
+            return self._evaluated(what, points[:, :states], points[:, states:])
+
+        require_derivative(
+            Derivative(self.title, lower, upper, states),
+            lambda points: evaluate(lower, points),
+            evaluate(upper, y[None])[0],
+            y,
+            self._sizes(len(y)),
+        )
+
+    def values_at(self, x: Array, u: Array) -> Array:
+        """Return the values at points, (points, outputs); not a number where it is not defined.
+
+        Parameters
+        ----------
+        x : (points, n), u : (points, m)
+        """
+        found = self._recent.of("values", x, u)
+        if found is None:
+            found = self._recent.keep("values", x, u, (self._evaluated("call", x, u),))
+        return found[0]
+
+    def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
+        found = self._recent.of("derivatives", x, u)
+        if found is None:
+            values, slopes = self._evaluated("call", x, u), self._evaluated("jacobian", x, u)
+            curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluated("hessian", x, u)
+            curvatures = np.where(np.isfinite(curvatures), curvatures, 0.0)
+            found = self._recent.keep("derivatives", x, u, (values, slopes, curvatures))
+        return found[0], found[1], found[2]
+
+    def _differences(self, x: Array, u: Array, slopes: Array) -> Array:
+        """Return central differences of the Jacobian, one-sided ones where only those are defined."""
+        y, states = np.hstack([x, u]), x.shape[1]
+        found = np.empty((*slopes.shape, y.shape[1]))
+        steps = STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
+        for j in range(y.shape[1]):
+            sides: list[Array] = []
+            places: list[Array] = []
+            for sign in (1, -1):
+                moved = y.copy()
+                moved[:, j] += sign * steps[:, j]
+                jacobian = self._evaluated("jacobian", moved[:, :states], moved[:, states:])
+                defined: Mask = np.asarray(np.isfinite(jacobian).all(axis=(1, 2)))
+                sides.append(np.where(defined[:, None, None], jacobian, slopes))
+                places.append(np.where(defined, moved[:, j], y[:, j]))
+            with np.errstate(invalid="ignore"):
+                found[..., j] = (sides[0] - sides[1]) / (places[0] - places[1])[:, None, None]
+        return 0.5 * (found + np.swapaxes(found, 2, 3))
+
+    def _sizes(self, arguments: int) -> Array:
+        if self.sizes.ndim and len(self.sizes) != arguments:
+            expected = f"{arguments}, one for each argument"
+            raise ProblemError(f"{self.title}.sizes", f"{len(self.sizes)} numbers", expected)
+        return np.broadcast_to(self.sizes, arguments)
+
+    def _evaluated(self, what: str, x: Array, u: Array) -> Array:
+        """Return what one of the functions makes of points, (points, outputs, ...)."""
+        function = getattr(self, what)
+        count = x.shape[1] + u.shape[1]
+        shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
+        made = np.full((len(x), *shape), _UNDEFINED)
+        defined = np.flatnonzero(np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1))
+        x, u = x[defined], u[defined]
+        x.flags.writeable = u.flags.writeable = False
+        with np.errstate(all="ignore"):
+            if self.vectorized and len(defined):
+                made[defined] = self._checked(what, self._called(what, function, x, u), (len(x), *shape), (x, u))
+                return made
+            for i, point in zip(defined, zip(x, u, strict=True), strict=True):
+                row = self._called(what, function, *point)
+                plain = row is _UNDEFINED or (isinstance(row, float) and shape == (1,))
+                made[i] = row if plain else self._checked(what, row, shape, point)
+        return made
+
+    def _called(self, what: str, function: Any, x: Array, u: Array) -> Any:
+        try:
+            return function(x, u)
+        except LinFreqOCPError:
+            raise
+        except Exception as error:  # whatever code of others raises
+            if isinstance(error, ArithmeticError) and not self.vectorized:
+                return _UNDEFINED
+            got = f"{first_line(error)}, at {_place(x, u)}"
+            advice = "Return nan where the function is not defined."
+            raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
+
+    def _checked(self, what: str, given: Any, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
+        """Return what a function returned as numbers of the right shape; of one output, also without its axis."""
+        if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
+            return given
+        try:
+            array = np.asarray(given)
+        except ValueError:
+            array = np.asarray(None)
+        if array.dtype.kind not in "iuf":
+            raise ProblemError(f"{self.title}.{what}", f"{brief(given)} at {_place(*point)}", "real numbers")
+        if array.shape != shape and (self.outputs != 1 or array.shape != _without_output(shape, self.vectorized)):
+            raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
+        return array.astype(np.float64).reshape(shape)
+
+
+_UNDEFINED = float("nan")
+"""Stands for values where the function is not defined."""
+
+
+def _without_output(shape: tuple[int, ...], vectorized: bool) -> tuple[int, ...]:
+    return (shape[0], *shape[2:]) if vectorized else shape[1:]
+
+
+def _listed(label: str, given: Any) -> list[Any]:
+    listed = [given] if isinstance(given, Formula) or np.ndim(given) == 0 else list(given)
+    for one in listed:
+        if not isinstance(one, Formula):
+            if np.ndim(one):
+                raise ProblemError(label, brief(given), "a list of formulas or numbers")
+            real_array(label, one)
+    return listed
+
+
+def _place(x: Array, u: Array) -> str:
+    return f"x {x.shape}, u {u.shape}" if x.ndim > 1 else f"x = {brief(x.tolist())}, u = {brief(u.tolist())}"

@@ -1,0 +1,191 @@
+"""Interval arithmetic on arrays, rounded outwards: every result contains what real numbers of the operands make.
+
+An interval is a pair (lower, upper) of arrays. Infinite bounds stand for unknown ones: the numbers within are finite,
+so that 0 times an infinite bound is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask
+
+Interval = tuple[Array, Array]
+
+OUTWARD = 8 * float(np.finfo(np.float64).eps)
+"""Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
+elementary functions of the mathematical library by a few."""
+
+SMALLEST = float(np.finfo(np.float64).tiny)
+"""Results are widened by this, too, as those near zero have no relative accuracy."""
+
+TURN = 1e-9
+"""Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within."""
+
+
+def outward(lower: Array, upper: Array) -> Interval:
+    """Return an interval widened by the rounding errors of one operation; what is undefined becomes unbounded."""
+    with np.errstate(invalid="ignore"):
+        low, high = lower - (OUTWARD * np.abs(lower) + SMALLEST), upper + (OUTWARD * np.abs(upper) + SMALLEST)
+    return np.fmax(low, -np.inf), np.fmin(high, np.inf)
+
+
+def add(a: Interval, b: Interval) -> Interval:
+    """Return a + b."""
+    return outward(a[0] + b[0], a[1] + b[1])
+
+
+def subtract(a: Interval, b: Interval) -> Interval:
+    """Return a - b."""
+    return outward(a[0] - b[1], a[1] - b[0])
+
+
+def scale(factor: float | Array, a: Interval) -> Interval:
+    """Return factor * a for real numbers."""
+    one, other = _times(factor, a[0]), _times(factor, a[1])
+    return outward(np.minimum(one, other), np.maximum(one, other))
+
+
+def multiply(a: Interval, b: Interval) -> Interval:
+    """Return a * b."""
+    products = [_times(one, other) for one in a for other in b]
+    lower = np.minimum(np.minimum(products[0], products[1]), np.minimum(products[2], products[3]))
+    upper = np.maximum(np.maximum(products[0], products[1]), np.maximum(products[2], products[3]))
+    return outward(lower, upper)
+
+
+def inverse(a: Interval) -> Interval:
+    """Return 1 / a; unbounded where a contains 0."""
+    apart = (a[0] > 0) | (a[1] < 0)
+    with np.errstate(divide="ignore"):
+        lower = np.where(apart, 1 / np.where(apart, a[1], 1.0), -np.inf)
+        upper = np.where(apart, 1 / np.where(apart, a[0], 1.0), np.inf)
+    return outward(lower, upper)
+
+
+def power(a: Interval, exponent: int) -> Interval:
+    """Return a ** exponent for a whole number from 0."""
+    if exponent == 0:
+        return np.ones_like(a[0]), np.ones_like(a[1])
+    if exponent == 1:
+        return a
+    one, other = a[0] ** float(exponent), a[1] ** float(exponent)
+    if exponent % 2:
+        return outward(one, other)
+    through = (a[0] <= 0) & (a[1] >= 0)
+    lower, upper = outward(np.minimum(one, other), np.maximum(one, other))
+    return np.where(through, 0.0, np.maximum(lower, 0.0)), upper
+
+
+def square_root(a: Interval) -> Interval:
+    """Return the root of the part of a that has one; unbounded where none has."""
+    none = a[1] < 0
+    lower, upper = outward(np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0)))
+    return np.where(none, -np.inf, np.maximum(lower, 0.0)), np.where(none, np.inf, upper)
+
+
+def exponential(a: Interval) -> Interval:
+    """Return exp(a)."""
+    lower, upper = outward(np.exp(a[0]), np.exp(a[1]))
+    return np.maximum(lower, 0.0), upper
+
+
+def logarithm(a: Interval) -> Interval:
+    """Return the logarithm of the part of a that has one; unbounded where none has."""
+    lower = np.where(a[0] > 0, np.log(np.where(a[0] > 0, a[0], 1.0)), -np.inf)
+    upper = np.where(a[1] > 0, np.log(np.where(a[1] > 0, a[1], 1.0)), np.inf)
+    return outward(lower, upper)
+
+
+def cosine(a: Interval) -> Interval:
+    """Return cos(a)."""
+    return _wave(np.cos, a, 0.0)
+
+
+def sine(a: Interval) -> Interval:
+    """Return sin(a)."""
+    return _wave(np.sin, a, np.pi / 2)
+
+
+def hyperbolic_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+    """Return v = tanh(a), and its derivatives 1 - v^2 and -2 v (1 - v^2)."""
+    value = meet(outward(np.tanh(a[0]), np.tanh(a[1])), _one_around(a))
+
+    def falling(v: Interval) -> Interval:
+        one = np.ones_like(v[0])
+        return meet(subtract((one, one), power(v, 2)), (0 * one, one))
+
+    second = _with_extrema(lambda v: scale(-2.0, multiply(v, falling(v))), value, 4 / np.sqrt(27.0))
+    return value, falling(value), second
+
+
+def arc_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+    """Return arctan(a), and its derivatives 1/(1 + a^2) and -2 a/(1 + a^2)^2."""
+    value = meet(outward(np.arctan(a[0]), np.arctan(a[1])), scale(np.pi / 2, _one_around(a)))
+
+    def falling(b: Interval) -> Interval:
+        one = np.ones_like(b[0])
+        return inverse(add((one, one), power(b, 2)))
+
+    def second(b: Interval) -> Interval:
+        slope = falling(b)
+        return scale(-2.0, multiply(multiply(b, slope), slope))
+
+    return value, falling(a), _with_extrema(second, a, np.sqrt(27.0) / 8)
+
+
+def meet(a: Interval, b: Interval) -> Interval:
+    """Return what lies in both; its lower bound is above its upper one if nothing does."""
+    return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
+
+
+def magnitude(a: Interval) -> Array:
+    """Return the largest absolute value."""
+    return np.maximum(np.abs(a[0]), np.abs(a[1]))
+
+
+def _times(a: float | Array, b: Array) -> Array:
+    product = np.asarray(a * b)
+    undefined = np.isnan(product)
+    return np.where(undefined & ~(np.isnan(a) | np.isnan(b)), 0.0, product) if undefined.any() else product
+
+
+def _one_around(a: Interval) -> Interval:
+    return -np.ones_like(a[0]), np.ones_like(a[0])
+
+
+def _with_extrema(odd: Callable[[Interval], Interval], a: Interval, extremum: float) -> Interval:
+    """Return an odd function that goes to 0, from its values at both ends of a.
+
+    It is ``extremum`` at -1/sqrt(3) and the negative of it at 1/sqrt(3), and monotone between and beyond these. What
+    rounding moves across one of them changes by less than ``outward`` adds.
+    """
+    ends: list[Interval] = []
+    for end in a:
+        known = np.isfinite(end)
+        finite = np.where(known, end, 0.0)
+        ends.append(odd((finite, finite)))  # of 0 it is 0, as in the limit
+    lower, upper = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
+    place = 1 / np.sqrt(3.0)
+    lowest, highest = outward(np.full_like(lower, -extremum), np.full_like(upper, extremum))
+    return (
+        np.where((a[0] <= place) & (a[1] >= place), lowest, lower),
+        np.where((a[0] <= -place) & (a[1] >= -place), highest, upper),
+    )
+
+
+def _wave(function: np.ufunc, a: Interval, peak: float) -> Interval:
+    """Return sine or cosine; its maxima are at peak + 2 pi k, its minima half a turn later."""
+    known = np.isfinite(a[0]) & np.isfinite(a[1])
+    low, high = np.where(known, a[0], 0.0), np.where(known, a[1], 0.0)
+    near = TURN * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    lower, upper = outward(np.minimum(function(low), function(high)), np.maximum(function(low), function(high)))
+
+    def within(place: float) -> Mask:
+        return np.floor((high + near - place) / (2 * np.pi)) > np.floor((low - near - place) / (2 * np.pi))
+
+    upper = np.where(~known | within(peak), 1.0, np.minimum(upper, 1.0))
+    lower = np.where(~known | within(peak + np.pi), -1.0, np.maximum(lower, -1.0))
+    return lower, upper

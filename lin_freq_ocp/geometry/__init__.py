@@ -1,0 +1,1 @@
+"""Polyhedra, by linear programs of HiGHS."""

@@ -1,0 +1,343 @@
+# pyright: reportAttributeAccessIssue=false
+"""Polyhedra {y : a'y <= b, row by row}: the largest ball in one, what several leave uncovered, rows that say nothing.
+
+Every question is the linear program of the largest ball. Its answer is measured again, from its centre and the rows:
+what is called empty may hold a ball that the solver has missed, what is called a ball is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.errors import NumericalError
+
+TOLERANCE = 1e-12
+"""Of the solver's residuals and gap; in good units the radius is then right to 1e-10 or so."""
+
+THICKNESS = 1e-7
+"""A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers meet rows to 1e-8
+or so, and within that a point is on both sides."""
+
+SAME_FACET = 4 * THICKNESS
+"""Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
+counts as no gap, so that regions without a gap between them have a border."""
+
+NEARNESS = 1e-10
+"""Price of |y|^2 against the radius of a ball, so that of many largest balls one near the origin is found: it costs
+less than 1e-8 of radius within |y| <= 10, and without it nothing keeps y from infinity where the rows do not."""
+
+LARGEST_BALL = 1.0
+"""No larger one is looked for: in an unbounded polyhedron there is no largest."""
+
+SMALLEST_PIECE = 1e-10
+"""Radius of the largest ball of a piece of a function, in natural units, from which it has an interior: the radius is
+this exact."""
+
+SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
+"""Affine functions whose coefficients differ by less, relative to their sizes, are the same: rounding."""
+
+FLAT = 1e-9
+"""A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
+
+SOLVED = ("Solved", "AlmostSolved")
+"""Ends of the solver at which there is no larger ball than it found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """{y : normals y <= limits}.
+
+    Attributes
+    ----------
+    normals : (rows, d)
+        Of length 1.
+    limits : (rows,)
+    """
+
+    normals: Array
+    limits: Array
+
+    def __and__(self, other: Cell) -> Cell:
+        return Cell(np.vstack([self.normals, other.normals]), np.append(self.limits, other.limits))
+
+    def beyond(self, row: int) -> Cell:
+        """Return the half space on the other side of a row."""
+        return Cell(-self.normals[row : row + 1], -self.limits[row : row + 1])
+
+    def take(self, rows: Indices | Mask | slice) -> Cell:
+        """Return the cell of some of the rows."""
+        return Cell(self.normals[rows], self.limits[rows])
+
+    def inner_point(self, thickness: float) -> Array | None:
+        """Return the centre of the largest ball, (d,), if its radius is above ``thickness``."""
+        return ball_centre(self.normals, self.limits, np.ones(len(self.limits)), thickness)
+
+    def apart_from(self, other: Cell, thickness: float) -> bool:
+        """Whether two opposite rows alone leave no ball of radius ``thickness`` in both cells."""
+        opposite = np.abs(self.normals[:, None] + other.normals).max(axis=-1, initial=0.0) <= FLAT
+        return bool((opposite & (self.limits[:, None] + other.limits <= 2 * thickness)).any())
+
+    def same_as(self, normal: Array, limit: float) -> Mask:
+        """Whether each row is the same half space as normal'y <= limit."""
+        distance = np.abs(self.normals - normal).max(axis=-1, initial=0.0)
+        return (distance <= SAME_FACET) & (np.abs(self.limits - limit) <= SAME_FACET * max(1.0, abs(limit)))
+
+    def restricted(self, foot: Array, along: Array) -> Cell | None:
+        """Return the cell in z of y = foot + along z, orthonormal columns; None if a row without direction forbids it.
+
+        A row that is as good as parallel to the columns is kept or broken by the foot alone, within ``SAME_FACET``.
+        """
+        matrix, limits = self.normals @ along, self.limits - self.normals @ foot
+        decided = np.linalg.norm(matrix, axis=1) <= SAME_FACET
+        if (limits[decided] < -SAME_FACET * np.maximum(1.0, np.abs(self.limits[decided]))).any():
+            return None
+        return cell_of(matrix[~decided], limits[~decided])
+
+    def implies(self, other: Cell, row: int) -> bool:
+        """Whether one row of this cell alone makes a row of another hold."""
+        same = np.abs(self.normals - other.normals[row]).max(axis=-1, initial=0.0) <= FLAT
+        return bool((same & (self.limits <= other.limits[row] + FLAT)).any())
+
+
+def cell_of(matrix: Array, limits: Array) -> Cell | None:
+    """Return the cell of rows of any length; rows without limit or direction are left out, None if one cannot hold."""
+    norms = np.linalg.norm(matrix, axis=1)
+    kept = np.isfinite(limits) & (norms > 0)
+    if (limits[~kept] < 0).any():
+        return None
+    return Cell(matrix[kept] / norms[kept, None], limits[kept] / norms[kept])
+
+
+def has_interior(matrix: Array, limits: Array, thickness: float) -> bool:
+    """Whether matrix y <= limits holds a ball of radius ``thickness`` in natural units."""
+    sizes = natural_sizes(matrix, limits, np.full(matrix.shape[1], np.inf), 0.0)
+    cell = cell_of(matrix * sizes, limits)
+    return cell is not None and cell.inner_point(thickness) is not None
+
+
+def ball_centre(
+    normals: Array, limits: Array, radii: Array, thickness: float, plane: tuple[Array, float] | None = None
+) -> Array | None:
+    """Return the centre y of the largest ball, normals y + radius * radii <= limits, if its radius is above thickness.
+
+    Parameters
+    ----------
+    normals : (rows, d), limits : (rows,)
+    radii : (rows,)
+        How fast a ball grows towards each row: 1 for a row of length 1, less for a ball in a plane, 0 (below ``FLAT``)
+        for a row that only its centre must keep, within ``thickness``.
+    thickness : float
+    plane : (normal, limit), optional
+        The centre lies in normal'y = limit.
+
+    Raises
+    ------
+    NumericalError
+        If neither of two solvers can tell.
+    """
+    grows = radii > FLAT
+    rows = np.column_stack([normals, np.where(grows, radii, 0.0)])
+    right = np.where(grows, limits, limits + thickness)
+
+    def holds(y: Array) -> bool:
+        slack = right - normals @ y
+        free = (slack[grows] / radii[grows]).min(initial=LARGEST_BALL) > thickness
+        there = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
+        return bool(np.isfinite(y).all() and free and there and (slack[~grows] >= 0).all())
+
+    y, status = _interior_point(rows, right, plane)
+    if holds(y):
+        return y
+    if status in SOLVED or status.endswith("PrimalInfeasible"):
+        return None
+    y = _simplex(rows, right, plane)
+    return y if y is not None and holds(y) else None
+
+
+def _interior_point(rows: Array, right: Array, plane: tuple[Array, float] | None) -> tuple[Array, str]:
+    """Return y of the largest r with rows (y, r) <= right and r <= 1, and how the solver ended."""
+    d = rows.shape[1] - 1
+    parts, sides = [rows, np.eye(d + 1)[-1:]], [right, np.array([LARGEST_BALL])]
+    cones: list[object] = [clarabel.NonnegativeConeT(len(right) + 1)]
+    if plane is not None:
+        parts.insert(0, np.append(plane[0], 0.0)[None])
+        sides.insert(0, np.array([plane[1]]))
+        cones.insert(0, clarabel.ZeroConeT(1))
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    price = sp.diags_array(np.append(np.full(d, NEARNESS), 0.0), format="csc")
+    A, b = sp.csc_array(np.vstack(parts)), np.concatenate(sides)
+    answer = clarabel.DefaultSolver(price, -np.eye(d + 1)[-1], A, b, cones, settings).solve()
+    return np.array(answer.x)[:-1], str(answer.status)
+
+
+def _simplex(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+    """Return the same y by the simplex method, None if there is none: slower, and surer where the other one stalls."""
+    d = rows.shape[1] - 1
+    bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
+    equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
+    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs", **equal)
+    if answer.status not in (0, 2):
+        raise NumericalError(f"The largest ball in a polyhedron: neither solver ends ({answer.message}).")
+    return np.asarray(answer.x[:-1]) if answer.status == 0 else None
+
+
+def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
+    """Return a point of the domain that none of the cells holds; None if they cover it.
+
+    What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
+    those that hold on it and have not the same facet. They are looked for in the plane of the facet, by cutting it.
+    """
+    fat = [(domain & cell).inner_point(THICKNESS) is not None for cell in cells]
+    if not any(fat):
+        return domain.inner_point(THICKNESS)
+    for i, cell in enumerate(cells):
+        for row in range(len(cell.limits) if fat[i] else 0):
+            normal, limit = cell.normals[row], float(cell.limits[row])
+            if domain.same_as(normal, limit).any():
+                continue
+            foot, along = limit * normal, _basis_across(normal)
+            facet = (domain & cell.take(~cell.same_as(normal, limit))).restricted(foot, along)
+            point = None
+            if facet is not None:
+                point = _left_over(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
+            if point is not None:
+                return _into_the_gap(foot + along @ point, normal, domain, cells)
+    return None
+
+
+def _into_the_gap(start: Array, direction: Array, domain: Cell, cells: Sequence[Cell]) -> Array:
+    """Return a point halfway from a facet to where, straight on, the next cell begins or the domain ends."""
+    ends = [_interval(domain, start, direction)[1], 2 * LARGEST_BALL]
+    begins = [interval[0] for cell in cells if (interval := _interval(cell, start, direction))[1] > THICKNESS]
+    return start + min(*ends, *(begin for begin in begins if begin > THICKNESS)) / 2 * direction
+
+
+def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]:
+    """Return from where to where a straight line is in a cell, as multiples of the direction; (inf, -inf): nowhere."""
+    slack, rate = cell.limits - cell.normals @ start, cell.normals @ direction
+    falling, rising = rate < -FLAT, rate > FLAT
+    if (slack[~falling & ~rising] < -THICKNESS).any():
+        return np.inf, -np.inf
+    first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
+    last = float((slack[rising] / rate[rising]).min(initial=np.inf))
+    return (first, last) if first <= last else (np.inf, -np.inf)
+
+
+class _FarSide:
+    """What may be on the far side of a facet: all cells but its own and those that have the same one."""
+
+    def __init__(self, cells: Sequence[Cell], own: int, normal: Array, limit: float, foot: Array, along: Array):
+        self.cells, self.foot, self.along = cells, foot, along
+        d = len(normal)
+        lengths = [len(cell.limits) + 1 for cell in cells]  # and a row that says nothing, for cells without any
+        self.starts = np.append(0, np.cumsum(lengths)[:-1])
+        self.normals = np.vstack([part for cell in cells for part in (cell.normals, np.zeros((1, d)))])
+        self.limits = np.concatenate([part for cell in cells for part in (cell.limits, [np.inf])])
+        rows = Cell(self.normals, np.where(np.isfinite(self.limits), self.limits, 0.0))
+        self.facing = rows.same_as(-normal, -limit)
+        self.excluded = np.logical_or.reduceat(rows.same_as(normal, limit), self.starts)
+        self.excluded[own] = True
+
+    def around(self, point: Array, used: frozenset[int]) -> int | None:
+        """Return the cell that a point of the plane is deepest in, if it is in any."""
+        slack = self.limits - self.normals @ (self.foot + self.along @ point)
+        margins = np.minimum.reduceat(np.where(self.facing, np.inf, slack), self.starts)
+        margins[self.excluded | np.isin(np.arange(len(self.cells)), list(used))] = -np.inf
+        k = int(np.argmax(margins))
+        return k if margins[k] >= -THICKNESS else None
+
+
+def _left_over(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
+    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
+
+    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
+    """
+    point = piece.inner_point(THICKNESS)
+    if point is None:
+        return None
+    k = far.around(point, used)
+    cell = None if k is None else far.cells[k].restricted(far.foot, far.along)
+    if k is None:
+        return point
+    if cell is None:
+        return _left_over(piece, far, used | {k})
+    for row in range(len(cell.limits)):
+        if piece.implies(cell, row):
+            continue
+        outside = _left_over(piece & cell.beyond(row), far, used | {k})
+        if outside is not None:
+            return outside
+        piece = piece & cell.take(slice(row, row + 1))
+    return None
+
+
+def _basis_across(normal: Array) -> Array:
+    """Return orthonormal columns that span what is orthogonal to a vector of length 1, (d, d - 1)."""
+    return np.linalg.qr(np.column_stack([normal, np.eye(len(normal))]))[0][:, 1:]
+
+
+def irredundant(cell: Cell, thickness: float) -> Indices:
+    """Return the rows that the others do not imply: beyond each, a ball fits that they all allow."""
+    kept = list(range(len(cell.limits)))
+    for row in range(len(cell.limits)):
+        others = cell.take(np.array([k for k in kept if k != row], dtype=int))
+        if (others & cell.beyond(row)).inner_point(thickness) is None:
+            kept.remove(row)
+    return np.array(kept, dtype=int)
+
+
+def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:
+    """Return a unit for each component, from the rows matrix v <= limits and the half widths of its bounds.
+
+    Parameters
+    ----------
+    matrix : (rows, d), limits : (rows,)
+        Finite; v counts from the middle of its bounds.
+    half_widths : (d,)
+        inf without bounds, 0 where a component is fixed.
+    least : float
+        What reaches less far than this part of the half width says no size: it may be rounding.
+
+    Returns
+    -------
+    (d,)
+        How far the rows reach along a component, if that is less than its half width, or if it has none: there they
+        cross it, the others being as large as they are. 1 if nothing says a size.
+    """
+    coefficients = np.abs(matrix)
+    bounded = np.isfinite(half_widths) & (half_widths > 0)
+    sizes = np.where(bounded, half_widths, 0.0)
+    for _ in sizes:  # what one component says may give another its size
+        reach = _reach(coefficients, np.abs(limits), sizes)
+        grown = np.where(bounded | (sizes > 0), sizes, reach)
+        if (grown == sizes).all():
+            break
+        sizes = grown
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    reach = _reach(coefficients, np.abs(limits), sizes)
+    return np.where(bounded & (reach >= least * sizes), np.minimum(reach, sizes), sizes)
+
+
+def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:
+    """Return the |v_j| at which rows can hold with equality, the others up to their sizes; 0 where no row says one.
+
+    Of rows about v_j alone it is the largest, as a limit next to zero may be rounding; else, of the rows that it shares
+    with others, the smallest, as a coefficient next to zero may be rounding.
+    """
+    others = limits[:, None] + (coefficients * sizes) @ (1 - np.eye(len(sizes)))
+    there = coefficients > 0
+    reach = np.where(there, others, 0.0) / np.where(there, coefficients, 1.0)
+    alone = there.sum(axis=1) == 1
+    own = reach[alone].max(axis=0, initial=0.0)
+    shared = np.where(reach[~alone] > 0, reach[~alone], np.inf).min(axis=0, initial=np.inf)
+    return np.where(own > 0, own, np.where(np.isfinite(shared), shared, 0.0))

@@ -1,0 +1,1 @@
+"""Problems as CVXPY problems."""

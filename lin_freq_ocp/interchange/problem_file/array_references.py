@@ -1,0 +1,84 @@
+"""Large arrays live in an .npz beside the problem file; in the file stands ``{npz = "data.npz", key = "A"}``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.files import opened_npz
+from lin_freq_ocp.interchange.keys import require_keys
+
+INLINE_LIMIT = 400
+"""Most numbers of one field that are written into the text itself."""
+
+
+def resolved(value: Any, folder: Path, field: str = "") -> Any:
+    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read.
+
+    Raises
+    ------
+    ProblemError
+        If a reference leaves the folder, or there is no such file or array.
+    """
+    if isinstance(value, Mapping):
+        if "npz" in value:
+            return _referenced(field, value, folder)
+        return {key: resolved(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        return [resolved(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
+    return value
+
+
+def stored(value: Any, npz_name: str, arrays: dict[str, NDArray[Any]], field: str = "") -> Any:
+    """Return the tables with arrays as lists; the large ones go to ``arrays``, a reference taking their place."""
+    if isinstance(value, Mapping):
+        return {key: stored(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [stored(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.size <= INLINE_LIMIT:
+        return value.tolist()
+    arrays[field] = value
+    return {"npz": npz_name, "key": field}
+
+
+def _referenced(field: str, reference: Mapping[str, Any], folder: Path) -> NDArray[Any]:
+    require_keys(field, reference, required=("npz", "key"))
+    path, key = _inside(f"{field}.npz", reference["npz"], folder), reference["key"]
+    with opened_npz(f"{field}.npz", path) as arrays:
+        if key not in arrays.files:
+            raise ProblemError(
+                f"{field}.key",
+                brief(key),
+                f"the name of an array in {path.name}: {', '.join(arrays.files)}",
+                suggestion(key, arrays.files),
+            )
+        array = arrays[key]
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
+        kind = array.dtype if isinstance(array, np.ndarray) else "no array"
+        raise ProblemError(field, f"{kind} in {path.name}", "an array of real numbers")
+    return array
+
+
+def _inside(field: str, name: Any, folder: Path) -> Path:
+    """Return the path of a named file, links followed, if it lies in the folder or below."""
+    expected = "the name of a file in the folder of the problem file, or below"
+    if not isinstance(name, str):
+        raise ProblemError(field, brief(name), expected)
+    as_written = PureWindowsPath(name)  # knows both separators and drives: a file means the same everywhere
+    if as_written.anchor or ".." in as_written.parts:
+        raise ProblemError(field, brief(name), expected)
+    try:
+        target = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or a character no file name can have
+        raise ProblemError(field, f"{brief(name)} ({error})", expected) from None
+    if not target.is_relative_to(folder.resolve()):
+        raise ProblemError(field, f"{brief(name)}, a link to another folder", expected)
+    return target

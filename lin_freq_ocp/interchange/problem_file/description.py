@@ -1,0 +1,144 @@
+"""A problem as it is before it is solved, as plain data: what it says, its signals, and what can be set."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
+from lin_freq_ocp.interchange.problem_file.problem_file import read_tables
+from lin_freq_ocp.interchange.problem_file.problem_tables import OPTIONAL_KEYS
+from lin_freq_ocp.interchange.results.summary import finite, head
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.report.numbers import split_unit
+
+SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
+"""A heading of a numpydoc docstring."""
+
+ARRAY_REFERENCE = {"npz", "key"}
+"""Keys of a table that stands for an array in another file."""
+
+MEANINGS = {
+    "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
+    "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
+}
+"""What keys stand for that are in no file."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What ``--set`` can change.
+
+    Attributes
+    ----------
+    name : str
+        A keyword of a function, or a key of a file; keys of tables with dots.
+    default : object
+        Its value without settings; None: none.
+    value : object
+        Its value with the settings.
+    about : str
+        What it is; empty where nobody says.
+    """
+
+    name: str
+    default: Any
+    value: Any
+    about: str = ""
+
+
+def description_summary(problem: OptimalControlProblem, about: str, parameters: list[Parameter]) -> dict[str, Any]:
+    """Return the JSON object of ``lin-freq-ocp show --json``."""
+    states, bounds = problem.state_boxes, (problem.initial_box, problem.terminal_box)
+    return finite(
+        {
+            **head(problem),
+            "about": about or None,
+            "facts": [{"what": what, "words": words} for what, words in problem_facts(problem)],
+            "states": [
+                _signal(name, states, i) | {"initial": _pair(bounds[0], i), "terminal": _pair(bounds[1], i)}
+                for i, name in enumerate(problem.state_names)
+            ],
+            "controls": [_signal(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
+            "parameters": [asdict(one) for one in parameters],
+        }
+    )
+
+
+def parameters_of_function(function: Callable[..., Any], settings: Mapping[str, Any]) -> list[Parameter]:
+    """Return the keywords of a function with their defaults and what its docstring says of them."""
+    words = _documented(inspect.getdoc(function) or "")
+    defaults = {one.name: one.default for one in inspect.signature(function).parameters.values()}
+    return [
+        Parameter(name, default, settings.get(name, default), words.get(name, "")) for name, default in defaults.items()
+    ]
+
+
+def about_function(function: Callable[..., Any]) -> str:
+    """Return what a docstring says before its first section; lines that belong together are one."""
+    text = SECTION.split(inspect.getdoc(function) or "", maxsplit=1)[0]
+    return "\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
+def parameters_of_file(path: Path, settings: Mapping[str, Any]) -> list[Parameter]:
+    """Return the keys of a problem file with their values, and those that it could have without a value."""
+    tables, given = read_tables(path), _leaves(settings)
+    defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
+    absent = [
+        key for key in (*OPTIONAL_KEYS, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
+    ]
+    keys = dict.fromkeys([*defaults, *absent, *given])
+    return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]
+
+
+def _leaves(tables: Mapping[str, Any], within: str = "") -> dict[str, Any]:
+    """Return every value of nested tables under its key with dots; a list of tables is one value."""
+    leaves: dict[str, Any] = {}
+    for key, value in tables.items():
+        if isinstance(value, Mapping) and set(value) != ARRAY_REFERENCE and value:
+            leaves |= _leaves(value, f"{within}{key}.")
+        else:
+            leaves[within + key] = value
+    return leaves
+
+
+def _documented(docstring: str) -> dict[str, str]:
+    """Return what the section Parameters of a numpydoc docstring says of each name."""
+    parts = SECTION.split(docstring)
+    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
+    words: dict[str, str] = {}
+    names: list[str] = []
+    for line in sections.get("Parameters", "").splitlines():
+        if line[:1].strip():
+            names = [name.strip() for name in line.partition(" : ")[0].split(",")]
+        else:
+            words |= {name: f"{words.get(name, '')} {line.strip()}".strip() for name in names}
+    return words
+
+
+def _signal(name: str, bounds: Box, i: int) -> dict[str, Any]:
+    plain_name, unit = split_unit(name)
+    return {
+        "name": plain_name,
+        "unit": unit or None,
+        "lower": _over_time(bounds.lower[:, i]),
+        "upper": _over_time(bounds.upper[:, i]),
+    }
+
+
+def _over_time(bounds: Array) -> float | list[float]:
+    """Return a bound, or one per time if it depends on time."""
+    return bounds.tolist() if (bounds != bounds[0]).any() else float(bounds[0])
+
+
+def _pair(end: Box, i: int) -> list[float]:
+    return np.array([end.lower[i], end.upper[i]]).tolist()

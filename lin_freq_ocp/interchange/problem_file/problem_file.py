@@ -1,0 +1,120 @@
+"""The problem file: a problem in TOML, with large arrays in an .npz beside it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from numpy.typing import NDArray
+
+from lin_freq_ocp.atomic import write_bytes
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.files import npz_bytes, read_text
+from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.problem_file.array_references import resolved, stored
+from lin_freq_ocp.interchange.problem_file.problem_tables import problem_from_tables, tables_from_problem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+ARRAYS_SUFFIX = ".problem.npz"
+"""cart.toml keeps its large arrays in cart.problem.npz: cart.npz may be a solution that is saved beside it."""
+
+_ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
+
+
+def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> OptimalControlProblem:
+    """Read a problem from a TOML file.
+
+    Nothing is executed, and nothing outside the file's folder is read.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    overrides : mapping, optional
+        Values that take precedence over the file's, as nested tables: ``{"horizon": 100, "cost": {"R": 2.0}}``.
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file or describes no problem; the field is the file and the place in it,
+        ``"cart.toml: dynamics.A"``.
+    """
+    path = Path(path)
+    tables = read_tables(path)
+    with naming(path):
+        try:
+            return problem_from_tables(resolved(_merged(tables, overrides or {}), path.parent))
+        except ProblemError:
+            raise
+        except RecursionError:
+            raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
+        except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
+            raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
+
+
+def read_tables(path: Path) -> dict[str, Any]:
+    """Return what stands in a TOML file, be it a problem or not; ProblemError if it is no such file."""
+    text = read_text(path)
+    with naming(path):
+        return _parsed(text)
+
+
+def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
+    """Write a problem to a TOML file, from which ``read_problem`` makes the same one, to the last bit.
+
+    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz beside it (``cart.problem.npz`` for ``cart.toml``).
+    Files of these names are replaced.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        A continuous model is written as sampled, zero terms of the cost are left out, one set per time becomes one
+        array of bounds.
+    path : path
+        The file.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written there.
+    """
+    path = Path(path)
+    for name, content in problem_files(problem, path.name).items():
+        write_bytes(path.parent / name, content)
+
+
+def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
+    """Return the contents of what ``write_problem`` writes, by their names; the arrays come before what needs them."""
+    arrays: dict[str, NDArray[Any]] = {}
+    beside = Path(name).stem + ARRAYS_SUFFIX
+    text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(tables_from_problem(problem), beside, arrays)))
+    return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
+        raise ProblemError("TOML syntax", f"{error}", "a TOML file") from None
+
+
+def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with the overrides; one that is None takes its key away."""
+    merged = dict(table)
+    for key, value in overrides.items():
+        old = merged.get(key)
+        if value is None:
+            merged.pop(key, None)
+        else:
+            merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _on_one_line(row: re.Match[str]) -> str:
+    """Put a row of numbers on one line; a line break inside a string is written as an escape, so none is hit."""
+    return "[" + " ".join(row[1].split()).removesuffix(",") + "]"

@@ -1,0 +1,1 @@
+"""Trajectories and solutions as files and as objects of other packages."""

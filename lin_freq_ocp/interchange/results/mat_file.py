@@ -1,0 +1,138 @@
+"""Trajectories for MATLAB and from it: x, u and t in a .mat file, one row per time, as lsim and ode45 give them."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat, savemat
+
+from lin_freq_ocp.arrays import real_array
+from lin_freq_ocp.atomic import write_bytes
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.files import read_bytes, require_modest
+from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+COMPRESSED = 15
+"""The type of an element that is compressed."""
+
+PIECE = 2**22
+"""Bytes that are unpacked at once."""
+
+
+def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
+    """Write a trajectory to a .mat file (version 5), which MATLAB loads: one row per time.
+
+    Variables: x (T+1, n), u (T, m), t (T+1, 1) in seconds (in steps, if the problem has no sampling time), and the
+    cell arrays state_names (n, 1) and control_names (m, 1).
+
+    Raises
+    ------
+    ProblemError
+        If the trajectory is not of the problem's shape, or the file cannot be written.
+    """
+    problem.require(trajectory)
+    variables = {
+        "x": trajectory.x,
+        "u": trajectory.u,
+        "t": problem.times[:, None],
+        "state_names": _cells(problem.state_names),
+        "control_names": _cells(problem.control_names),
+    }
+    stream: Any = BytesIO()  # stubs of scipy know names of files only
+    savemat(stream, variables)
+    write_bytes(path, stream.getvalue())
+
+
+def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
+    """Read a trajectory from a .mat file: x (T+1, n) and u (T, m), one row per time, as lsim and ode45 have them.
+
+    Without x, the controls are replayed from the problem's initial state. u may have T+1 rows, as for lsim; its last
+    row acts on nothing. t, a vector in seconds, is compared with the sampling time if there are both. Other variables
+    are left out.
+
+    Parameters
+    ----------
+    path : path
+        Of version 5 or 7; MATLAB's ``save`` writes 7.3 only if told to.
+    problem : OptimalControlProblem
+        Its horizon, dimensions and sampling time.
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file, or a variable does not fit: the field names file and variable.
+    """
+    path = Path(path)
+    content = read_bytes(path)
+    try:
+        _require_modest(str(path), content)
+        stream: Any = BytesIO(content)
+        variables = loadmat(stream)
+    except ProblemError:
+        raise
+    except Exception as error:  # whatever it meets in a file that is damaged or of another kind
+        advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
+        raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
+    with naming(path):
+        if "u" not in variables:
+            there = [name for name in variables if not name.startswith("__")]
+            got = f"nothing (there is {', '.join(there) or 'no variable'})"
+            raise ProblemError("u", got, "a variable of this name", "Rename it in MATLAB, and save x, u and t.")
+        signals = {name: _matrix(name, variables[name]) for name in ("x", "u", "t") if name in variables}
+        trajectory = trajectory_from_signals(problem, signals.get("x"), signals["u"])
+        if "t" in signals:
+            _require_times(signals["t"], len(signals.get("x", signals["u"])), problem.sampling_time)
+        return trajectory
+
+
+def _require_modest(field: str, content: bytes) -> None:
+    """Raise ProblemError if compressed variables of a file of version 5 or 7 unpack to too much.
+
+    Unlike a zip archive it does not declare sizes: its variables are unpacked piece by piece, and not kept.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+    place, entries, unpacked = 128, 0, 0
+    while order is not None and place + 8 <= len(content):
+        kind, size = struct.unpack_from(f"{order}II", content, place)
+        place += 8
+        entries, unpacked = entries + 1, unpacked + size
+        if kind == COMPRESSED:
+            unpacker, rest = zlib.decompressobj(), content[place : place + size]
+            while rest and not unpacker.eof:
+                unpacked += len(unpacker.decompress(rest, PIECE))
+                rest = unpacker.unconsumed_tail
+                require_modest(field, entries, unpacked, len(content))
+        require_modest(field, entries, 0, len(content))
+        place += size
+
+
+def _matrix(name: str, value: Any) -> NDArray[Any]:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
+        kind = {"c": "a complex matrix", "U": "text"}.get(
+            np.asarray(value).dtype.kind, "a sparse matrix or a structure"
+        )
+        raise ProblemError(name, kind, "a matrix of real numbers, full")
+    return value
+
+
+def _require_times(t: NDArray[Any], rows: int, sampling_time: float | None) -> None:
+    if t.shape not in ((rows, 1), (1, rows)):
+        raise ProblemError("t", f"shape {t.shape}", f"shape ({rows}, 1), one time for each row")
+    if sampling_time is not None:
+        require_clock("t", real_array("t", t.ravel()), sampling_time)
+
+
+def _cells(names: tuple[str, ...]) -> NDArray[Any]:
+    cells = np.empty((len(names), 1), dtype=object)
+    cells[:, 0] = names
+    return cells

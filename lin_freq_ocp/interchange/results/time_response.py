@@ -1,0 +1,105 @@
+"""Trajectories as python-control's TimeResponseData, and back; there time is the last axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, real_array
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.places import placed
+from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> Any:
+    """Return a trajectory as a ``control.TimeResponseData`` with the problem's names as labels.
+
+    Its time (T+1,) is in seconds (in steps, without sampling time); states and outputs both are x', (n, T+1); inputs
+    are u', (m, T+1), NaN at time T, where there is no control.
+
+    Raises
+    ------
+    ProblemError
+        If the trajectory is not of the problem's shape.
+    """
+    import control  # here, because it takes seconds to import and only its users need it
+
+    problem.require(trajectory)
+    return control.TimeResponseData(
+        problem.times,
+        outputs=trajectory.x.T,
+        states=trajectory.x.T,
+        inputs=np.vstack([trajectory.u, np.full((1, problem.control_dim), np.nan)]).T,
+        output_labels=list(problem.state_names),
+        state_labels=list(problem.state_names),
+        input_labels=list(problem.control_names),
+        title=problem.name or None,
+        sysname=problem.name or None,
+    )
+
+
+def from_time_response(response: Any, problem: OptimalControlProblem) -> Trajectory:
+    """Return a response of python-control, such as of ``forced_response``, as a trajectory of the problem.
+
+    Signals are found by the problem's names if the labels have them all, else by their order if there are as many. The
+    states of the problem are looked for among the states of the response, then among its outputs. Inputs at time T act
+    on nothing, and are left out. python-control draws straight lines between the inputs of a continuous system; the
+    problem holds them.
+
+    Parameters
+    ----------
+    response : control.TimeResponseData
+        One response (one trace) at T+1 times, with inputs.
+    problem : OptimalControlProblem
+        Its names, dimensions, horizon and sampling time.
+
+    Raises
+    ------
+    ProblemError
+        If the response has other times or signals, or more than one trace.
+    """
+    import control  # here, because it takes seconds to import and only its users need it
+
+    if not isinstance(response, control.TimeResponseData):
+        raise ProblemError("response", type(response).__name__, "a control.TimeResponseData")
+    if response.ntraces > 1:
+        advice = "Take the response to one input: of step_response, with input=0."
+        raise ProblemError("response", f"{response.ntraces} traces", "one", advice)
+    T = problem.horizon
+    times = real_array("response.time", response.t)
+    if times.shape != (T + 1,):
+        raise ProblemError("response.time", f"{len(times)} times", f"{T + 1}, one per state")
+    if problem.sampling_time is not None:
+        require_clock("response.time", times, problem.sampling_time)
+    sources = [("states", response.x, response.state_labels), ("outputs", response.y, response.output_labels)]
+    found = [x for _, signals, labels in sources if (x := _rows(signals, labels, problem.state_names)) is not None]
+    controls = _rows(response.u, response.input_labels, problem.control_names)
+    if not found:
+        raise _unfit("states, outputs", sources, problem.state_names)
+    if controls is None:
+        raise _unfit("inputs", [("inputs", response.u, response.input_labels)], problem.control_names)
+    with placed("response"):
+        return trajectory_from_signals(problem, found[0].T, controls.T[:T])
+
+
+def _rows(signals: Any, labels: Sequence[str] | None, names: Sequence[str]) -> Array | None:
+    """Return the signals of these names, or all of them, in their order, if there are as many; else None."""
+    if signals is None:
+        return None
+    rows = np.asarray(signals)
+    rows = rows.reshape(len(rows), -1)  # one trace may stand between signal and time
+    if labels is not None and set(names) <= set(labels):
+        return rows[[list(labels).index(name) for name in names]]
+    return rows if len(rows) == len(names) else None
+
+
+def _unfit(field: str, sources: Sequence[tuple[str, Any, Sequence[str] | None]], names: Sequence[str]) -> ProblemError:
+    got = "; ".join(
+        f"{'no' if signals is None else len(signals)} {kind}" + (f" ({', '.join(labels)})" if labels else "")
+        for kind, signals, labels in sources
+    )
+    return ProblemError(f"response.{field}", got, f"{len(names)}: {', '.join(names)}")

@@ -1,0 +1,202 @@
+"""A run in one file: the problem, the options, what it ended with and what it ran on, to be repeated elsewhere."""
+
+from __future__ import annotations
+
+import io
+import json
+import traceback
+import warnings
+import zipfile
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.atomic import write_bytes
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
+from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.problem_file.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
+from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_solution, solution_bytes
+from lin_freq_ocp.interchange.results.summary import result_summary
+from lin_freq_ocp.interchange.runs.environment import environment
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.result import Result
+from lin_freq_ocp.solve import solve
+
+SCHEMA = 1
+"""Version of the layout; a file with another one is refused."""
+
+PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "solution.npz", "run.json"
+"""What the file, a zip archive, holds: the second if some arrays are large, the third if there is a trajectory."""
+
+NUMBER, WHOLE = (int, float, type(None)), (int, type(None))
+
+OPTIONS = {
+    **{"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": WHOLE},
+    "start": (list, dict),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SavedRun:
+    """A run, as it was dumped.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+        The same, to the last bit.
+    options : dict
+        What solve was given: method, backend, time_limit and tolerance; node_limit and start if they were given.
+    summary : dict or None
+        What ``lin-freq-ocp solve --json`` prints of the result; None if there was none.
+    solution : SavedSolution or None
+        Trajectory and multipliers, if it had any.
+    error : dict or None
+        If solve ended with an error that has no result: its "type", "message" and "places" in the code.
+    environment : dict
+        Versions of Python and of packages, system, processor and BLAS.
+    """
+
+    problem: OptimalControlProblem
+    options: dict[str, Any]
+    summary: dict[str, Any] | None
+    solution: SavedSolution | None
+    error: dict[str, Any] | None
+    environment: dict[str, Any]
+
+    def solve(self, throw: bool = False) -> Result:
+        """Solve the same problem with the same options, here and now; ``throw`` as for ``lfo.solve``."""
+        return solve(self.problem, **self.options, throw=throw)
+
+
+def dump_run(
+    path: str | PathLike[str],
+    problem: OptimalControlProblem,
+    options: Mapping[str, Any],
+    result: Result | None = None,
+    error: Exception | None = None,
+) -> None:
+    """Write a run to one file, a zip archive that ``load_run`` reads; one of this name is replaced.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    problem, options
+        What solve was given.
+    result, error : optional
+        What it ended with.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written there.
+    """
+    summary = None if result is None else result_summary(result)
+    run = {
+        "schema": SCHEMA,
+        "options": dict(options),
+        "environment": environment(options.get("backend")),
+        "summary": summary,
+        "error": None if error is None else described(error),
+    }
+    contents = problem_files(problem, PROBLEM)
+    if result is not None and result.trajectory is not None and summary is not None:
+        contents[SOLUTION] = solution_bytes(result.trajectory, result.multipliers, summary)
+    contents[RUN] = (json.dumps(run, indent=2, default=float) + "\n").encode()
+    large = sum(map(len, contents.values())) > LARGE  # what is large and full of zeros would be taken for a bomb
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED if large else zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(contents):
+            archive.writestr(name, contents[name])
+    write_bytes(path, buffer.getvalue())
+
+
+@contextmanager
+def dumping_errors(
+    path: str | PathLike[str] | None, problem: OptimalControlProblem, options: Mapping[str, Any]
+) -> Generator[None]:
+    """Dump the run to the path, if any, when an error ends it; the error goes on, even if that fails."""
+    try:
+        yield
+    except Exception as error:
+        if path is not None:
+            try:
+                dump_run(path, problem, options, error=error)
+            except Exception as failed:  # it must not take the place of the error that is to be told
+                warnings.warn(f"nothing dumped: {failed}", RuntimeWarning, stacklevel=2)
+        raise
+
+
+def load_run(path: str | PathLike[str]) -> SavedRun:
+    """Read what ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file; the field names it, the file within, and the place there.
+    """
+    path = Path(path)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        _unpack(path, folder)
+        with naming(path):
+            run = _run(folder / RUN)
+            problem = read_problem(folder / PROBLEM)
+            solution = load_solution(folder / SOLUTION) if (folder / SOLUTION).exists() else None
+            if solution is not None:
+                with naming(folder / SOLUTION):
+                    problem.require(solution.trajectory)
+    return SavedRun(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
+
+
+def described(error: Exception) -> dict[str, Any]:
+    """Return an error for JSON; places are modules and lines, and no folder is named."""
+    frames = traceback.walk_tb(error.__traceback__)
+    places = [f"{frame.f_globals.get('__name__', '?')}:{line} {frame.f_code.co_name}" for frame, line in frames]
+    words = error.strerror if isinstance(error, OSError) else str(error)
+    return {"type": type(error).__name__, "message": words or "", "places": places}
+
+
+def _unpack(path: Path, folder: Path) -> None:
+    """Write the files that belong to a run to the folder; others, whatever their names, are left where they are."""
+    require_file(str(path), path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            require_modest(str(path), len(entries), sum(one.file_size for one in entries), path.stat().st_size)
+            present = {one.filename: one for one in entries}
+            for name in (PROBLEM, ARRAYS, SOLUTION, RUN):
+                if name in present and present[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ProblemError(f"{path.name}: {name}", "another compression", "deflate, or none")
+                if name in present:
+                    (folder / name).write_bytes(archive.read(name))
+                elif name in (PROBLEM, RUN):
+                    raise ProblemError(f"{path.name}: {name}", "nothing", "this file in the archive")
+    except ProblemError:
+        raise
+    except DAMAGED as error:
+        raise ProblemError(str(path), f"unreadable ({error})", "a file that lin-freq-ocp solve --dump wrote") from None
+
+
+def _run(path: Path) -> dict[str, Any]:
+    with naming(path):
+        run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
+        require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
+        if run["schema"] != SCHEMA:
+            advice = "Another version of this package may have written it."
+            raise ProblemError("schema", brief(run["schema"]), f"{SCHEMA}", advice)
+        require_keys("options", run["options"], optional=OPTIONS)
+        for key, kinds in OPTIONS.items():
+            if key in run["options"] and not isinstance(run["options"][key], kinds):
+                raise ProblemError(f"options.{key}", brief(run["options"][key]), "an option of solve")
+        for key in ("environment", "summary", "error"):
+            if not isinstance(run[key], dict) and (run[key] is not None or key == "environment"):
+                raise ProblemError(key, brief(run[key]), "a table")
+        return run

@@ -1,0 +1,216 @@
+"""Sweeps in files: JSON lines that grow while points finish and are resumed from, a table, and a JSON object.
+
+The first line says what is swept. Then comes a line per finished point, and one with the grid whenever it is new. Each
+is on the disk before the next is begun; of a crash in the midst of one, what is there of it is left out.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.atomic import write_text, writing
+from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
+from lin_freq_ocp.comparison.sweep.point import ERROR, Row
+from lin_freq_ocp.comparison.sweep.sweep import MEASURED, Sweep, SweepHead
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.files import parsed_json, read_text
+from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.results.csv_file import header
+
+SCHEMA = 1
+"""Version of the layout; a file with another one is refused."""
+
+KIND = "lin-freq-ocp sweep"
+
+BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]
+"""How every file begins, and by what one that ends within its first line is known."""
+
+HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
+
+HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
+
+NUMBER = int | float | None
+
+ROW_KINDS = {"parameters": dict, "status": str, "proven": bool, "global": bool | None} | {
+    **dict.fromkeys(("cost", "lower_bound", "gap", "seconds"), NUMBER),
+    **dict.fromkeys(("pmp", "method", "backend", "message"), str | None),
+}
+"""What a row holds under each key."""
+
+DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
+ANOTHER_PATH = "Give another path, or remove the file."
+
+
+class SweepFile:
+    """A file that gets a line per point; one that is there already is continued.
+
+    Parameters
+    ----------
+    path : path
+    head : SweepHead
+    grid : mapping
+        The values of each parameter, as JSON has them.
+
+    Attributes
+    ----------
+    rows : list of Row
+        What was in it at first, without points that ended with an error.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written, is no such file, is damaged, or belongs to another sweep.
+    """
+
+    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[Any]]):
+        self._path = Path(path)
+        first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
+        first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
+        lines = [] if not self._path.exists() else _lines(self._path)
+        self.rows = [row for row in _rows(self._path, lines) if row["status"] != ERROR]
+        if lines:
+            _require_same(self._path, lines[0], head)
+        with writing(self._path):
+            whole = self._path.read_bytes().rpartition(b"\n") if lines else (b"", b"", b"")
+            self._stream = self._path.open("ab")
+            self._stream.truncate(len(whole[0]) + len(whole[1]))
+        given = {name: list(values) for name, values in grid.items()}
+        if not lines:
+            self._write(first | {"options": dict(head.options), "grid": given})
+        elif list(_grid(lines).items()) != list(given.items()):
+            self._write({"grid": given})
+
+    def append(self, row: Row) -> None:
+        """Write one point; it is on the disk when this returns."""
+        self._write(row)
+
+    def _write(self, entry: Mapping[str, Any]) -> None:
+        with writing(self._path):
+            self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+
+    def __enter__(self) -> SweepFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+
+
+def load_sweep(path: str | PathLike[str]) -> Sweep:
+    """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file, or damaged.
+    """
+    path = Path(path)
+    lines = _lines(path)
+    if not lines:
+        raise _no_sweep(path)
+    grid = {name: tuple(values) for name, values in _grid(lines).items()}
+    rows = {point_key(row["parameters"]): row for row in _rows(path, lines)}
+    kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
+    return Sweep(lines[0]["problem"], grid, kept, lines[0]["options"])
+
+
+def save_sweep_csv(path: str | PathLike[str], sweep: Sweep) -> None:
+    """Write a line per row, parameters first; numbers to the last bit, nothing where nothing is known."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(map(header, (*sweep.names, *MEASURED)))
+    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    write_text(path, text.getvalue())
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
+    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
+
+
+def sweep_summary(sweep: Sweep) -> dict[str, Any]:
+    """Return a sweep as the JSON object of ``lin-freq-ocp sweep --json``."""
+    return {
+        "schema": SCHEMA,
+        "version": version("lin-freq-ocp"),
+        "problem": sweep.problem,
+        "grid": {name: list(values) for name, values in sweep.grid.items()},
+        "options": dict(sweep.options),
+        "complete": sweep.complete,
+        "interrupted": sweep.interrupted,
+        "points": list(sweep.rows),
+    }
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
+    head, *others = read_text(path).split("\n")
+    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
+        return []
+    if not head.startswith(BEGINNING):
+        raise _no_sweep(path)
+    lines = [_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    require_keys(path.name, lines[0], HEAD_KEYS)
+    for key, kind in HEAD_KINDS.items():
+        _require_kind(path.name, lines[0], key, kind)
+    return lines
+
+
+def _line(path: Path, number: int, text: str) -> dict[str, Any]:
+    line = parsed_json(f"{path}, line {number}", text)
+    place = f"{path.name}, line {number}"
+    require_keys(place, line, optional=() if not isinstance(line, dict) else line)
+    if "grid" in line:
+        _require_grid(place, line["grid"])
+    elif number > 1:
+        require_keys(place, line, ("parameters", *MEASURED))
+        for key, kind in ROW_KINDS.items():
+            _require_kind(place, line, key, kind)
+    return line
+
+
+def _require_grid(place: str, grid: Any) -> None:
+    if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
+        raise ProblemError(f"{place}.grid", brief(grid), "a list of values for each parameter")
+
+
+def _require_kind(place: str, line: Mapping[str, Any], key: str, kind: Any) -> None:
+    value = line[key]
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+        raise ProblemError(f"{place}.{key}", brief(value), "what a sweep writes there")
+
+
+def _rows(path: Path, lines: Sequence[Mapping[str, Any]]) -> list[Any]:
+    return [line for line in lines if "grid" not in line]
+
+
+def _grid(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    return [line["grid"] for line in lines if "grid" in line][-1]
+
+
+def _require_same(path: Path, found: Mapping[str, Any], head: SweepHead) -> None:
+    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
+    for key, words in DIFFERENCES:
+        if found[key] != expected[key]:
+            got = f"a sweep of {words} ({brief(found[key])})"
+            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
+    if found["fingerprint"] != head.fingerprint:
+        same = f"{head.problem}, with the same data and fixed arguments"
+        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
+
+
+def _no_sweep(path: Path) -> ProblemError:
+    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")

@@ -1,0 +1,1 @@
+"""Benchmarks with linear dynamics, each with its source."""

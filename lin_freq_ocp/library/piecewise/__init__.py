@@ -1,0 +1,1 @@
+"""Benchmarks with piecewise-affine and piecewise-smooth dynamics, each with its source."""

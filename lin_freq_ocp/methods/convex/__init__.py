@@ -1,0 +1,1 @@
+"""One sparse convex program, solved by a backend in well-scaled units."""

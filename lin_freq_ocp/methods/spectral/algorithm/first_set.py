@@ -1,0 +1,148 @@
+"""A first working set from a cheaper problem: a shorter horizon, or samples held together (SPECTRAL.md, section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, Exchange, Stop
+from lin_freq_ocp.methods.spectral.kkt.structure import Structure, prepare
+from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+from lin_freq_ocp.methods.spectral.model.lti import Lti
+
+LEAST_HORIZON = 600
+"""Horizon from which a first guess costs less than the rounds it saves."""
+
+HELD = 8
+"""Samples held together on the coarse problem."""
+
+SPREAD = 2
+"""Samples by which a coarse active control spreads beyond its own ones."""
+
+FORGOTTEN = 40.0
+"""Decay exp(-FORGOTTEN) of the slowest mode off the circle at which the two ends no longer see each other."""
+
+ON_CIRCLE = 1e-6
+"""|log |lambda|| of a mode that never forgets: it is not counted."""
+
+LEAST_SHORTENING = 2
+"""How many times shorter that horizon must be at least; HELD times, where samples may be held together instead."""
+
+HELD_GROWTH = 4.0
+"""Growth of the fastest mode over held samples up to which they may be held together."""
+
+SHORTEST = 10
+"""The shortened horizon is at least this fraction of the whole."""
+
+SHORT_TOLERANCE = 1e-6
+HELD_TOLERANCE = 1e-4
+"""Relative violations that are good enough for a guess."""
+
+
+def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
+    """Return a guess of the active rows, or None: start cold.
+
+    Parameters
+    ----------
+    lti : Lti
+    stop : callable
+        Says why to stop early, or None.
+    structures : dict
+        Structures of the cheaper problems by horizon; kept there for other data.
+    """
+    if lti.horizon < LEAST_HORIZON:
+        return None
+    shorter = _shortened_horizon(lti)
+    hold = shorter * HELD > lti.horizon and _may_be_held(lti)
+    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
+        return None
+    coarse, tolerance = (_held(lti), HELD_TOLERANCE) if hold else (_shortened(lti, shorter), SHORT_TOLERANCE)
+    try:
+        if coarse.horizon not in structures:
+            structures[coarse.horizon] = Structure(coarse)
+        structure = structures[coarse.horizon]
+        guess = first_working_set(coarse, stop, structures)
+        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance, stop).run(ROUNDS)
+    except (UnsupportedError, np.linalg.LinAlgError):  # a guess is all that is lost
+        return None
+    if outcome.status != "optimal":
+        return None
+    active = outcome.working.weights > 0
+    working = outcome.working
+    t, f, sign = working.t[active], working.f[active], working.sign[active]
+    if hold:
+        return _spread(lti, t, f, sign)
+    return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
+
+
+def _may_be_held(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow while a control is held: else it could not hold them back."""
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HELD <= HELD_GROWTH
+
+
+def _shortened_horizon(lti: Lti) -> int:
+    """Return the horizon at which the ends no longer see each other; as it is if they always do."""
+    rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
+    rate = rate[rate > ON_CIRCLE]
+    memory = int(FORGOTTEN / rate.min()) if len(rate) else lti.horizon
+    return max(2 * memory, lti.horizon // SHORTEST)
+
+
+def _shortened(lti: Lti, T: int) -> Lti:
+    """Return the problem without its middle; bands keep their frequencies."""
+    head, tail = slice(0, T // 2), slice(lti.horizon - (T - T // 2), lti.horizon)
+
+    def cut(signal: Array) -> Array:
+        return np.hstack([signal[:, head], signal[:, tail]])
+
+    bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
+    return _without_equations(lti, T, lti.passed[:, bins], cut)
+
+
+def _held(lti: Lti) -> Lti:
+    """Return the problem in which HELD samples of the control are one."""
+    T, n = lti.horizon // HELD, lti.state_dim
+    A, B = np.eye(n), np.zeros_like(lti.B)
+    offset = None if lti.offset is None else np.zeros((n, T))
+    for j in range(HELD):
+        A, B = lti.A @ A, lti.A @ B + lti.B
+        if offset is not None and lti.offset is not None:
+            offset = lti.A @ offset + lti.offset[:, j : HELD * T : HELD]
+    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HELD * T : HELD])
+    linear = None if lti.linear is None else lti.linear[:, : HELD * T].reshape(len(lti.M), T, HELD).sum(2)
+    return replace(coarse, A=A, B=B, M=lti.M * HELD, linear=linear, offset=offset)
+
+
+def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Array]) -> Lti:
+    """Return the problem at another horizon, without state bands and without values that bounds fix."""
+    lower, upper = cut(lti.lower), cut(lti.upper)
+    fixed = lower == upper
+    return replace(
+        lti,
+        horizon=T,
+        passed=passed,
+        state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
+        lower=np.where(fixed, -np.inf, lower),
+        upper=np.where(fixed, np.inf, upper),
+        linear=None if lti.linear is None else cut(lti.linear),
+        offset=None if lti.offset is None else cut(lti.offset),
+    )
+
+
+def _spread(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
+    """Return held samples as samples: a control's with its neighbours, a state's first one, x_T as x_T."""
+    n, T = lti.state_dim, lti.horizon
+    last = t == T // HELD
+    states = ~last & ~lti.F[f, n:].any(1)
+    controls = ~last & ~states
+    around = np.arange(-SPREAD, HELD + SPREAD)
+    many = (t[controls, None] * HELD + around).clip(0, T - 1).ravel()
+    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HELD, many])
+    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
+    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
+    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
+    return Rows(times[unique], rows[unique], signs[unique])

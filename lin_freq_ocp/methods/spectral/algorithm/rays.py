@@ -1,0 +1,125 @@
+"""Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (SPECTRAL.md, 2.6).
+
+A ray (l >= 0, y) proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in theta) and the constraints,
+weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c that satisfies the dynamics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.structure import Data, Signals, Structure, equation_residual, signals
+from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+
+RAY_TOLERANCE = 1e-6
+"""Stationarity of a ray, relative to its multipliers."""
+
+RAY_VALUE = 100.0
+"""How many times stronger than that its value must be, to be more than rounding."""
+
+DECIDED = 1e-11
+"""Part of a row's own response that the equations leave it, below which they alone decide the row."""
+
+DECIDED_VIOLATION = 1e-8
+"""Violation, relative to the bound, of a row that the equations decide."""
+
+CONFLICT = 1e-4
+"""tau of the homogeneous dual, 1 where rows can be reconciled and 0 where they conflict, below which they conflict."""
+
+
+TINY = 1e-150
+"""Keeps the scale of a violation that is exactly zero finite, squared too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """A Farkas ray, verified within this method: weights of the working rows, multipliers of the equations, forces."""
+
+    working: WorkingSet
+    multipliers: Array
+    force: Signals
+
+
+def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
+    """Return a ray of the equations alone, from the dependent ones among them."""
+    dependent = structure.border.dependent
+    y = -dependent @ (dependent.T @ residual)
+    largest = float(np.abs(y).max(initial=0.0))
+    return None if largest == 0 else _verified(structure, data, WorkingSet(structure.border), y / largest)
+
+
+def row_ray(
+    structure: Structure,
+    data: Data,
+    working: WorkingSet,
+    S: Array,
+    d: Array,
+    Z: Array,
+    ask: bool,
+    stop: Callable[[], str | None] = lambda: None,
+) -> Ray | None:
+    """Return a ray of working rows: one that the equations decide, or (``ask``) a combination of many.
+
+    The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is always bounded; tau = 1 + rho d'l vanishes where the
+    rows conflict.
+    """
+    inner = working.inner
+    free = np.full(len(working), 1 / data.lti.curvature_unit)  # x_T moves by itself
+    free[inner] = structure.kernels.free_response(working.f[inner])
+    decided = (np.diagonal(S) < DECIDED * free) & (d < -DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti))))
+    if decided.any():
+        weights = np.zeros(len(d))
+        weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
+    elif ask:
+        size = np.abs(d) / np.sqrt(np.maximum(np.diagonal(S), TINY))
+        rho = max(float(size.max()), TINY) ** -2
+        weights, _ = nonnegative_qp(S + rho * np.outer(d, d), d, np.zeros(len(d)), stop=stop)
+        if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT:
+            return None
+    else:
+        return None
+    weights /= weights.max()
+    return _verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
+
+
+def stiffened_ray(
+    structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
+) -> Ray | None:
+    """Return a ray of working rows where the border is soft: what can be satisfied does not depend on what it costs."""
+    border, nothing = structure.border, WorkingSet(structure.border)
+    theta = np.zeros(border.size)
+    c = signals(structure, data, theta, np.zeros(len(data.e)), nothing)
+    step = border.stiffened @ np.concatenate([theta, equation_residual(structure, data, theta, c)])
+    Z = border.stiffened @ working.coupling
+    through_border = working.coupling.T @ Z
+    S = working.gram + (through_border + through_border.T) / 2
+    d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
+    return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
+
+
+def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
+    border, lti = structure.border, data.lti
+    at = signals(structure, data, np.zeros(border.size), y, working)
+    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
+    moved = sum(np.conj(structure.spaces.N[i]) * at.force[i] for i in range(len(lti.M)))
+    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), TINY) * size)
+    slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
+    stationarity = max(stationarity, float(slope) / size)
+    value, terms = _value(structure, data, working, y)
+    proven = stationarity < RAY_TOLERANCE * min(1.0, -RAY_VALUE * value / terms)
+    return Ray(working, y, at) if proven else None
+
+
+def _value(structure: Structure, data: Data, working: WorkingSet, y: Array) -> tuple[float, float]:
+    """Return l'(limit - F c) + y'(e - E c) at the point c without forces, and the size of its terms."""
+    nothing, theta = WorkingSet(structure.border), np.zeros(structure.border.size)
+    c = signals(structure, data, theta, np.zeros(len(y)), nothing)
+    limits = working.limits(data.lti)
+    residual = equation_residual(structure, data, theta, c)
+    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
+    return value, float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300

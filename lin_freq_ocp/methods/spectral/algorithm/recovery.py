@@ -1,0 +1,145 @@
+"""The multipliers of the maximum principle from the final spectra, without any recursion in time (SPECTRAL.md, 1.10).
+
+With the spectrum p_k of M y + h + forces, the adjoint is eta_k = -(zI - A)^{-*} p_k at every bin; near eigenvalues its
+part along small singular values is the multiplier of that bin's compatibility equation. A recursion would multiply
+rounding by the growth of the dynamics, 3e46 on the pendulum sampled at 0.1 s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, ComplexArray
+from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
+from lin_freq_ocp.methods.spectral.kkt.structure import Data, Structure
+from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers
+
+
+def trajectory(outcome: Outcome, units: Units) -> Trajectory:
+    """Return the point in the user's units."""
+    n, at = len(units.x), outcome.signals
+    x = np.empty((at.y.shape[1] + 1, n))
+    np.multiply(at.y[:n].T, units.x, out=x[:-1])
+    x[-1] = at.last * units.x
+    return Trajectory(x, at.y[n:].T * units.u)
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """Multipliers in the units of the Lti problem, time or bins last.
+
+    Attributes
+    ----------
+    eta_C : float
+    eta : (n, T)
+    on_rows : (rows, T+1)
+        Of F y_t: the states' mu, the controls' nu, the stage rows'; at T of x_T.
+    band : (m, bins)
+        Spectrum of the stop bands' forces R'rho_u; zero at passed bins.
+    leak : float
+        Amplitude in time of B'eta - (gradient in u) at passed bins, where it should vanish.
+    rho_x : ((T+1)//2 + 1, n)
+    """
+
+    eta_C: float
+    eta: Array
+    on_rows: Array
+    band: ComplexArray
+    leak: float
+    rho_x: ComplexArray
+
+
+def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:
+    """Return the multipliers of an outcome; of its ray (eta_C = 0) if it has one."""
+    lti, ray, n = data.lti, outcome.ray, data.lti.state_dim
+    if ray is None:
+        working, y, eta_C = outcome.working, outcome.multipliers, 1.0
+        gradient = lti.M @ outcome.signals.spectrum + outcome.signals.force
+        if data.linear is not None:
+            gradient += data.linear
+    else:
+        working, y, gradient, eta_C = ray.working, ray.multipliers, ray.force.force, 0.0
+    eta_hat = _adjoint_spectrum(structure, y, gradient)
+    band = lti.B.T @ eta_hat - gradient[n:]
+    leak = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
+    band[lti.passed] = 0.0
+    eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, lti, working, y)
+    _set_ends(structure, lti, outcome, eta_C, eta, on_rows, y)
+    return Recovered(eta_C, eta, on_rows, band, leak, _state_band_multipliers(structure, lti, y))
+
+
+def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:
+    """Return the spectrum of eta, (n, bins)."""
+    spaces, border, n = structure.spaces, structure.border, structure.border.lti.state_dim
+    with np.errstate(all="ignore"):
+        eta = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
+    eta[:, spaces.near.k] = -spaces.near.adjoint(gradient[:, spaces.near.k])
+    place = len(border.point_t)
+    for scale, singular in zip(border.singular_scale, spaces.singular, strict=True):
+        weight = spaces.weight[singular.k]
+        value = y[place] if weight == 1 else y[place] + 1j * y[place + 1]
+        eta[:, singular.k] += singular.left * (scale * border.lti.horizon / weight * value)
+        place += int(weight)
+    return eta
+
+
+def _row_multipliers(structure: Structure, lti: Lti, working: WorkingSet, y: Array) -> Array:
+    """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1); of states, controls, stage rows in turn."""
+    border, n = structure.border, lti.state_dim
+    on_rows = np.zeros((len(lti.F), lti.horizon + 1))
+    np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
+    fixed = slice(n, len(border.point_t))
+    np.add.at(on_rows, (border.point_f[fixed], border.point_t[fixed]), y[fixed])
+    return on_rows
+
+
+def _state_band_multipliers(structure: Structure, lti: Lti, y: Array) -> ComplexArray:
+    border = structure.border
+    rho = np.zeros(lti.state_stop.shape, dtype=np.complex128)
+    on_bands = y[len(y) - len(border.bands) :]
+    for i in border.band_components:
+        rho[:, i] = bin_multipliers(lti.horizon + 1, lti.state_stop[:, i], on_bands[border.band_component == i])
+    return rho
+
+
+def _set_ends(
+    structure: Structure, lti: Lti, outcome: Outcome, eta_C: float, eta: Array, on_rows: Array, y: Array
+) -> None:
+    """Set mu_0, mu_T where ends are fixed: any vector is normal there, and transversality says which."""
+    border, n, at = structure.border, lti.state_dim, outcome.signals
+    on_bands = y[len(y) - len(border.bands) :]
+    first, last = np.zeros(n), np.zeros(n)
+    np.add.at(first, border.band_component, on_bands * border.bands[:, 0])
+    np.add.at(last, border.band_component, on_bands * border.bands[:, -1])
+    first += lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
+    if eta_C:
+        first += lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
+        last += lti.P @ at.last + lti.p
+    start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
+    on_rows[start, 0] = (lti.A.T @ eta[:, 0] - first)[start]
+    on_rows[end, -1] = (-eta[:, -1] - last)[end]
+
+
+def in_units(problem: OptimalControlProblem, structure: Structure, units: Units, found: Recovered) -> Multipliers:
+    """Return the theorem's multipliers in the user's units."""
+    n, m = problem.state_dim, problem.control_dim
+    x, u = units.cost / units.x, units.cost / units.u
+    weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
+    splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
+    on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
+    return Multipliers(
+        found.eta_C,
+        found.eta.T * x,
+        found.on_rows[:n].T * x,
+        found.on_rows[n : n + m, :-1].T * u,
+        (found.band * (structure.spaces.weight / problem.horizon)).T * u,
+        found.rho_x * x,
+        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)},
+    )

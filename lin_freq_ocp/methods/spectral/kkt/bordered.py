@@ -1,0 +1,320 @@
+"""The few unknowns and equations that no single bin owns (SPECTRAL.md, 1.2, 1.5, 1.6).
+
+Border variables theta: the free components of x_0 and x_T, then real coordinates of the border directions, each with a
+signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that bounds
+fix, compatibility at singular bins, state bands. They meet in one symmetric indefinite matrix
+
+    K_b = [[H, E'], [E, -G_EE]].
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral.model.kernels import Kernels
+from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.transcription.linear.real_rows import real_rows
+
+NULL_EQUATION = 1e-12
+"""Relative singular value of the equations that is rounding of 0."""
+
+EQUATION_ROUNDING = 1e-13
+"""Relative eigenvalue of G_EE that is rounding of 0."""
+
+EQUILIBRATIONS = 3
+"""Passes of row scaling before the border matrix is decomposed."""
+
+SOFT = 1e11
+"""Response of a border variable to a force, relative to that of a control, from which the border is not eliminated."""
+
+SOFT_END = 1e8
+"""The same for free ends: what moves them moves all signals."""
+
+HESSIAN_ROUNDING = 1e-15
+"""Curvature of a border variable, relative to the largest one, that may be rounding."""
+
+SHORTEST_PROXIMAL = 1e-16
+"""Smallest proximal weight on the variables of a soft border, relative to the curvature of a control."""
+
+LARGEST_BORDER = 3000
+"""Rows of the border matrix beyond which its dense decomposition takes longer than the sparse program."""
+
+
+class Border:
+    """Border variables, equations, and the pseudo-inverse of K_b.
+
+    Attributes
+    ----------
+    free_start, free_end : indices of the free components of x_0, x_T; ``at_start``, ``at_end``: their places in theta
+    ends : (n, free ends)
+        d w / d theta, w = x_0 - x_T.
+    bins : (q,), vectors : (n+m, q)
+        Bin and vector of each further coordinate.
+    H : (size, size), E : (equations, size)
+    point_t, point_f : (points,)
+        Rows that equations fix; the first n are x(0).
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
+        self.lti, self.spaces, self.kernels = lti, spaces, kernels
+        self._set_variables()
+        self._require_size()
+        self._set_hessian()
+        self._set_points()
+        self._set_singular_rows()
+        self._set_band_rows()
+        self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
+        self._decompose()
+
+    def _require_size(self) -> None:
+        """Raise UnsupportedError before anything of the border's size is made, if there is too much of it."""
+        lti, fixed = self.lti, len(self.lti.fixed_points[0])
+        if lti.state_dim + fixed > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': bounds fix {fixed} values within the horizon; it takes "
+                f"{LARGEST_BORDER - lti.state_dim}. Use method 'convex'."
+            )
+        bands = 2 * int(lti.state_stop.sum())
+        singular = int(sum(self.spaces.weight[one.k] for one in self.spaces.singular))
+        equations = lti.state_dim + fixed + singular + bands
+        if self.size + equations > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points or bins "
+                f"of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
+            )
+
+    def _set_variables(self) -> None:
+        lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
+        self.free_start, self.free_end = np.flatnonzero(np.isnan(lti.start)), np.flatnonzero(np.isnan(lti.end))
+        ends = len(self.free_start) + len(self.free_end)
+        self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
+        identity = np.eye(n)
+        self.ends = np.hstack([identity[:, self.free_start], -identity[:, self.free_end]])
+        self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
+        if ends:
+            self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
+        self.end_signals = fft.irfft(self.end_responses, T) if ends else np.zeros((len(lti.M), 0, T))
+        k, v = self.spaces.border_bin, self.spaces.border_vector
+        twice = np.flatnonzero(self.spaces.weight[k] == 2)
+        order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
+        self.bins = np.concatenate([k, k[twice]])[order]
+        self.vectors = np.hstack([v, 1j * v[:, twice]])[:, order]
+        self.first = ends + np.searchsorted(np.sort(np.concatenate([np.arange(len(k)), twice])), np.arange(len(k)))
+        self.ends_count, self.size = ends, ends + len(self.bins)
+        self.amplitude = T / self.spaces.weight[self.bins]
+
+    def _set_hessian(self) -> None:
+        lti, e, w = self.lti, self.ends_count, self.spaces.weight
+        W, v = self.end_responses, self.vectors
+        self.H = np.zeros((self.size, self.size))
+        if e:
+            weighted = np.tensordot(lti.M, W, 1)
+            self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
+            self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
+            self.H[:e, e:] = self.H[e:, :e].T
+        same = self.bins[:, None] == self.bins
+        self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
+        self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
+
+    def gradient(self, spectrum: ComplexArray) -> Array:
+        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
+        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
+        return np.concatenate([over_bins / self.lti.horizon, at_bins])
+
+    def values(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+        rows, T = self.lti.F[f], self.lti.horizon
+        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
+        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+
+    def everywhere(self, rows: Indices) -> Array:
+        """Return how the border moves F_f y_t of the given rows at all t < T: (size + equations, len(rows), T)."""
+        F = self.lti.F[rows]
+        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        if self.size:
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
+        moved[:, self.size : self.size + len(self.point_t)] = -self._point_responses(rows)
+        if len(self.bands):
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return moved.swapaxes(0, 1)
+
+    def _point_responses(self, rows: Indices) -> Array:
+        """Return what F_f y_t of some rows, at all t < T, lose by unit forces on the points: (len(rows), points, T)."""
+        responses = self.kernels.table[rows[:, None], self.point_f]
+        for i in np.flatnonzero(self.point_t):
+            responses[:, i] = np.roll(responses[:, i], self.point_t[i], axis=-1)
+        return responses
+
+    def add(self, theta: Array, spectrum: ComplexArray) -> None:
+        """Add the responses to theta to the spectrum (n+m, bins), in place."""
+        for a in range(self.ends_count):
+            spectrum += theta[a] * self.end_responses[:, a]
+        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
+
+    def _set_points(self) -> None:
+        n = self.lti.state_dim
+        t, f = self.lti.fixed_points
+        self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
+        self.point_rows = self.values(self.point_t, self.point_f)
+        self.point_rows[self.free_start, self.at_start] -= 1.0
+
+    def _set_singular_rows(self) -> None:
+        """Rows (T/weight) sigma (theta_re + i theta_im) - L^* z W theta_e, real and imaginary part, scaled to 1."""
+        spaces, rows = self.spaces, list[Array]()
+        self.singular_scale = np.ones(len(spaces.singular))
+        for j, singular in enumerate(spaces.singular):
+            row = np.zeros(self.size, dtype=np.complex128)
+            row[: self.ends_count] = -spaces.z[singular.k] * (singular.left.conj() @ self.ends)
+            place, amplitude = self.first[singular.direction], self.lti.horizon / spaces.weight[singular.k]
+            row[place] = singular.sigma * amplitude
+            if spaces.weight[singular.k] == 2:
+                row[place + 1] = 1j * singular.sigma * amplitude
+            self.singular_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
+            rows.append(self.singular_scale[j] * self._parts(singular.k, row))
+        self.singular_rows = np.vstack([*rows, np.zeros((0, self.size))])
+
+    def _parts(self, k: int, values: ComplexArray) -> Array:
+        """Return the real and imaginary part of a complex equation at bin k; only the real one at real bins."""
+        return values.real[None] if self.spaces.weight[k] == 1 else np.stack([values.real, values.imag])
+
+    def _set_band_rows(self) -> None:
+        """State bands: rows of the DFT of length T+1, whose last entry acts on x_T."""
+        lti, T = self.lti, self.lti.horizon
+        parts = [
+            (i, real_rows(T + 1, lti.state_stop[:, i])) for i in range(lti.state_dim) if lti.state_stop[:, i].any()
+        ]
+        self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
+        self.band_components = tuple(i for i, _ in parts)
+        self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
+        count = len(self.bands)
+        self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
+        self.band_responses = self._band_responses()
+        self.band_rows = np.zeros((count, self.size))
+        if count:
+            signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+            for i, rows in parts:
+                self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
+            at_free = self.free_end[:, None] == self.band_component
+            self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
+
+    def _band_responses(self) -> Array:
+        """Return what every row F_f y_t loses by a unit force on each band row, shape (n+m, rows, T)."""
+        force = np.zeros((len(self.lti.M), len(self.bands), len(self.spaces.z)), dtype=np.complex128)
+        force[self.band_component, np.arange(len(self.bands))] = self.band_hat
+        if not len(self.bands):
+            return np.zeros((len(self.lti.M), 0, self.lti.horizon))
+        return fft.irfft(self.spaces.project(force), self.lti.horizon)
+
+    def _direction_signals(self) -> Array:
+        phase = np.exp(
+            (2j * np.pi / self.lti.horizon) * (np.outer(self.bins, np.arange(self.lti.horizon)) % self.lti.horizon)
+        )
+        return (self.vectors[:, :, None] * phase).real
+
+    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
+        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
+        spaces, n = self.spaces, lti.state_dim
+        start = np.where(np.isnan(lti.start), 0.0, lti.start)
+        points = start, lti.lower[self.point_f[n:], self.point_t[n:]]
+        singular = [
+            scale * self._parts(one.k, np.array([one.left.conj() @ jump[:, one.k]]))[:, 0]
+            for scale, one in zip(self.singular_scale, spaces.singular, strict=True)
+        ]
+        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
+        bands = -self.bands[:, -1] * fixed_end[self.band_component]
+        return np.concatenate([*points, *singular, bands])
+
+    def responses(self, t: Indices, f: Indices) -> Array:
+        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
+        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
+        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
+        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
+
+    def _decompose(self) -> None:
+        points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
+        G = np.zeros((len(self.E), len(self.E)))
+        G[:, :points] = self.responses(self.point_t, self.point_f)
+        G[:points, first_band:] = G[first_band:, :points].T
+        for i in self.band_components:
+            mine = first_band + np.flatnonzero(self.band_component == i)
+            G[first_band:, mine] = self.band_responses[i] @ self.bands[self.band_component == i, :-1].T
+        self.matrix = np.empty((self.size + len(G), self.size + len(G)))
+        self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
+        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
+        self.dependent = _null_space(self.E.T, G)
+        unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
+        self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
+        try:
+            self.inverse = self.inverse_with(0.0)
+            self.soft = self._gives_way()
+        except np.linalg.LinAlgError:
+            self.soft = True
+        if self.soft:
+            self.inverse = self.inverse_with(self.least_proximal)
+
+    def _gives_way(self) -> bool:
+        """Whether a border variable responds so much to a force that what is left of others would be rounding."""
+        unit, e = self.lti.curvature_unit, self.ends_count
+        response = np.abs(self.inverse.diagonal()[: self.size])
+        at_ends, inside = response[:e].max(initial=0.0), response[e:].max(initial=0.0)
+        return not (at_ends <= min(SOFT_END / unit, 0.1 / self.least_proximal) and inside <= SOFT / unit)
+
+    def proximal_matrix(self, proximal: float) -> Array:
+        """Return K_b with a proximal weight on theta."""
+        matrix, diagonal = self.matrix.copy(), np.arange(self.size)
+        matrix[diagonal, diagonal] += proximal
+        return matrix
+
+    @cached_property
+    def stiffened(self) -> Array:
+        """The inverse of K_b with a unit Hessian in place of H."""
+        matrix = self.matrix.copy()
+        matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
+        return self._inverse_of(matrix)
+
+    def inverse_with(self, proximal: float) -> Array:
+        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
+        return self._inverse_of(self.proximal_matrix(proximal))
+
+    def _inverse_of(self, matrix: Array) -> Array:
+        n = self.size
+        if self.dependent.size:
+            onto = self.dependent @ self.dependent.T
+            matrix[n:, n:] -= onto / self.lti.curvature_unit
+            inverse = _equilibrated_inverse(matrix)
+            inverse[n:, n:] += self.lti.curvature_unit * onto
+        else:
+            inverse = _equilibrated_inverse(matrix)
+        return (inverse + inverse.T) / 2
+
+
+def _null_space(rows: Array, gram: Array) -> Array:
+    """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
+    rounding = EQUATION_ROUNDING * float(np.abs(gram).max())
+    if np.linalg.eigvalsh(gram)[0] > rounding:
+        return np.zeros((len(gram), 0))
+    _, singular, V = np.linalg.svd(rows)
+    rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
+    unseen = V[rank:].T
+    eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
+    return unseen @ vectors[:, eigenvalues <= rounding]
+
+
+def _equilibrated_inverse(matrix: Array) -> Array:
+    scale = np.ones(len(matrix))
+    for _ in range(EQUILIBRATIONS):
+        largest = np.abs(matrix * scale[:, None] * scale).max(1)
+        scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+    try:
+        return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    except np.linalg.LinAlgError:  # exactly singular: what follows is no answer
+        return np.full_like(matrix, np.nan)

@@ -1,0 +1,150 @@
+"""Mehrotra's predictor-corrector for z = A lam + b >= 0, lam >= 0, lam'z = 0, and a polish on the rows with lam > z.
+
+On saturated control arcs A has eigenvalues 0 and 1 and little between, and multipliers are not unique: every active set
+cycles there. There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band
+times the length of the arcs: each step is then a small system (SPECTRAL.md, section 2.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf
+
+from lin_freq_ocp.arrays import Array, Mask
+
+STEPS = 60
+"""Steps after which what was best is returned; 10 to 25 are usual."""
+
+SOLVED = 1e-13
+"""Defect and complementarity at which it stops."""
+
+DIVERGED = 1e3
+"""Growth of the error over the best one at which it stops."""
+
+CONTENT = 1e-8
+"""Error up to which the answer is good."""
+
+RIDGE = 1e-14
+"""Added to the diagonal, which has entries near 1; it grows a hundredfold where a factorisation fails."""
+
+LARGEST_RIDGE = 1e-8
+"""Ridge at which to give up."""
+
+FAR = 1e14
+"""Diagonal that holds a row at zero in the polish."""
+
+TO_BOUNDARY = 0.995
+"""Part of the way to the boundary that a step goes at least."""
+
+LOW_RANK_ROWS = 200
+"""Rows from which a factor of low rank is worth looking for."""
+
+RANK_TOLERANCE = 3e-15
+"""Pivot at which the rank of diag - A is exhausted."""
+
+LOW_RANK_ERROR = 1e-10
+"""Diagonal that the factor may miss; more means that diag - A has negative eigenvalues, and no such factor."""
+
+POLISHES = 3
+
+
+def interior_point(
+    A: Array, b: Array, unconstrained: Array | None, stop: Callable[[], str | None] = lambda: None
+) -> tuple[Array, bool]:
+    """Return (lam, whether it is accurate); ``unconstrained`` and ``stop`` as in ``nonnegative_qp``."""
+    system, ridge, count = _System(A, unconstrained), RIDGE, len(b)
+    lam, z = np.ones(count), np.maximum(A.sum(1) + b, 1.0)
+    best = np.inf, lam, z
+    for _ in range(STEPS):
+        defect, mu = z - A @ lam - b, float(lam @ z) / count
+        error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
+        if error < best[0]:
+            best = error, lam, z
+        if error < SOLVED or not error <= DIVERGED * best[0] or stop():
+            break
+        if not system.factor(z / lam + ridge):
+            ridge *= 100
+            if ridge > LARGEST_RIDGE:
+                break
+            continue
+        lam, z, length = _step(system, lam, z, defect, mu)
+        if length < CONTENT:
+            break
+    error, lam, z = best
+    return _polished(system, b, lam, np.asarray(lam > z)), error < CONTENT
+
+
+def _step(system: _System, lam: Array, z: Array, defect: Array, mu: float) -> tuple[Array, Array, float]:
+    def direction(target: Array) -> tuple[Array, Array]:
+        dlam = system.solve(defect + target / lam)
+        return dlam, (target - z * dlam) / lam
+
+    dlam, dz = direction(-lam * z)
+    length = min(1.0, _reach(lam, dlam), _reach(z, dz))
+    after = float((lam + length * dlam) @ (z + length * dz)) / float(lam @ z)
+    dlam, dz = direction(after**3 * mu - lam * z - dlam * dz)
+    length = min(1.0, max(TO_BOUNDARY, 1 - mu) * min(_reach(lam, dlam), _reach(z, dz)))
+    return lam + length * dlam, z + length * dz, length
+
+
+def _reach(v: Array, dv: Array) -> float:
+    """Return the step at which the first entry of v + step dv becomes zero."""
+    return 1 / max(1e-300, float((-dv / v).max()))
+
+
+def _polished(system: _System, b: Array, lam: Array, active: Mask) -> Array:
+    """Return lam with zero slope on the active rows and zeros elsewhere, if that keeps it positive."""
+    lam = np.where(active, lam, 0.0)
+    if not active.any() or not system.factor(np.where(active, RIDGE, FAR)):
+        return lam
+    polished = lam.copy()
+    for _ in range(POLISHES):
+        slope = np.where(active, system.A @ polished + b, 0.0)
+        polished = polished - np.where(active, system.solve(slope), 0.0)
+
+    def slope_left(v: Array) -> float:
+        return float(np.abs((system.A @ v + b)[active]).max())
+
+    better = np.maximum(polished, 0.0)
+    return better if slope_left(better) < slope_left(lam) else lam
+
+
+class _System:
+    """Factors of A + diag(w): dense, or by a thin V with A = diag(unconstrained) - V V'."""
+
+    def __init__(self, A: Array, unconstrained: Array | None):
+        self.A, self.V, self.base = A, None, unconstrained
+        if unconstrained is not None and len(A) > LOW_RANK_ROWS and (unconstrained > 0).all():
+            factor, pivots, rank, _ = dpstrf(np.diag(unconstrained) - A, tol=RANK_TOLERANCE, lower=1)
+            if rank < len(A) / 2:
+                V = np.empty((len(A), rank), order="F")
+                V[pivots - 1] = np.tril(factor)[:, :rank]
+                missed = unconstrained - np.diagonal(A) - (V * V).sum(1)
+                self.V = V if np.abs(missed).max() < LOW_RANK_ERROR else None
+
+    def factor(self, w: Array) -> bool:
+        """Factor A + diag(w); False if it is not positive definite."""
+        self.w = w
+        if self.V is None or self.base is None:
+            matrix = np.asfortranarray(self.A + np.diag(w))
+        else:
+            scaled = self.V / np.sqrt(self.base + w)[:, None]
+            matrix = np.eye(self.V.shape[1]) - dsyrk(1.0, scaled, trans=1, lower=1)
+        self.lower, failed = dpotrf(matrix, lower=1, overwrite_a=1, clean=0)
+        return failed == 0
+
+    def solve(self, r: Array) -> Array:
+        """Return (A + diag(w))^{-1} r, refined once where it comes from the thin factor."""
+        if self.V is None:
+            return dpotrs(self.lower, r, lower=1)[0]
+        x = self._by_low_rank(r)
+        return x + self._by_low_rank(r - self.A @ x - self.w * x)
+
+    def _by_low_rank(self, r: Array) -> Array:
+        assert self.V is not None
+        assert self.base is not None
+        diagonal = self.base + self.w
+        return (r + self.V @ dpotrs(self.lower, self.V.T @ (r / diagonal), lower=1)[0]) / diagonal

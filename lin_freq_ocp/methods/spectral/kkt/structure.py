@@ -1,0 +1,206 @@
+"""Everything that a solve needs: once per problem (Structure), and once per set of data (Data); SPECTRAL.md, 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.memory import require_memory
+from lin_freq_ocp.methods.spectral.kkt.bordered import Border
+from lin_freq_ocp.methods.spectral.kkt.violations import Violations
+from lin_freq_ocp.methods.spectral.kkt.whole_horizon import LARGEST, WholeHorizon
+from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.model.kernels import Kernels
+from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+
+TEMPORARIES = 2.0
+"""Memory at the peak over that of the arrays that are kept; 1.9 was measured."""
+
+
+class Structure:
+    """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free.
+
+    Attributes
+    ----------
+    spaces : BinSpaces; kernels : Kernels; border : Border
+    jumps : (n, (n+m) bins) or None
+        On short horizons: what the jumps x_0 - x_T of one unit make of y.
+    unconstrained : (rows of F,) or None
+        1/R for control rows and 0 for others, where diag(1/R) - S >= 0: R diagonal, S = 0.
+    """
+
+    def __init__(self, lti: Lti):
+        _require_memory(lti)
+        self.spaces = BinSpaces(lti)
+        self.kernels = Kernels(lti, self.spaces)
+        self.border = Border(lti, self.spaces, self.kernels)
+        self.jumps = None if len(lti.M) * lti.horizon > LARGEST else _unit_jumps(lti, self.spaces)
+        self.unconstrained = _unconstrained_response(lti)
+        self._whole: WholeHorizon | None = None
+        self._violations: Violations | None = None
+
+    def violations(self, lti: Lti) -> Violations:
+        """Return what measures the bounds of ``lti``; the one before, if they are the same."""
+        if self._violations is None or not self._violations.take(lti):
+            self._violations = Violations(lti)
+        return self._violations
+
+    def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
+        """Return the responses of all values of the given rows of F; None if they are many, or the border is soft."""
+        T = self.border.lti.horizon
+        if self.border.soft or not self.kernels.complete or not len(rows) or len(rows) * T > LARGEST:
+            return None
+        if self._whole is None or not np.array_equal(self._whole.rows, rows):
+            self._whole = WholeHorizon(self.border, rows)
+        else:
+            self._whole.tabulate()
+        return self._whole
+
+
+def _require_memory(lti: Lti) -> None:
+    """Raise UnsupportedError unless spectra, kernels and signals fit into memory (docs/spectral.md, Memory)."""
+    dimension, rows = len(lti.M), len(lti.F)
+    free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
+    spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
+    in_time = 8 * rows * rows + 9 * rows + 2 * rows
+    require_memory(
+        f"method 'spectral' with horizon = {lti.horizon}, {lti.state_dim} states and {lti.control_dim} controls",
+        TEMPORARIES * (spectra + in_time) * lti.horizon,
+        "Choose a shorter horizon or a longer sampling time.",
+    )
+    bands = 2.0 * lti.state_stop.sum()
+    require_memory(
+        f"the state bands, {bands:.0f} dense rows with their responses,",
+        16 * (dimension + 2) * bands * lti.horizon,
+        "Stop bands of controls need no dense rows; else choose a shorter horizon.",
+    )
+
+
+def _unconstrained_response(lti: Lti) -> Array | None:
+    n = lti.state_dim
+    R = lti.M[n:, n:]
+    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
+        return None
+    response = np.zeros(len(lti.F))
+    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
+    return response
+
+
+def _unit_jumps(lti: Lti, spaces: BinSpaces) -> ComplexArray:
+    jumps = spaces.particular(spaces.z * np.eye(lti.state_dim, dtype=np.complex128)[:, :, None])
+    return jumps.swapaxes(0, 1).reshape(lti.state_dim, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What depends on ends, linear terms, offsets and bounds.
+
+    Attributes
+    ----------
+    lti : Lti
+        With these data.
+    base : (n+m, bins)
+        The spectrum of y without forces and border variables.
+    linear : (n+m, bins) or None
+        The spectrum of h.
+    h : (size,), e : (equations,)
+        Gradient in theta at 0, and right-hand sides of the equations.
+    """
+
+    lti: Lti
+    base: ComplexArray
+    linear: ComplexArray | None
+    h: Array
+    e: Array
+
+
+def prepare(structure: Structure, lti: Lti) -> Data:
+    """Return the data of ``lti``, whose structure must be the given one."""
+    spaces, border = structure.spaces, structure.border
+    start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
+    jump = spaces.z * (start - end)[:, None]
+    if lti.offset is not None:
+        jump += fft.rfft(lti.offset)
+    linear = None if lti.linear is None else fft.rfft(lti.linear)
+    if structure.jumps is None or lti.offset is not None:
+        base = spaces.particular(jump[:, None])[:, 0]
+    else:
+        base = ((start - end) @ structure.jumps).reshape(len(lti.M), -1)
+    h = border.gradient(lti.M @ base + (0 if linear is None else linear))
+    h[border.at_end] += (lti.P @ end + lti.p)[border.free_end]
+    if linear is not None:
+        base -= spaces.project(linear[:, None])[:, 0]
+    return Data(lti, base, linear, h, border.right_hand_side(lti, jump))
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A point in time and frequency: it satisfies the dynamics and the control bands to rounding.
+
+    Attributes
+    ----------
+    y : (n+m, T), last : (n,)
+        x_t and u_t, and x_T.
+    spectrum, force : (n+m, bins)
+        Of y, and of the forces of working rows and equations.
+    """
+
+    y: Array
+    last: Array
+    spectrum: ComplexArray
+    force: ComplexArray
+
+
+def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
+    """Return the optimum over all bins for given border variables and forces (SPECTRAL.md, 1.7)."""
+    lti, spaces, border = data.lti, structure.spaces, structure.border
+    force, used = _forces(structure, lti, multipliers, working)
+    spectrum = data.base.copy()
+    spaces.respond(force, used, spectrum)
+    border.add(theta, spectrum)
+    last = lti.end.copy()
+    last[border.free_end] = theta[border.at_end]
+    return Signals(fft.irfft(spectrum, lti.horizon), last, spectrum, force)
+
+
+def _forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
+    """Return the spectrum of G'l + E'y, and which components are not zero."""
+    border, dimension = structure.border, len(lti.M)
+    pulses = np.zeros((len(lti.F), lti.horizon))
+    inner = working.inner
+    np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
+    np.add.at(pulses, (border.point_f, border.point_t), multipliers[: len(border.point_t)])
+    acting = np.zeros(len(lti.F), dtype=bool)
+    acting[working.f[inner]] = True
+    acting[border.point_f] |= bool(multipliers.any())
+    force = pulses[:dimension]
+    if acting[dimension:].any():
+        force += lti.F[dimension:].T @ pulses[dimension:]
+        acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
+    used = acting[:dimension]
+    spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
+    if used.any():
+        spectrum[used] = fft.rfft(force[used])
+    if len(border.bands):
+        on_bands = multipliers[-len(border.bands) :]
+        for i in border.band_components:
+            mine = border.band_component == i
+            spectrum[i] += on_bands[mine] @ border.band_hat[mine]
+            used[i] = True
+    return spectrum, used
+
+
+def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
+    """Return e - E(x, theta), from the signals where an equation sees them, and not from the formula."""
+    border, points = structure.border, len(structure.border.point_t)
+    residual = data.e - border.E @ theta
+    residual[:points] = data.e[:points] - at.y[border.point_f, border.point_t]
+    residual[border.free_start] += theta[border.at_start]
+    if len(border.bands):
+        inside = np.einsum("dt,dt->d", border.bands[:, :-1], at.y[border.band_component])
+        residual[-len(border.bands) :] = -inside - border.bands[:, -1] * at.last[border.band_component]
+    return residual

@@ -1,0 +1,151 @@
+"""Which rows a point violates, and which of them enter the working set (SPECTRAL.md, section 2.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.spectral.model.lti import Lti
+
+STATE_PEAKS = 40
+"""Violated local maxima of states that enter in one round: all samples of a long arc would be nearly dependent rows."""
+
+NEARLY_ACTIVE = 0.05
+"""Distance inside a control's bound, relative to it, up to which samples enter too: arcs then do not crawl."""
+
+SMALL_VIOLATION = 0.3
+"""Relative violation from which on nearly active samples say something."""
+
+LARGEST_SCALE = 1e3
+"""Bounds are measured relative to their size, up to this many units of what they bound: larger ones stand for none."""
+
+ABSENT = -1.0
+"""Excess of a row that cannot be violated."""
+
+
+class Violations:
+    """Excess over the bounds, relative to them, of every bounded row at every time.
+
+    Attributes
+    ----------
+    rows : (bounded,)
+        The rows of F with a bound at some time.
+    excess : (bounded, T), last : (n,)
+        Of rows at t < T and of x_T; below 0 inside.
+    worst : float
+        The largest.
+    fixed_keys : (fixed,)
+        f T + t of the rows that equations fix: they cannot be violated.
+    """
+
+    def __init__(self, lti: Lti):
+        self.lti, n = lti, lti.state_dim
+        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
+        self.lower, self.upper = _chosen(lti.lower, self.rows), _chosen(lti.upper, self.rows)
+        self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
+        largest = np.zeros(len(lti.F))
+        largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
+        self.free_end = np.isnan(lti.end)
+        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
+        largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
+        self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
+        self._row_scale = self.scale[self.rows, None]
+        t, f = lti.fixed_points
+        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
+        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
+        place = np.full(len(lti.F), -1)
+        place[self.rows] = np.arange(len(self.rows))
+        bounded = place[f] >= 0
+        self.fixed = place[f[bounded]], t[bounded]
+        self.fixed_keys = f * lti.horizon + t
+        self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
+
+    def take(self, lti: Lti) -> bool:
+        """Whether these are the bounds of another problem, too, which differs in its fixed ends only: then take it."""
+        before, free = self.lti, self.free_end
+        same = lti.lower is before.lower and lti.upper is before.upper and np.array_equal(free, np.isnan(lti.end))
+        same = same and np.array_equal(np.isnan(lti.start), np.isnan(before.start))
+        same = same and np.array_equal(lti.last_lower[free], before.last_lower[free])
+        same = same and np.array_equal(lti.last_upper[free], before.last_upper[free])
+        if same:
+            self.lti = lti
+        return same
+
+    def measure(self, y: Array, last: Array) -> float:
+        """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
+        return self.measure_values(self.values(y), last)
+
+    def values(self, y: Array) -> Array:
+        """Return F y of the bounded rows, shape (bounded, T)."""
+        return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
+
+    def measure_values(self, values: Array, last: Array) -> float:
+        """Measure what ``values`` returned, and last = x_T; return the worst excess."""
+        lti, n = self.lti, self.lti.state_dim
+        np.subtract(values, self.upper, out=self.excess)
+        below = self.lower - values
+        self.above = self.excess >= below
+        np.maximum(self.excess, below, out=self.excess)
+        self.excess /= self._row_scale
+        self.excess[self.fixed] = ABSENT
+        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.worst = max(float(self.excess.max(initial=ABSENT)), float(self.last.max()))
+        return self.worst
+
+    def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
+        i, t = self._places(tolerance)
+        ends = np.flatnonzero(self.last > tolerance / 2)
+        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
+        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
+        return times, np.concatenate([self.rows[i], ends]), sign
+
+    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+        """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
+        i, t = self._places(tolerance)
+        index, above = i * self.lti.horizon + t, self.above[i, t]
+        if self.free_end.any():
+            ends = np.flatnonzero(self.last > tolerance / 2)
+            index = np.concatenate([index, self.excess.size + ends])
+            above = np.concatenate([above, self.last_above[ends]])
+        return index, np.where(above, 1.0, -1.0)
+
+    def flat_bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds over the same."""
+        lti = self.lti
+        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
+
+    def _places(self, tolerance: float) -> tuple[Indices, Indices]:
+        """Return (i, t) of the entries of ``excess`` that enter."""
+        threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
+        i, t = np.nonzero(self.excess > threshold[:, None])
+        states = self.state_rows[i]
+        if not states.any():
+            return i, t
+        here, last = self.excess[i, t], self.lti.horizon - 1
+        beside = np.maximum(self.excess[i, np.maximum(t - 1, 0)], self.excess[i, np.minimum(t + 1, last)])
+        peaks = states & (here >= beside)
+        if np.count_nonzero(peaks) > STATE_PEAKS:
+            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
+        kept = peaks | ~states
+        return i[kept], t[kept]
+
+
+def _chosen(bounds: Array, rows: Indices) -> Array:
+    """Return rows of bounds (rows, T), without memory where they do not depend on time."""
+    if bounds.strides[1] == 0:
+        return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
+    return bounds[rows]
+
+
+def nearly_active(worst: float, tolerance: float) -> float:
+    """Return the excess from which samples of controls and stage rows enter."""
+    return -min(2 * worst, NEARLY_ACTIVE) if worst < SMALL_VIOLATION else tolerance / 2
+
+
+def _largest_finite(bounds: Array) -> Array:
+    """Return the largest |bound| of every row that is finite, 0 where none is; bounds (rows, T)."""
+    if bounds.size and bounds.strides[1] == 0:
+        bounds = bounds[:, :1]
+    return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)

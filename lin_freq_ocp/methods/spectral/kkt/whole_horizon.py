@@ -1,0 +1,161 @@
+"""Rounds on a model of all bounded values, short horizons only: a round then costs little but its FFTs.
+
+With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu, with S as in SPECTRAL.md,
+1.7, for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.methods.spectral.kkt.bordered import Border
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.violations import Violations
+from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+
+LARGEST = 10_000
+"""Bounded values up to which what they need of the border is made at once."""
+
+LARGEST_TABLE = 2000
+"""Bounded values up to which all their responses to each other are kept for solving again: 32 MB."""
+
+ROUNDS = 12
+"""Rounds after which the true signals are asked."""
+
+MOST_ROWS = 300
+"""Working rows beyond which the small QP costs more than the signals."""
+
+
+class WholeHorizon:
+    """The bounded rows of F at all t < T in turn, then the components of x_T: one flat index.
+
+    Attributes
+    ----------
+    rows : (bounded,)
+        The rows of F.
+    t, f : (values,)
+        Time and row of F of every value; t = T, and the component of x_T.
+    coupling : (size + equations, values)
+        How the border moves the values, as in WorkingSet.
+    through : (size + equations, values)
+        K_b^{-1} times that.
+    """
+
+    def __init__(self, border: Border, rows: Indices):
+        lti, T, n = border.lti, border.lti.horizon, border.lti.state_dim
+        self._border, self.rows, self._inner = border, rows, len(rows) * T
+        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
+        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
+        self._place = np.zeros(len(lti.F), dtype=np.intp)
+        self._place[rows] = np.arange(len(rows))
+        self.coupling = np.zeros((len(border.matrix), len(self.t)))
+        self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
+        self.coupling[border.at_end, self._inner + border.free_end] = 1.0
+        self.through = border.inverse @ self.coupling
+        self._S: Array | None = None
+
+    def places(self, t: Indices, f: Indices) -> Indices:
+        """Return the flat indices of rows f at times t; of x_T's component f at t = T."""
+        T = self._border.lti.horizon
+        return np.where(t < T, self._place[f] * T + t, self._inner + f)
+
+    def multiplied(self, rows: Rows) -> Multiplied:
+        """Return the same rows as places."""
+        places, once = np.unique(self.places(rows.t, rows.f), return_index=True)
+        weights = np.zeros(len(places)) if rows.weights is None else rows.weights[once]
+        return Multiplied(places, rows.sign[once], weights)
+
+    def tabulate(self) -> None:
+        """Keep S from now on, if it is not large: solving again is then faster."""
+        n, count = self._border.lti.state_dim, len(self.t)
+        if self._S is not None or count > LARGEST_TABLE:
+            return
+        self._S = self.coupling.T @ self.through
+        kernels = self._border.kernels.everywhere(self.rows)
+        self._S[:-n, :-n] += kernels.reshape(count - n, count - n)
+
+    def gram(self, index: Indices) -> Array:
+        """Return S of some values."""
+        if self._S is not None:
+            S = self._S[index[:, None], index]
+            return (S + S.T) / 2
+        t, f = self.t[index], self.f[index]
+        S = self.coupling[:, index].T @ self.through[:, index]
+        S = (S + S.T) / 2
+        inner = np.flatnonzero(index < self._inner)
+        if len(inner) == len(index):
+            return S + self._border.kernels.gram(t, f, t, f)
+        S[np.ix_(inner, inner)] += self._border.kernels.gram(t[inner], f[inner], t[inner], f[inner])
+        return S
+
+    def response(self, index: Indices, mu: Array) -> Array:
+        """Return S mu of all values, for multipliers of some."""
+        if self._S is not None:
+            return mu @ self._S[index]
+        lti, pulses = self._border.lti, np.zeros(len(self.t))
+        pulses[index] = mu
+        forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
+        y = fft.irfft(self._border.spaces.response(lti.F[self.rows].T @ forces), lti.horizon)
+        values = (self.through[:, index] @ mu) @ self.coupling
+        values[: self._inner] += (y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y).ravel()
+        return values
+
+
+class Multiplied(NamedTuple):
+    """Values with multipliers: flat indices, +1 at upper and -1 at lower bounds, weights >= 0; rounds to get there.
+
+    If not ``content``, values conflict or depend on each other, and the weights mean nothing.
+    """
+
+    places: Indices
+    sign: Array
+    weights: Array
+    rounds: int = 0
+    content: bool = True
+
+
+def settled(
+    whole: WholeHorizon,
+    violations: Violations,
+    start: Multiplied,
+    base: Array,
+    tolerance: float,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+) -> Multiplied:
+    """Exchange until no value violates its bound by more than the tolerance, for ROUNDS, or until told to stop.
+
+    ``base`` is v_0, shape (values,); ``unconstrained`` has a figure per row of F, see ``nonnegative_qp``.
+    """
+    index, sign, weights = start.places, start.sign, start.weights
+    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
+    lower, upper = violations.flat_bounds()
+    for count in range(1, ROUNDS + 1):
+        values = base
+        if len(index):
+            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
+            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
+            weights, content = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
+            found = Multiplied(index, sign, weights, count, content)
+            if not content:
+                break
+            values = base - whole.response(index, sign * weights)
+        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+            break
+        kept = weights > 0
+        index, sign, weights = index[kept], sign[kept], weights[kept]
+        inside[:] = False
+        inside[index] = True
+        entering, side = violations.chosen(tolerance)
+        new = ~inside[entering]
+        added = np.count_nonzero(new)
+        if not added or len(index) + added > MOST_ROWS:
+            break
+        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
+        weights = np.concatenate([weights, np.zeros(added)])
+    return found

@@ -1,0 +1,71 @@
+"""How a unit force on one row at one time moves another row at another time: circulant kernels (SPECTRAL.md, 1.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+
+SMALL_TABLE = 500_000
+"""Entries up to which all kernels are made at once: calls cost more than numbers."""
+
+
+class Kernels:
+    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0. Long ones are made when needed.
+
+    Attributes
+    ----------
+    table : (rows, rows, T)
+        Entries of pairs that are not ``known`` are undefined, and their memory is never touched.
+    known : (rows, rows)
+    complete : bool
+        Whether all are, without asking ``known``.
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces):
+        self.lti, self.spaces, rows = lti, spaces, len(lti.F)
+        self.known = np.zeros((rows, rows), dtype=bool)
+        self.complete = rows * rows * lti.horizon <= SMALL_TABLE
+        if self.complete:
+            NF = np.stack([self._row(f) for f in range(rows)])
+            kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
+            self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
+        else:
+            self.table = np.empty((rows, rows, lti.horizon))
+
+    def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
+        """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
+        if not self.complete:
+            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+        return self.table[f[:, None], g, t[:, None] - s]  # a negative index counts from the end of the circle
+
+    def everywhere(self, rows: Indices) -> Array:
+        """Return K_fg(t - s) of the given rows at all times, shape (len(rows), T, len(rows), T); all are known."""
+        T, given = self.lti.horizon, self.table[rows[:, None], rows]
+        later = sliding_window_view(np.concatenate([given, given], axis=2), T, axis=2)  # K(t + lag) at [lag, t]
+        return later[:, :, T:0:-1].transpose(0, 3, 1, 2)
+
+    def free_response(self, f: Indices) -> Array:
+        """Return K_ff(0) of each row: how far a unit force moves its own row without any equations."""
+        if not self.complete:
+            self._require([(int(a), int(a)) for a in np.unique(f)])
+        return self.table[f, f, 0]
+
+    def _require(self, pairs: list[tuple[int, int]]) -> None:
+        for f, g in pairs:
+            if not self.known[f, g]:
+                kernel = fft.irfft((self._row(f) * self._row(g).conj()).sum(0), self.lti.horizon)
+                mirrored = np.roll(kernel[::-1], 1)
+                self.table[f, g], self.table[g, f] = kernel, mirrored
+                if f == g:
+                    self.table[f, f] = (kernel + mirrored) / 2
+                self.known[f, g] = self.known[g, f] = True
+
+    def _row(self, f: int) -> ComplexArray:
+        """Return F_f N, shape (m, bins)."""
+        dimension = len(self.lti.M)
+        return self.spaces.N[f] if f < dimension else np.tensordot(self.lti.F[f], self.spaces.N, 1)

@@ -1,0 +1,302 @@
+"""A linear time-invariant problem in units of order 1, with time as the last axis (SPECTRAL.md, section 1.1).
+
+    minimise    sum_{t<T} 1/2 y'M y + h_t'y  +  1/2 x_T'P x_T + p'x_T,    y_t = (x_t, u_t),  M = [[Q, S], [S', R]]
+    subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
+                ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
+
+Units are powers of two: changing to them and back rounds nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import matrix_balance
+from scipy.sparse.csgraph import connected_components
+
+from lin_freq_ocp.analysis.measures import given_sizes, stated_sizes
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+
+LEAST_SIZE = 1e-4
+"""In natural units: what should be zero holds rounding only, and is not measured more finely than this."""
+
+MUCH_SMALLER = 1e-5
+"""Largest value of a component, in its unit, below which that unit was wrong."""
+
+MUCH_LARGER = 30.0
+"""Factor between what is said of a state's size and what those that it swings with say, from which they are right."""
+
+NEGLIGIBLE = 1e-13
+"""Largest value below which the component only holds rounding."""
+
+STATE_BAND_ROWS = 2000
+"""Real rows of state bands up to which they may be dense equations of the border."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lti:
+    """The problem; what a re-solve may change comes last.
+
+    Attributes
+    ----------
+    A : (n, n), B : (n, m), M : (n+m, n+m), P : (n, n)
+    F : (rows, n+m)
+        The identity, then the stage rows.
+    passed : (m, T//2 + 1)
+        Which bins each control may use.
+    state_stop : ((T+1)//2 + 1, n)
+        Which bins are removed from each state.
+    horizon : int
+        T.
+    start, end : (n,)
+        x_0 and x_T where they are fixed, NaN where they are free.
+    linear : (n+m, T) or None; p : (n,); offset : (n, T) or None
+        h_t, p and d_t.
+    lower, upper : (rows, T); last_lower, last_upper : (n,)
+        Bounds for t < T, and of x_T.
+    constant : float
+        Cost at x = 0, u = 0.
+    """
+
+    A: Array
+    B: Array
+    M: Array
+    P: Array
+    F: Array
+    passed: Mask
+    state_stop: Mask
+    horizon: int
+    start: Array
+    end: Array
+    linear: Array | None
+    p: Array
+    offset: Array | None
+    lower: Array
+    upper: Array
+    last_lower: Array
+    last_upper: Array
+    constant: float
+
+    @property
+    def state_dim(self) -> int:
+        """Return n."""
+        return len(self.A)
+
+    @property
+    def control_dim(self) -> int:
+        """Return m."""
+        return self.B.shape[1]
+
+    @cached_property
+    def state_cost(self) -> bool:
+        """Whether Q or S is not zero."""
+        return bool(self.M[: self.state_dim].any())
+
+    @cached_property
+    def curvature_unit(self) -> float:
+        """Return the mean diagonal entry of R, of Q if R = 0: what a small Hessian is small against."""
+        n = self.state_dim
+        return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
+
+    @cached_property
+    def cost_level(self) -> float:
+        """Return what a stage or the end costs where states and controls are of order 1."""
+        return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
+
+    @cached_property
+    def fixed_points(self) -> tuple[Indices, Indices]:
+        """Return (t, f) of the rows F_f y_t that bounds leave no freedom, other than fixed ends: 0 <= t < T."""
+        f, t = np.nonzero(self.lower == self.upper)
+        elsewhere = (t > 0) | (f >= self.state_dim)
+        return t[elsewhere], f[elsewhere]
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What one unit of the Lti problem is in the user's: states (n,), controls (m,), stage rows, cost."""
+
+    x: Array
+    u: Array
+    rows: Array
+    cost: float
+
+
+def refusal(problem: OptimalControlProblem) -> str | None:
+    """Return why the Fourier-domain method cannot take the problem, or None."""
+    cost, dynamics = problem.quadratic, problem.linear
+    beyond = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
+    if beyond:
+        return f"{beyond[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    if dynamics.time_varying:
+        return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
+    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
+        return "Q, R or S depends on time; the Fourier-domain method needs a constant stage Hessian"
+    if any(rows.time_varying for rows in problem.stage_rows):
+        return "C or D of a stage row depends on time; the Fourier-domain method needs them constant"
+    bins = 2 * int(problem.state_stop.sum())
+    if bins > STATE_BAND_ROWS:
+        return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
+    if not any(part.any() for part in (cost.Q, cost.R)):
+        return "neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost"
+    return None
+
+
+def natural_units(problem: OptimalControlProblem) -> Units:
+    """Return units in which the data are of order 1."""
+    x, u = _power_of_two(_state_sizes(problem)), _power_of_two(stated_sizes(problem)[1])
+    cost = problem.quadratic
+    level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
+    norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
+    rows = np.concatenate([*norms, np.zeros(0)])
+    return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+
+
+def _state_sizes(problem: OptimalControlProblem) -> Array:
+    """Return sizes of the states, (n,): as stated, else as the states say that act on them and that they act on.
+
+    What |x| <= T |A| |x| says of a state about which nothing is stated grows with T, once per state of a chain, also
+    where states only swing against each other. Measured so, A would be all but defective.
+    """
+    A, sizes = problem.linear.A, stated_sizes(problem)[0]
+    given = given_sizes(problem)[: len(A)] > 0
+    count, group = connected_components(A != 0, connection="strong")
+    for i in range(count):
+        mine = np.flatnonzero(group == i)
+        coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
+        balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
+        known, ratio = given[mine], sizes[mine] / balanced
+        level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
+        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
+        sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
+    return sizes
+
+
+def revised_units(units: Units, y: Array) -> Units | None:
+    """Return units from a solution y (n+m, T) in the given ones, or None if those were right.
+
+    Bounds written for "none" (1e9) make units in which everything that happens is rounding.
+    """
+    reached = np.abs(y).max(1)
+    wrong = (reached > NEGLIGIBLE) & (reached < MUCH_SMALLER)
+    if not wrong.any():
+        return None
+    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
+    n = len(units.x)
+    smallest = float(factor[n:].max()) ** 2
+    return Units(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
+
+
+def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
+    """Return the problem in the given units; it must not be one that ``refusal`` names."""
+    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.linear
+    x, u = units.x, units.u
+    y = np.concatenate([x, u])
+    rows = [_joined(one.C * x, one.D * u) for one in problem.stage_rows]
+    scaled_rows = np.concatenate([*rows, np.zeros((0, len(y)))]) / units.rows[:, None]
+    M = cost.stage_hessians()[0] * y * y[:, None] / units.cost
+    linear = _linear_terms(problem)
+    offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
+    lower, upper = _bounds(problem, units)
+    start, end = (_point(box) / x for box in problem.ends)
+    p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
+    return Lti(
+        A=dynamics.A * x / x[:, None],
+        B=dynamics.B * u / x[:, None],
+        M=M,
+        P=cost.P * x * x[:, None] / units.cost,
+        F=np.vstack([np.eye(len(y)), scaled_rows]),
+        passed=~problem.control_stop.T,
+        state_stop=problem.state_stop,
+        horizon=T,
+        start=start,
+        end=end,
+        linear=None if linear is None else np.broadcast_to(linear * y[:, None] / units.cost, (len(y), T)),
+        p=p * x / units.cost,
+        offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
+        lower=lower,
+        upper=upper,
+        last_lower=problem.ends[1].lower / x,
+        last_upper=problem.ends[1].upper / x,
+        constant=_cost_at_zero(problem) / units.cost,
+    )
+
+
+def with_ends(lti: Lti, problem: OptimalControlProblem, units: Units) -> Lti:
+    """Return what ``lti_problem`` does, from its answer for other ends; x_0 is a point in both."""
+    start, end = problem.ends
+    return replace(
+        lti,
+        start=start.lower / units.x,
+        end=_point(end) / units.x,
+        last_lower=end.lower / units.x,
+        last_upper=end.upper / units.x,
+    )
+
+
+def _point(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
+
+
+def _linear_terms(problem: OptimalControlProblem) -> Array | None:
+    """Return h, shape (n+m, T) or (n+m, 1): the gradient of the stage costs at x = 0, u = 0."""
+    cost, T = problem.quadratic, problem.horizon
+    x_ref = cost.x_ref[:T] if cost.x_ref.ndim == 2 else cost.x_ref[None]
+    u_ref = np.atleast_2d(cost.u_ref)
+    in_x = np.atleast_2d(cost.q) - x_ref @ cost.Q.T - u_ref @ cost.S.T
+    in_u = np.atleast_2d(cost.r) - u_ref @ cost.R.T - x_ref @ cost.S
+    if not (in_x.any() or in_u.any()):
+        return None
+    times = max(len(in_x), len(in_u))
+    return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
+
+
+def _cost_at_zero(problem: OptimalControlProblem) -> float:
+    cost = problem.quadratic
+    if not (cost.x_ref.any() or cost.u_ref.any()):
+        return 0.0
+    return cost.value(
+        np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+    )
+
+
+def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]:
+    """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
+    T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
+    given = ~states.fixed[0]  # a fixed start is no bound on x_0: it says nothing that x(0) = x_0 does not say
+    both: list[Array] = []
+    for side, none in (("lower", -np.inf), ("upper", np.inf)):
+        state, control = getattr(states, side)[:T], getattr(controls, side)
+        first = np.where(given, state[0], state[min(1, T - 1)])
+        joint = [one.e if side == "upper" else np.full(one.e.shape, none) for one in problem.stage_rows]
+        parts = [_as_columns(state, first) / units.x[:, None], _as_columns(control, control[0]) / units.u[:, None]]
+        count = 0
+        for rows in joint:
+            scale = units.rows[count : count + rows.shape[-1], None]
+            parts.append(np.atleast_2d(rows).T / scale)
+            count += len(scale)
+        times = max(part.shape[1] for part in parts)
+        rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in parts])
+        both.append(np.broadcast_to(rows, (len(rows), T)))
+    return both[0], both[1]
+
+
+def _as_columns(bounds: Array, first: Array) -> Array:
+    """Return bounds (T, k) as columns (k, T), with other ones at t = 0; (k, 1) if they do not depend on time."""
+    if (bounds[1:] == first).all():
+        return first[:, None]
+    columns = np.array(bounds.T)
+    columns[:, 0] = first
+    return columns
+
+
+def _joined(C: Array, D: Array) -> Array:
+    return np.concatenate([C, D], axis=-1)
+
+
+def _power_of_two(size: Array) -> Array:
+    return np.exp2(np.round(np.log2(size)))

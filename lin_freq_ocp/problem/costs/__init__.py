@@ -1,0 +1,1 @@
+"""Quadratic costs and norms."""

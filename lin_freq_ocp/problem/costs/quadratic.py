@@ -1,0 +1,235 @@
+"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.arrays import Array, assign, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import datum
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.problem.costs.norms import CostSum
+
+SYMMETRY_TOLERANCE = 1e-12
+"""Relative asymmetry of Q, R or P that is rounding and not a mistake."""
+
+CONVEXITY_TOLERANCE = 1e-12
+"""Negative eigenvalue, relative to the largest, that is rounding of a positive semidefinite matrix."""
+
+
+class Summable:
+    """Costs whose sums are costs; ``sum`` of a list of them is one, too."""
+
+    def __add__(self, other: Any) -> CostSum:
+        from lin_freq_ocp.problem.costs.norms import CostSum
+
+        return CostSum([self, other])
+
+    def __radd__(self, other: Any) -> Self | CostSum:
+        if type(other) is int and other == 0:  # what sum() begins with
+            return self
+        from lin_freq_ocp.problem.costs.norms import CostSum
+
+        return CostSum([other, self])
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class QuadraticCost(Summable):
+    """sum_{t<T} 1/2 a'Q a + 1/2 b'R b + a'S b + q'x_t + r'u_t, plus 1/2 a'P a + p'x_T at T.
+
+    Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per
+    time (T of them); x_ref per time has T+1 rows.
+
+    Parameters
+    ----------
+    Q : float or (n, n), R : float or (m, m), S : (n, m)
+        Stage Hessian; a number stands for that multiple of the identity. Symmetric.
+    q : (n,), r : (m,)
+        Linear terms; they act on x_t and u_t, not on the deviations from the references.
+    P : float or (n, n), p : (n,)
+        Terminal terms.
+    x_ref : (n,) or (T+1, n), u_ref : (m,) or (T, m)
+        References; a number, for a single component.
+
+    Raises
+    ------
+    ProblemError
+        When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
+
+    Methods
+    -------
+    value(x, u)
+        The total cost.
+    stage_values(x, u)
+        The cost of every time.
+    gradient(x, u)
+        Its gradients in x and in u.
+    """
+
+    Q: Array
+    R: Array
+    S: Array
+    q: Array
+    r: Array
+    P: Array
+    p: Array
+    x_ref: Array
+    u_ref: Array
+
+    def __init__(
+        self,
+        Q: ArrayLike = 0.0,
+        R: ArrayLike = 0.0,
+        S: ArrayLike = 0.0,
+        q: ArrayLike = 0.0,
+        r: ArrayLike = 0.0,
+        P: ArrayLike = 0.0,
+        p: ArrayLike = 0.0,
+        x_ref: ArrayLike = 0.0,
+        u_ref: ArrayLike = 0.0,
+    ):
+        given = {"Q": Q, "R": R, "S": S, "q": q, "r": r, "P": P, "p": p, "x_ref": x_ref, "u_ref": u_ref}
+        assign(self, **{field: real_array(f"cost.{field}", value) for field, value in given.items()})
+
+    @property
+    def zero(self) -> bool:
+        """Whether all its terms are zero."""
+        return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
+
+    def describe(self) -> str:
+        """Return the terms that are there as a formula; nothing if all are zero."""
+        x = "(x - x_ref)" if self.x_ref.any() else "x"
+        u = "(u - u_ref)" if self.u_ref.any() else "u"
+        half = "\N{VULGAR FRACTION ONE HALF}"
+        stage = [
+            (self.Q, f"{half} {x}' Q {x}"),
+            (self.R, f"{half} {u}' R {u}"),
+            (self.S, f"{x}' S {u}"),
+            (self.q, "q' x"),
+            (self.r, "r' u"),
+        ]
+        terminal = [(self.P, f"{half} {x}' P {x} at the end"), (self.p, "p' x at the end")]
+        summed = [words for values, words in stage if values.any()]
+        parts = [f"the sum of {' + '.join(summed)}"] if summed else []
+        return " + ".join([*parts, *(words for values, words in terminal if values.any())])
+
+    def describe_data(self) -> list[str]:
+        """Return what stands for every letter of the formula."""
+        used = {"x_ref": self.Q.any() or self.P.any() or self.S.any(), "u_ref": self.R.any() or self.S.any()}
+        dimensions = {"Q": 2, "R": 2, "S": 2, "P": 2, "q": 1, "r": 1, "p": 1, "x_ref": 1, "u_ref": 1}
+        return [
+            datum(field, getattr(self, field), count)
+            for field, count in dimensions.items()
+            if getattr(self, field).any() and used.get(field, True)
+        ]
+
+    def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
+        """Return the same cost with every term an array of the right shape, checked."""
+        T = horizon
+
+        def square(field: str, size: int, times: int | None) -> Array:
+            value: Array = getattr(self, field)
+            value = shaped(f"cost.{field}", value * np.eye(size) if value.ndim == 0 else value, (size, size), times)
+            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max()
+            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
+                raise ProblemError(
+                    f"cost.{field}",
+                    f"a matrix that differs from its transpose by {asymmetry:g}",
+                    "a symmetric matrix",
+                    f"Only the symmetric part counts: pass ({field} + {field}')/2.",
+                )
+            return value
+
+        def vector(field: str, shape: tuple[int, ...], times: int | None) -> Array:
+            value: Array = getattr(self, field)
+            if value.ndim == 0 and value == 0:
+                value = np.zeros(shape)
+            return shaped(f"cost.{field}", value, shape, times)
+
+        def reference(field: str, size: int, times: int) -> Array:
+            value: Array = getattr(self, field)
+            value = np.zeros(size) if value.ndim == 0 and value == 0 else one_component(value, size)
+            return shaped(f"cost.{field}", value, (size,), times)
+
+        return QuadraticCost(
+            Q=square("Q", n, T),
+            R=square("R", m, T),
+            S=vector("S", (n, m), T),
+            q=vector("q", (n,), T),
+            r=vector("r", (m,), T),
+            P=square("P", n, None),
+            p=vector("p", (n,), None),
+            x_ref=reference("x_ref", n, T + 1),
+            u_ref=reference("u_ref", m, T),
+        )
+
+    def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""
+        return x - self.x_ref, u - self.u_ref
+
+    def stage_values(self, x: Array, u: Array) -> Array:
+        """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
+        a, b = self.deviations(x, u)
+        Qa, Rb, Sb = times_vectors(self.Q, a[:-1]), times_vectors(self.R, b), times_vectors(self.S, b)
+        stage = (a[:-1] * (0.5 * Qa + Sb) + x[:-1] * self.q).sum(1) + (0.5 * b * Rb + u * self.r).sum(1)
+        return np.append(stage, 0.5 * a[-1] @ self.P @ a[-1] + self.p @ x[-1])
+
+    def value(self, x: Array, u: Array) -> float:
+        """Return the total cost."""
+        return float(self.stage_values(x, u).sum())
+
+    def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
+        a, b = self.deviations(x, u)
+        in_x = np.empty_like(x)
+        in_x[:-1] = times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b) + self.q
+        in_x[-1] = self.P @ a[-1] + self.p
+        in_u = times_vectors(self.R, b) + times_vectors(np.swapaxes(self.S, -1, -2), a[:-1]) + self.r
+        return in_x, in_u
+
+    def magnitudes(self) -> QuadraticCost:
+        """Return the cost of the absolute values of all data but without references: see ``gradient_magnitudes``."""
+        return QuadraticCost(**{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
+
+    def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
+        plain = self.magnitudes()
+        return plain.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
+
+    def stage_hessians(self) -> Array:
+        """Return [[Q, S], [S', R]], shape (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
+        Q, R, S = (_per_time(part) for part in (self.Q, self.R, self.S))
+        times = max(len(Q), len(R), len(S))
+        n, m = S.shape[1:]
+        hessian = np.empty((times, n + m, n + m))
+        hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
+        hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
+        return hessian
+
+    def nonconvexity(self) -> tuple[int, float] | None:
+        """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
+        stage, terminal = _eigenvalues(self.stage_hessians()), _eigenvalues(self.P)
+        smallest = np.append(stage[:, 0], terminal[0])
+        rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
+        smallest = np.where(smallest < -rounding, smallest, 0.0)
+        worst = int(np.argmin(smallest))
+        if smallest[worst] == 0:
+            return None
+        return (worst if worst < len(stage) else -1), float(smallest[worst])
+
+
+def _eigenvalues(matrices: Array) -> Array:
+    """Return the eigenvalues of symmetric matrices, increasing along the last axis."""
+    diagonals = np.diagonal(matrices, axis1=-2, axis2=-1)
+    if np.count_nonzero(matrices) == np.count_nonzero(diagonals):
+        return np.sort(diagonals)
+    return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
+
+
+def _per_time(matrix: Array) -> Array:
+    return matrix[None] if matrix.ndim == 2 else matrix

@@ -1,0 +1,156 @@
+"""A problem in words: every part describes itself, and here they are put together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import shorten
+from typing import Any
+
+from lin_freq_ocp.formulas.text import text_of
+from lin_freq_ocp.phrases import AT_MOST, first_few, interval, intervals, listed, number, plural, short_name
+from lin_freq_ocp.problem.costs.norms import CostSum
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.convex import ConvexSet
+
+LONGEST = 300
+"""Characters of a fact: what is longer, as names of any length make it, is cut off."""
+
+Fact = tuple[str, str]
+"""A term, and what it is."""
+
+
+def problem_facts(problem: OptimalControlProblem) -> list[Fact]:
+    """Return the problem in words, as pairs of a term and what it is; one term may stand more than once."""
+    facts = [
+        ("horizon", _horizon(problem)),
+        *_cost(problem),
+        *_dynamics(problem),
+        *_controls(problem),
+        *_states(problem),
+        *_sets(problem),
+        *[(f"rows: {rows.name}", rows.describe(_signals(problem))) for rows in problem.stage_rows],
+        *_spectra(problem),
+    ]
+    return [(term, shorten(value, LONGEST, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, value in facts]
+
+
+def _horizon(problem: OptimalControlProblem) -> str:
+    step, horizon = problem.sampling_time, plural(problem.horizon, "step")
+    return horizon if step is None else f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
+
+
+def _cost(problem: OptimalControlProblem) -> list[Fact]:
+    quadratic, cost = problem.quadratic, problem.cost
+    norms = cost.norms if isinstance(cost, CostSum) else ()
+    parts = [words for words in (quadratic.describe(), *(norm.describe() for norm in norms)) if words]
+    if not parts:
+        return [("minimise", "nothing: any feasible point will do")]
+    where, data = list[Fact](), quadratic.describe_data()
+    for at in range(0, len(data), 3):  # each up to some sixty characters
+        where.append(("where", listed(data[at : at + 3])))
+    facts = [("minimise", parts[0]), *(("plus", part) for part in parts[1:])]
+    return [facts[0], *where, *facts[1:]] if quadratic.describe() else facts
+
+
+def _dynamics(problem: OptimalControlProblem) -> list[Fact]:
+    dynamics = problem.dynamics
+    if isinstance(dynamics, PiecewiseAffineDynamics):
+        kind = f"an affine map in each, where G x + H u {AT_MOST} h"
+    elif isinstance(dynamics, PiecewiseSmoothDynamics):
+        kind = "a smooth map in each, where its switching functions are at most zero"
+    else:
+        return [("dynamics", dynamics.describe())]
+    names = [f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}" for name in dynamics.mode_names]
+    shown = first_few(names, 3 if max(map(len, names)) > 30 else 6)
+    facts = [("modes", f"{len(names)}: {shown}; {kind}")] if len(names) > 1 else []
+    if isinstance(dynamics, PiecewiseSmoothDynamics) and dynamics.norms:
+        labels = [name.split(" [")[0] for name in _signals(problem)]
+        norms = list(dict.fromkeys(text_of(one, labels) for one in dynamics.norms))
+        facts.append(("kinks", f"{first_few(norms, 4)}, not differentiable at zero"))
+    return facts
+
+
+def _controls(problem: OptimalControlProblem) -> list[Fact]:
+    tube = problem.control_tube
+    return [(f"control: {name}", _bounds(tube, i, problem.control_set)) for i, name in enumerate(problem.control_names)]
+
+
+def _states(problem: OptimalControlProblem) -> list[Fact]:
+    """Return bounds and ends of every state; what other sets say of them is a fact of its own."""
+    boxes, facts = problem.state_boxes, list[Fact]()
+    for i, name in enumerate(problem.state_names):
+        words = [_bounds(boxes, i, problem.state_set)]
+        for verb, what, given, box in (
+            ("starts", "initial", problem.initial_state, problem.initial_box),
+            ("ends", "terminal", problem.terminal_state, problem.terminal_box),
+        ):
+            text = interval(float(box.lower[i]), float(box.upper[i]))
+            free = "anywhere" if isinstance(given, Box) else f"as the {what} set says"
+            words.append(f"{verb} {free if text == 'no bound' else text}")
+        facts.append((f"state: {name}", "; ".join(words)))
+    return facts
+
+
+def _bounds(boxes: Box, i: int, given: Any) -> str:
+    """Return the bounds over time of component i of a set."""
+    text = intervals(boxes.lower[:, i], boxes.upper[:, i])
+    return f"{text} of its own" if text == "no bound" and _beyond_bounds(given) else text
+
+
+def _beyond_bounds(given: Any) -> bool:
+    """Whether a set, or one of a list of them, is more than bounds on components."""
+    return isinstance(given, ConvexSet) or (
+        isinstance(given, (list, tuple)) and any(isinstance(one, ConvexSet) for one in given)
+    )
+
+
+def _sets(problem: OptimalControlProblem) -> list[Fact]:
+    """Return what is not bounds on components."""
+    facts = list[Fact]()
+    for term, given, names, signal in (
+        ("state set", problem.state_set, problem.state_names, "x"),
+        ("initial set", problem.initial_state, problem.state_names, "x"),
+        ("terminal set", problem.terminal_state, problem.state_names, "x"),
+        ("control set", problem.control_set, problem.control_names, "u"),
+    ):
+        if isinstance(given, ConvexSet):
+            facts.append((term, given.describe(names, signal)))
+        elif _beyond_bounds(given):
+            facts.append((term, _over_time([one.describe(names, signal) for one in given])))
+    return facts
+
+
+def _over_time(words: Sequence[str]) -> str:
+    """Return which set holds when; of many different ones, the first and the last."""
+    starts = [t for t in range(len(words)) if t == 0 or words[t] != words[t - 1]]
+    runs = [(first, after - 1) for first, after in zip(starts, [*starts[1:], len(words)], strict=True)]
+    said = [f"t = {a}{'' if a == b else f' to {b}'}: {words[a]}" for a, b in runs]
+    if len("; ".join(said)) <= LONGEST - 20:
+        return "; ".join(said)
+    if len(said[0]) + len(said[-1]) <= LONGEST - 60:
+        return f"{said[0]}; {plural(len(said) - 2, 'other')} between; {said[-1]}"
+    return f"{len(said)} sets, one after another"
+
+
+def _spectra(problem: OptimalControlProblem) -> list[Fact]:
+    facts = list[Fact]()
+    for term, given, names in (
+        ("control spectrum", problem.control_spectrum, problem.control_names),
+        ("state spectrum", problem.state_spectrum, problem.state_names),
+    ):
+        facts += [(term, one.describe(names)) for one in _listed(given)]
+    for outputs in _listed(problem.output_spectrum):
+        facts.append(("outputs", outputs.describe(_signals(problem))))
+        facts += [("output spectrum", one.describe(outputs.output_names)) for one in outputs.constraints]
+    return facts
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    return () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+
+
+def _signals(problem: OptimalControlProblem) -> tuple[str, ...]:
+    return (*(short_name(name) for name in problem.state_names), *problem.control_names)

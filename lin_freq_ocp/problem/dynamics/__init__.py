@@ -1,0 +1,1 @@
+"""Linear, piecewise-affine and piecewise-smooth dynamics."""

@@ -1,0 +1,162 @@
+"""Modes by the signs of guards G x_t + H u_t - d: one pattern of signs for each mode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.arrays import Array, brief, real_array
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.geometry.polyhedra import THICKNESS, has_interior
+from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, placed_at
+from lin_freq_ocp.problem.dynamics.labels import unique_names
+
+SIGNS = {"+": -1.0, "-": 1.0}
+"""What G x + H u - d is multiplied by for a row that must not be above zero."""
+
+ANY = "*"
+
+
+@dataclass(frozen=True, eq=False)
+class _Guards:
+    """G (guards, n), H (guards, m) and d (guards,), or with one per time in front."""
+
+    G: Array
+    H: Array
+    d: Array
+
+    @property
+    def count(self) -> int:
+        return self.d.shape[-1]
+
+    def region(self, pattern: str) -> dict[str, Array | None]:
+        """Return the rows G x + H u <= h of a pattern of signs; None for each if it has none."""
+        signed = [k for k, sign in enumerate(pattern) if sign != ANY]
+        if not signed:
+            return {"G": None, "H": None, "h": None}
+        factors = np.array([SIGNS[pattern[k]] for k in signed])
+        return {
+            "G": factors[:, None] * self.G[..., signed, :] + 0.0,  # and no -0
+            "H": factors[:, None] * self.H[..., signed, :] + 0.0,
+            "h": factors * self.d[..., signed] + 0.0,
+        }
+
+    def occurs(self, pattern: str) -> bool:
+        """Whether anything but a border has these signs, at some time."""
+        region = self.region(pattern)
+        G, H, h = region["G"], region["H"], region["h"]
+        if G is None or H is None or h is None:
+            return True
+        times = max([len(part) for part, ndim in ((G, 2), (H, 2), (h, 1)) if part.ndim > ndim], default=1)
+        shapes = (times, *G.shape[-2:]), (times, *H.shape[-2:]), (times, h.shape[-1])
+        parts = [np.broadcast_to(part, shape) for part, shape in zip((G, H, h), shapes, strict=True)]
+        return any(
+            has_interior(np.hstack([of_x, of_u]), limits, THICKNESS) for of_x, of_u, limits in zip(*parts, strict=True)
+        )
+
+
+def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, modes: Any) -> list[AffineMode]:
+    """Return a mode with its region for every pattern that has one; see ``PiecewiseAffineDynamics.from_guards``."""
+    if not isinstance(modes, Mapping) or not any(given is not None for given in modes.values()):
+        expected = 'a mapping from signs such as "+-" to modes, of which one at least is not None'
+        raise ProblemError("guards.modes", brief(modes), expected)
+    maps = {pattern: _mode(f"guards.modes[{pattern!r}]", pattern, given) for pattern, given in modes.items()}
+    first = next(mode for mode in maps.values() if mode is not None)
+    sizes = first.linear.state_dim, first.linear.control_dim
+    for pattern, mode in maps.items():
+        got = sizes if mode is None else (mode.linear.state_dim, mode.linear.control_dim)
+        if got != sizes:
+            expected = f"{sizes[0]} and {sizes[1]}, as in the first"
+            raise ProblemError(f"guards.modes[{pattern!r}]", f"{got[0]} states and {got[1]} controls", expected)
+    guards = _guards(G, H, d, *sizes)
+    for pattern in maps:
+        if not isinstance(pattern, str) or len(pattern) != guards.count or set(pattern) - {*SIGNS, ANY}:
+            expected = f'{guards.count} characters "+", "-" or "*", one for each guard'
+            raise ProblemError("guards.modes", brief(pattern), expected)
+    _require_one_each(guards, maps)
+    kept = {pattern: mode for pattern, mode in maps.items() if mode is not None}
+    names = unique_names([mode.name for mode in kept.values()])
+    return [
+        AffineMode(mode.linear.A, mode.linear.B, mode.linear.offset, **guards.region(pattern), name=name)
+        for (pattern, mode), name in zip(kept.items(), names, strict=True)
+    ]
+
+
+def _mode(place: str, pattern: Any, given: Any) -> AffineMode | None:
+    """Return the map of a mode, with its name, and no region yet."""
+    if given is None:
+        return None
+    if isinstance(given, AffineMode):
+        if not given.everywhere:
+            raise ProblemError(place, "a mode with a region of its own", "one without: the signs say where it holds")
+        linear, name = given.linear, given.name or str(pattern)
+        return AffineMode(linear.A, linear.B, linear.offset, name=name)
+    if not isinstance(given, (tuple, list)) or len(given) not in (2, 3):
+        raise ProblemError(place, brief(given), "an AffineMode, (A, B), (A, B, offset), or None")
+    with placed_at(place):
+        return AffineMode(*given, name=str(pattern))
+
+
+def _guards(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, n: int, m: int) -> _Guards:
+    given = {
+        field: real_array(f"guards.{field}", value)
+        for field, value in (("G", G), ("H", H), ("d", d))
+        if value is not None
+    }
+    if not given.keys() & {"G", "H"}:
+        raise ProblemError("guards.G", "neither G nor H", "at least one of them")
+    lead = given.get("G", given.get("H"))
+    assert lead is not None  # there is one
+    count = lead.shape[-2] if lead.ndim > 1 else 0
+    expected = {"G": (count, n), "H": (count, m), "d": (count,)}
+    for field, array in given.items():
+        shape = expected[field]
+        if not count or array.ndim not in (len(shape), len(shape) + 1) or array.shape[-len(shape) :] != shape:
+            right = ", ".join(map(str, shape)) if count else f"guards, {shape[-1]}"
+            advice = "A single guard is a matrix with one row: [[g_1, g_2, ...]]." if field != "d" else ""
+            wanted = f"shape ({right}), one row per guard, or (T, {right}) with one per time"
+            raise ProblemError(f"guards.{field}", f"shape {array.shape}", wanted, advice)
+    parts = [given.get(field, np.zeros(shape)) for field, shape in expected.items()]
+    return _Guards(*parts)
+
+
+def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -> None:
+    """Raise ProblemError unless all signs that occur have one pattern."""
+    patterns = list(modes)
+    for i, first in enumerate(patterns):
+        for second in patterns[i + 1 :]:
+            both = _together(first, second)
+            if both is not None and modes[first] is not modes[second] and guards.occurs(both):
+                raise ProblemError(
+                    f"guards.modes[{second!r}]", f"a pattern that holds together with {first!r}", "one of the two"
+                )
+    for signs in _without_pattern("", patterns, guards.count):
+        if guards.occurs(signs):
+            raise ProblemError(
+                "guards.modes",
+                f"no pattern for the signs {signs!r}",
+                "a mode for all signs that occur",
+                "If they do not occur within the sets of the problem, give None for them.",
+            )
+
+
+def _together(first: str, second: str) -> str | None:
+    """Return the pattern of the signs that both patterns allow, None if they allow none."""
+    pairs = list(zip(first, second, strict=True))
+    if any({*pair} == {*SIGNS} for pair in pairs):
+        return None
+    return "".join(one if two == ANY else two for one, two in pairs)
+
+
+def _without_pattern(signs: str, patterns: Sequence[str], count: int) -> Iterator[str]:
+    """Yield patterns that begin with these signs and that no given pattern shares any signs with."""
+    if not patterns:
+        yield signs + ANY * (count - len(signs))
+    elif not any(set(pattern[len(signs) :]) <= {ANY} for pattern in patterns):
+        for sign in SIGNS:
+            left = [pattern for pattern in patterns if pattern[len(signs)] in (sign, ANY)]
+            yield from _without_pattern(signs + sign, left, count)

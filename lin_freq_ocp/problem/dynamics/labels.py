@@ -1,0 +1,74 @@
+"""What dynamics of every kind call their signals and modes, and their sampling time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from lin_freq_ocp.arrays import brief, names, positive_number
+from lin_freq_ocp.errors import ProblemError
+
+
+def signal_labels(
+    n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
+) -> dict[str, Any]:
+    """Return the fields of dynamics with n states and m controls that name their signals, checked.
+
+    Raises
+    ------
+    ProblemError
+        If the sampling time is no number above zero, or names are not as many as components, or repeated.
+    """
+    return {
+        "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
+        "state_names": names("dynamics.state_names", state_names, n, "x"),
+        "control_names": names("dynamics.control_names", control_names, m, "u"),
+    }
+
+
+def printable(field: str, name: Any) -> str:
+    """Return a name, or "" for none.
+
+    Raises
+    ------
+    ProblemError
+        If it is no text of printable characters: others would make one thing look like another, or end a line.
+    """
+    if not isinstance(name, str) or not name.isprintable():
+        raise ProblemError(field, brief(name), "a name of printable characters")
+    return name
+
+
+def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of modes, "mode i" where none is given.
+
+    Raises
+    ------
+    ProblemError
+        If two are the same, or one is no text of printable characters.
+    """
+    found: dict[str, None] = {}
+    for i, name in enumerate(given):
+        printable(f"dynamics.modes[{i}].name", name)
+        label = name or f"mode {i}"
+        if label in found:
+            raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
+        found[label] = None
+    return tuple(found)
+
+
+def unique_names(given: Sequence[str]) -> list[str]:
+    """Return names for modes that nobody named one by one: those that stand several times with a number.
+
+    A mode without a name stays without, unless the default name of its place is another's.
+    """
+    labels = [name or f"mode {i}" for i, name in enumerate(given)]
+    taken, unique = set(labels), list[str]()
+    for name, label in zip(given, labels, strict=True):
+        if labels.count(label) == 1:
+            unique.append(name)
+            continue
+        numbered = (f"{label} ({count})" for count in range(1, 2 * len(labels) + 1))
+        unique.append(next(one for one in numbered if one not in taken))
+        taken.add(unique[-1])
+    return unique

@@ -1,0 +1,291 @@
+"""Linear dynamics x_{t+1} = A_t x_t + B_t u_t + d_t (paper, eq. (sys_dynamics))."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import datum, plural
+from lin_freq_ocp.problem.dynamics.labels import signal_labels
+from lin_freq_ocp.problem.dynamics.linearisation import clock, linearisation
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class LinearDynamics:
+    """x_{t+1} = A_t x_t + B_t u_t + d_t, for t = 0 .. T-1.
+
+    Parameters
+    ----------
+    A : (n, n) or (T, n, n)
+        State matrix, or one per time.
+    B : (n, m) or (T, n, m)
+        Control matrix, or one per time.
+    offset : (n,) or (T, n), optional
+        The known term d_t.
+    sampling_time : float, optional
+        Seconds per step. Needed wherever a frequency is given in Hz.
+    state_names, control_names : sequences of str, optional
+        One name per component, with its unit in brackets: ``"position [m]"``.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, entries are not finite, or names are repeated.
+
+    Methods
+    -------
+    from_continuous(A, B, sampling_time)
+        Sample a continuous model.
+    from_statespace(plant)
+        Take a model of python-control.
+    linearised(system, x, u)
+        Linearise a nonlinear model at a point or along a trajectory.
+    at(t)
+        A_t, B_t and d_t.
+    successors(x, u)
+        The next state of every time.
+    """
+
+    A: Array
+    B: Array
+    offset: Array
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        offset: ArrayLike | None = None,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ):
+        matrix_A, matrix_B = real_array("dynamics.A", A), real_array("dynamics.B", B)
+        if matrix_A.ndim not in (2, 3) or matrix_A.shape[-1] != matrix_A.shape[-2] or matrix_A.shape[-1] == 0:
+            raise ProblemError(
+                "dynamics.A", f"shape {matrix_A.shape}", "a square matrix (n, n), or (T, n, n) with one per time"
+            )
+        n = matrix_A.shape[-1]
+        if matrix_B.ndim not in (2, 3) or matrix_B.shape[-2] != n or matrix_B.shape[-1] == 0:
+            raise ProblemError(
+                "dynamics.B",
+                f"shape {matrix_B.shape}",
+                f"a matrix ({n}, m), or (T, {n}, m) with one per time",
+                "A single control is a matrix with one column: [[b_1], [b_2], ...].",
+            )
+        drift = real_array("dynamics.offset", np.zeros(n) if offset is None else offset)
+        if drift.ndim not in (1, 2) or drift.shape[-1] != n:
+            raise ProblemError(
+                "dynamics.offset", f"shape {drift.shape}", f"shape ({n},), or (T, {n}) with one per time"
+            )
+        assign(
+            self,
+            A=matrix_A,
+            B=matrix_B,
+            offset=drift,
+            **signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names),
+        )
+
+    @classmethod
+    def from_continuous(
+        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Any
+    ) -> LinearDynamics:
+        """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
+
+        Parameters
+        ----------
+        A, B, offset : (n, n), (n, m), (n,)
+            The continuous model.
+        sampling_time : float
+            Seconds per step.
+        named
+            ``state_names`` and ``control_names``.
+        """
+        Ac, Bc = real_array("dynamics.A", A), real_array("dynamics.B", B)
+        step = positive_number("dynamics.sampling_time", sampling_time)
+        if Ac.ndim != 2 or Bc.ndim != 2 or Ac.shape != (Bc.shape[0], Bc.shape[0]):
+            raise ProblemError("dynamics.A, B", f"shapes {Ac.shape} and {Bc.shape}", "shapes (n, n) and (n, m)")
+        n, m = Bc.shape
+        drift = np.zeros(n) if offset is None else real_array("dynamics.offset", offset)
+        if drift.shape != (n,):
+            raise ProblemError("dynamics.offset", f"shape {drift.shape}", f"shape ({n},)")
+        generator = np.zeros((n + m + 1, n + m + 1))
+        generator[:n] = np.hstack([Ac, Bc, drift[:, None]])
+        with np.errstate(over="ignore", invalid="ignore"):
+            sampled = expm(generator * step)
+        return cls(sampled[:n, :n], sampled[:n, n : n + m], sampled[:n, -1], sampling_time=step, **named)
+
+    @classmethod
+    def from_statespace(
+        cls,
+        plant: Any,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> LinearDynamics:
+        """Take the state equation of a ``control.StateSpace`` (its outputs are not used).
+
+        Parameters
+        ----------
+        plant : control.StateSpace
+            Continuous (sampled here by a zero-order hold) or discrete.
+        sampling_time : float, optional
+            Seconds per step; required for a continuous plant, and must agree with a discrete one's own.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the plant.
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(plant, control.StateSpace):
+            raise ProblemError(
+                "plant", type(plant).__name__, "a control.StateSpace", "Convert it with control.ss(plant)."
+            )
+        labels: dict[str, Any] = {
+            "state_names": state_names or plant.state_labels,
+            "control_names": control_names or plant.input_labels,
+        }
+        continuous, step = clock("plant", plant, sampling_time)
+        if continuous and step is not None:
+            return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), step, **labels)
+        return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=step, **labels)
+
+    @classmethod
+    def linearised(
+        cls,
+        system: Any,
+        x: ArrayLike,
+        u: ArrayLike,
+        sampling_time: float | None = None,
+        params: dict[str, Any] | None = None,
+        *,
+        state_scale: ArrayLike | None = None,
+        control_scale: ArrayLike | None = None,
+        integrator: str = "DOP853",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> LinearDynamics:
+        """Linearise a nonlinear model at a point, or along a trajectory: A_t, B_t and d_t with one per time.
+
+        At (x_t, u_t) the linear model has the value and the derivatives of the nonlinear map over one period, whether
+        or not x is a solution: of the update equation of a discrete model, of the integral of a continuous one with u
+        held (rtol ``INTEGRATION_TOLERANCE``, 1e-12). Derivatives are fourth-order central differences.
+
+        Parameters
+        ----------
+        system : control.NonlinearIOSystem
+            Continuous or discrete, from ``control.nlsys``; its outputs are not used. Period t begins at the time
+            t times sampling_time.
+        x, u : (n,) and (m,), or (T+1, n) and (T, m)
+            Where. The last state, x_T, takes no part, and may be missing.
+        sampling_time : float, optional
+            Seconds per step; required for a continuous model, and must agree with a discrete one's own.
+        params : dict, optional
+            Parameters of the model.
+        state_scale, control_scale : float, (n,) or (m,), optional
+            Natural sizes of the components; the differences take steps of ``RELATIVE_STEP`` (1/1024) times these.
+            Default: the square root of the largest absolute value along the trajectory, at least 1. Curvature asks for
+            less, rounding for more; give them where the model bends within a few steps, as with lengths of micrometres
+            in metres.
+        integrator : {"DOP853", "Radau"}
+            The method of ``scipy.integrate.solve_ivp`` for continuous models; "Radau" for stiff ones.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the model.
+
+        Raises
+        ------
+        ProblemError
+            If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
+            others, or those behind and ahead of the point differ: a kink) or no integral at some (x_t, u_t).
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(system, control.NonlinearIOSystem):
+            raise ProblemError("system", type(system).__name__, "a control.NonlinearIOSystem", "See control.nlsys.")
+        sizes = state_scale, control_scale
+        A, B, offset, step = linearisation(system, x, u, sampling_time, params, sizes, integrator)
+        states, controls = state_names or system.state_labels or None, control_names or system.input_labels or None
+        return cls(A, B, offset, step, states, controls)
+
+    @property
+    def state_dim(self) -> int:
+        """Return n."""
+        return self.A.shape[-1]
+
+    @property
+    def control_dim(self) -> int:
+        """Return m."""
+        return self.B.shape[-1]
+
+    @property
+    def time_varying(self) -> bool:
+        """Whether A or B depends on time."""
+        return self.A.ndim == 3 or self.B.ndim == 3
+
+    def describe(self) -> str:
+        """Return the map as a formula, what depends on time, and the offset."""
+        known = " + d" if self.offset.any() else ""
+        text = f"linear: A x + B u{known}, {plural(self.state_dim, 'state')}, {plural(self.control_dim, 'control')}"
+        varying = [
+            f"{name} depends on time" for name, one in (("A", self.A), ("B", self.B)) if one.ndim == 3 and _varies(one)
+        ]
+        return "; ".join([text, *varying, *([datum("d", self.offset, 1)] if known else [])])
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        for field, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
+            if array.ndim > constant_ndim and len(array) != horizon:
+                raise ProblemError(
+                    f"dynamics.{field}", f"{len(array)} times", f"one for each of the {horizon} steps of the horizon"
+                )
+
+    def at(self, t: int) -> tuple[Array, Array, Array]:
+        """Return A_t (n, n), B_t (n, m) and d_t (n,)."""
+        return (
+            self.A if self.A.ndim == 2 else self.A[t],
+            self.B if self.B.ndim == 2 else self.B[t],
+            self.offset if self.offset.ndim == 1 else self.offset[t],
+        )
+
+    def successors(self, x: Array, u: Array) -> Array:
+        """Return f_t(x_t, u_t) for all t < T; x is (T+1, n) or (T, n), u is (T, m)."""
+        return times_vectors(self.A, x[: len(u)]) + times_vectors(self.B, u) + self.offset
+
+    def pull_back(self, eta: Array) -> tuple[Array, Array]:
+        """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
+        return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
+
+    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,)."""
+
+        def step(t: int, x: Array, u: Array) -> Array:
+            A, B, d = self.at(t)
+            return A @ x + B @ u + d
+
+        return step
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
+        n, m = self.state_dim, self.control_dim
+        A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
+        return A, B, np.abs(self.offset).reshape(-1, n).max(0)
+
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains``, which are the same along all trajectories."""
+        return self.gains()
+
+    def magnitudes(self) -> LinearDynamics:
+        """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
+        return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))
+
+
+def _varies(matrices: Array) -> bool:
+    return bool((matrices != matrices[0]).any())

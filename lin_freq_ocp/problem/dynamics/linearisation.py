@@ -1,0 +1,220 @@
+"""The map of a nonlinear python-control model over one sampling period, linearised along a trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+
+from lin_freq_ocp.arrays import Array, brief, positive_number, real_array, times_vectors
+from lin_freq_ocp.errors import ProblemError
+
+RELATIVE_STEP = 2.0**-10
+"""Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal."""
+
+SMALLER, SMOOTH = 1 / 64, 1e-2
+"""With steps so much smaller, no derivative may change by more, relative to the largest effect on the same state."""
+
+LASTING = 0.5
+"""Derivatives behind and ahead of a kink differ as much with smaller steps; where |v|^1.5 has its least, whose
+derivative is continuous, the difference falls with the root of the step: to 1/8."""
+
+NO_EFFECT = 1e-9
+"""Effects below this, relative to the larger of 1 and the slope of the state, are rounding errors."""
+
+INTEGRATION_TOLERANCE = 1e-12
+"""Local error of state and derivatives in the integration over one period, relative to their sizes."""
+
+MOST_EVALUATIONS = 20_000
+"""Of the derivatives, over one period; an explicit method needs more only if the model is stiff."""
+
+INTEGRATORS = ("DOP853", "Radau")
+
+Model = Callable[[float, Array], Array]
+"""From the time in seconds and (x, u) to dx/dt, or to the next x."""
+
+
+def linearisation(
+    system: Any,
+    x: ArrayLike,
+    u: ArrayLike,
+    sampling_time: float | None,
+    params: dict[str, Any] | None,
+    sizes: tuple[ArrayLike | None, ArrayLike | None],
+    integrator: str,
+) -> tuple[Array, Array, Array, float | None]:
+    """Return A, B, d and the sampling time; A, B and d have one per time if x and u have.
+
+    With F_t the map over the period that begins at t, A_t and B_t are its derivatives at (x_t, u_t), and
+    d_t = F_t(x_t, u_t) - A_t x_t - B_t u_t. A discrete model is F itself. Of a continuous one, with u held, the state
+    and its derivatives Phi = (A, B) are integrated together: dPhi/dt = D_x f Phi + (0, D_u f), Phi = (I, 0) at t.
+    See ``LinearDynamics.linearised`` for the parameters; ``sizes`` are its ``state_scale`` and ``control_scale``.
+    """
+    continuous, step = clock("system", system, sampling_time)
+    if integrator not in INTEGRATORS:
+        raise ProblemError("integrator", brief(integrator), " or ".join(map(repr, INTEGRATORS)))
+    states, controls = _points(system, x, u)
+    n, m = states.shape[-1], controls.shape[-1]
+    points = np.hstack([np.atleast_2d(states), np.atleast_2d(controls)])
+    size = np.concatenate(
+        [_size("state_scale", sizes[0], points[:, :n]), _size("control_scale", sizes[1], points[:, n:])]
+    )
+    successor, slope = np.empty((len(points), n)), np.empty((len(points), n, n + m))
+    for t, point in enumerate(points):
+        model, seconds = _model(system, n, params, t), t * (step or 1.0)
+        successor[t] = model(seconds, point)
+        slope[t] = _smooth_slope(model, seconds, point, size, successor[t], t)
+        if continuous:
+            span = (seconds, seconds + (step or 0.0))
+            successor[t], slope[t] = _over_one_period(model, span, point, size, n, integrator, t)
+    offset = successor - times_vectors(slope, points)
+    if states.ndim == 1:
+        return slope[0, :, :n], slope[0, :, n:], offset[0], step
+    return slope[:, :, :n], slope[:, :, n:], offset, step
+
+
+def clock(field: str, system: Any, sampling_time: float | None) -> tuple[bool, float | None]:
+    """Return whether a python-control model is continuous, and the seconds per step; None if nobody says.
+
+    Raises
+    ------
+    ProblemError
+        If a continuous model comes without sampling time, or a discrete one has another.
+    """
+    if system.dt is None:
+        raise ProblemError(f"{field}.dt", "None (unspecified)", "0 (continuous) or a sampling time", f"Set {field}.dt.")
+    if system.dt == 0 and not isinstance(system.dt, bool):
+        if sampling_time is None:
+            raise ProblemError("sampling_time", "None", "seconds per step", f"The {field} is continuous.")
+        return True, positive_number("dynamics.sampling_time", sampling_time)
+    own = None if system.dt is True else float(system.dt)
+    if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12, atol=0.0):
+        raise ProblemError(
+            "sampling_time",
+            brief(sampling_time),
+            f"{own}, the sampling time of the discrete {field}",
+            f"Leave it out, or resample the {field} first.",
+        )
+    return False, own or sampling_time
+
+
+def _points(system: Any, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+    """Return x (n,) and u (m,), or x (T, n) and u (T, m): the state after the last control takes no part."""
+    states, controls = real_array("x", x), real_array("u", u)
+    n, m = (given or "n" for given in (system.nstates, system.ninputs))
+    expected = f"x ({n},) and u ({m},), or x (T+1, {n}) and u (T, {m})"
+    fit = states.ndim == controls.ndim and states.ndim in (1, 2) and states.size and controls.size
+    fit = fit and system.nstates in (None, states.shape[-1]) and system.ninputs in (None, controls.shape[-1])
+    if not fit or (states.ndim == 2 and len(states) - len(controls) not in (0, 1)):
+        advice = "A point gives one model, a trajectory one per time; time is axis 0."
+        raise ProblemError("x, u", f"shapes {states.shape} and {controls.shape}", expected, advice)
+    return (states, controls) if states.ndim == 1 else (states[: len(controls)], controls)
+
+
+def _size(field: str, given: ArrayLike | None, along: Array) -> Array:
+    if given is None:
+        return np.sqrt(np.maximum(1.0, np.abs(along).max(axis=0)))
+    sizes = real_array(field, given)
+    if sizes.shape not in ((), along.shape[1:]) or not (sizes > 0).all():
+        raise ProblemError(field, brief(given), f"a number above zero, or {along.shape[1]} of them")
+    return np.broadcast_to(sizes, along.shape[1:])
+
+
+def _model(system: Any, n: int, params: dict[str, Any] | None, t: int) -> Model:
+    def model(seconds: float, point: Array) -> Array:
+        value = np.asarray(system.dynamics(seconds, point[:n], point[n:], params))
+        if value.shape != (n,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
+            at = f"{brief(value.tolist())} at x = {point[:n].tolist()}, u = {point[n:].tolist()}"
+            raise ProblemError(f"system, t = {t}", at, f"{n} finite numbers, one per state")
+        return value.astype(np.float64)
+
+    return model
+
+
+def _shifted(model: Model, seconds: float, point: Array, steps: Array) -> Array:
+    """Return the model 2 steps and 1 step behind the point, and 1 and 2 ahead, along each variable: (4, n, n + m)."""
+    shifts = np.diag(steps)
+    return np.stack([[model(seconds, point + k * shift) for shift in shifts] for k in (-2, -1, 1, 2)]).swapaxes(1, 2)
+
+
+def _slope(shifted: Array, steps: Array) -> Array:
+    """Return the derivatives of the model by (x, u), shape (n, n + m), by central differences of fourth order."""
+    far_behind, behind, ahead, far_ahead = shifted
+    return (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * steps)
+
+
+def _one_sided(shifted: Array, value: Array, steps: Array) -> Array:
+    """Return the derivatives behind and ahead of the point, shape (2, n, n + m), by differences of second order."""
+    far_behind, behind, ahead, far_ahead = shifted - value[:, None]
+    return np.stack([far_behind - 4 * behind, 4 * ahead - far_ahead]) / (2 * steps)
+
+
+def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value: Array, t: int) -> Array:
+    """Return the derivatives at a point of the trajectory.
+
+    Raises
+    ------
+    ProblemError
+        If they are others with smaller steps, or if those behind and ahead of the point differ, with the larger steps
+        and with the smaller ones: a kink is near or at the point, or a size is too large.
+    """
+    steps = [RELATIVE_STEP * size, SMALLER * RELATIVE_STEP * size]
+    shifted = [_shifted(model, seconds, point, step) for step in steps]
+    slope, closer = (_slope(around, step) for around, step in zip(shifted, steps, strict=True))
+    sides, closer_sides = (_one_sided(around, value, step) for around, step in zip(shifted, steps, strict=True))
+    effect = np.abs(slope) * size
+    allowed = (SMOOTH * effect.max(axis=1) + NO_EFFECT * np.maximum(1.0, np.abs(value)))[:, None]
+    change = np.abs(slope - closer) * size - allowed
+    if change.max() > 0:
+        i, j = (int(place) for place in np.unravel_index(np.argmax(change), change.shape))
+        texts = [f"{one[i, j]:.6g} by steps of {step[j]:.2g}" for one, step in zip((slope, closer), steps, strict=True)]
+        raise _kink(i, j, len(value), t, ", ".join(texts))
+    jump, closer_jump = np.abs(sides[1] - sides[0]), np.abs(closer_sides[1] - closer_sides[0])
+    lasting = np.where(closer_jump > LASTING * jump, closer_jump * size, 0.0) - allowed
+    if lasting.max() > 0:
+        i, j = (int(place) for place in np.unravel_index(np.argmax(lasting), lasting.shape))
+        below, above = closer_sides[:, i, j]
+        raise _kink(i, j, len(value), t, f"{below:.6g} behind the point, {above:.6g} ahead of it")
+    return slope
+
+
+def _kink(i: int, j: int, n: int, t: int, found: str) -> ProblemError:
+    variable = f"x[{j}]" if j < n else f"u[{j - n}]"
+    return ProblemError(
+        f"system, t = {t}",
+        f"derivatives of state {i} by {variable}: {found}",
+        "a smooth model",
+        "Give state_scale and control_scale, or a point farther from the kink.",
+    )
+
+
+def _over_one_period(
+    model: Model, span: tuple[float, float], point: Array, size: Array, n: int, integrator: Any, t: int
+) -> tuple[Array, Array]:
+    """Return the state after the period, and its derivatives by (x, u) at its beginning, shape (n, n + m)."""
+    count, steps = 0, RELATIVE_STEP * size
+
+    def derivative(seconds: float, joined: Array) -> Array:
+        nonlocal count
+        count += 1
+        if count > MOST_EVALUATIONS:
+            advice = "If it is stiff, integrator='Radau' helps." if integrator != "Radau" else "Sample it faster."
+            raise ProblemError(f"system, t = {t}", f"{count} evaluations in one period", "a model with fewer", advice)
+        here, phi = np.concatenate([joined[:n], point[n:]]), joined[n:].reshape(n, -1)
+        slope = _slope(_shifted(model, seconds, here, steps), steps)
+        slope_phi = slope[:, :n] @ phi
+        slope_phi[:, n:] += slope[:, n:]
+        return np.concatenate([model(seconds, here), slope_phi.ravel()])
+
+    start = np.concatenate([point[:n], np.eye(n, len(point)).ravel()])
+    sizes = np.concatenate([size[:n], np.divide.outer(size[:n], size).ravel()])
+    tolerance = INTEGRATION_TOLERANCE
+    ended: Any = solve_ivp(derivative, span, start, method=integrator, rtol=tolerance, atol=tolerance * sizes)
+    if not ended.success:
+        advice = "A state may become infinite within the period."
+        raise ProblemError(f"system, t = {t}", f"no solution ({ended.message})", "one over the whole period", advice)
+    final: Array = ended.y[:, -1]
+    return final[:n], final[n:].reshape(n, -1)

@@ -1,0 +1,321 @@
+"""Piecewise-affine dynamics: x_{t+1} = A_i x_t + B_i u_t + d_i, mode i, where G_i x_t + H_i u_t <= h_i."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.arrays import Array, Indices, assign, brief
+from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode
+from lin_freq_ocp.problem.dynamics.expressions import Expression
+from lin_freq_ocp.problem.dynamics.guards import guarded_modes
+from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.max_min import modes_of
+from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
+from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece, linearised_modes
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class PiecewiseAffineDynamics:
+    """x_{t+1} = A_i x_t + B_i u_t + d_i in the region of mode i.
+
+    Regions must cover the problem's state and control sets and overlap on borders only; a problem checks both. On the
+    border of a map that jumps there, an optimiser may choose either mode, and a replay takes the first listed.
+
+    Parameters
+    ----------
+    modes : sequence of AffineMode
+        At least one, with the same numbers of states and controls.
+    sampling_time : float, optional
+        Seconds per step. Needed wherever a frequency is given in Hz.
+    state_names, control_names : sequences of str, optional
+        One name per component, with its unit in brackets: ``"position [m]"``.
+
+    Raises
+    ------
+    ProblemError
+        If there is no mode, or their dimensions differ.
+
+    Methods
+    -------
+    from_guards(...)
+        Modes by the signs of guards.
+    from_max_min(...)
+        Modes of maxima and minima.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
+    along(sequence)
+        The linear dynamics of one mode sequence.
+    """
+
+    modes: tuple[AffineMode, ...]
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    def __init__(
+        self,
+        modes: Sequence[AffineMode],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ):
+        if not isinstance(modes, Sequence) or not modes:
+            raise ProblemError("dynamics.modes", brief(modes), "a list of at least one AffineMode")
+        for i, mode in enumerate(modes):
+            if not isinstance(mode, AffineMode):
+                raise ProblemError(f"dynamics.modes[{i}]", brief(mode), "an AffineMode")
+        n, m = modes[0].linear.state_dim, modes[0].linear.control_dim
+        for i, mode in enumerate(modes):
+            got = mode.linear.state_dim, mode.linear.control_dim
+            if got != (n, m):
+                raise ProblemError(
+                    f"dynamics.modes[{i}]", f"{got[0]} states and {got[1]} controls", f"{n} and {m}, as in the first"
+                )
+        assign(self, modes=tuple(modes), **signal_labels(n, m, sampling_time, state_names, control_names))
+        _ = self.mode_names  # all different
+
+    @classmethod
+    def from_max_min(
+        cls,
+        expressions: Sequence[Expression | float],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Take x_{t+1} as maxima and minima of affine functions of (x_t, u_t): one mode for each combination.
+
+        Parameters
+        ----------
+        expressions : sequence of Expression
+            One for each state, made of ``affine_signals(n, m)`` by sums, multiples, ``maximum`` and ``minimum``; a
+            number is a constant.
+        sampling_time, state_names, control_names
+            As for the class.
+
+        Returns
+        -------
+        PiecewiseAffineDynamics
+            Continuous, its regions without rows that say nothing. Combinations of the same map that make up one
+            polyhedron together are one mode.
+
+        Raises
+        ------
+        ProblemError
+            If expressions and states are not as many, or there are more than ``MOST_PIECES`` (256) combinations.
+        """
+        return cls(modes_of(expressions, state_names, control_names), sampling_time, state_names, control_names)
+
+    @classmethod
+    def from_guards(
+        cls,
+        G: ArrayLike | None,
+        H: ArrayLike | None,
+        d: ArrayLike | None,
+        modes: Mapping[str, Any],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Take the mode by the signs of guards G x_t + H u_t - d; at zero both signs hold.
+
+        Parameters
+        ----------
+        G : (guards, n) or (T, guards, n), H : (guards, m) or (T, guards, m), d : (guards,) or (T, guards)
+            One of G and H may be None, and d, for zeros.
+        modes : mapping from str to AffineMode, (A, B), (A, B, offset), or None
+            One mode for each pattern of signs, which has one character per guard: "+" (zero or above), "-" (zero or
+            below) or "*" (any). The first is mode 0. An AffineMode brings its name, and no region of its own; another
+            mode is named by its pattern. None: no mode, because these signs do not occur within the sets of the
+            problem, which checks it.
+        sampling_time, state_names, control_names
+            As for the class.
+
+        Raises
+        ------
+        ProblemError
+            If shapes do not match, a pattern is none, two patterns hold together, or signs that occur have none.
+        """
+        return cls(guarded_modes(G, H, d, modes), sampling_time, state_names, control_names)
+
+    @classmethod
+    def linearised(
+        cls,
+        pieces: Sequence[SmoothPiece],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> PiecewiseAffineDynamics:
+        """Linearise nonlinear models, each at its own point and with its own region: one mode for each.
+
+        A map that is continuous need not be so any more afterwards: ``problem.borders`` says how much it jumps. It is
+        continuous across a border if both models are linearised at the same point of it, agree there, and the region's
+        facet is tangent to the surface on which they agree. Over a period the mode is that of its beginning.
+
+        Parameters
+        ----------
+        pieces : sequence of SmoothPiece
+        sampling_time : float, optional
+            Seconds per step; required for continuous models, and must agree with that of discrete ones.
+        state_names, control_names : sequences of str, optional
+            Default: the labels of the first model.
+
+        Raises
+        ------
+        ProblemError
+            If shapes or sampling times do not match, or a model has no value or derivatives at its point.
+        """
+        modes, step, states, controls = linearised_modes(pieces, sampling_time, state_names, control_names)
+        return cls(modes, step, states, controls)
+
+    @property
+    def state_dim(self) -> int:
+        """Return n."""
+        return self.modes[0].linear.state_dim
+
+    @property
+    def control_dim(self) -> int:
+        """Return m."""
+        return self.modes[0].linear.control_dim
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Return the name of every mode."""
+        return mode_labels(mode.name for mode in self.modes)
+
+    @cached_property
+    def time_varying(self) -> bool:
+        """Whether any map or region depends on time."""
+        maps_vary = any(mode.linear.time_varying or mode.linear.offset.ndim > 1 for mode in self.modes)
+        return maps_vary or self.regions_vary
+
+    @cached_property
+    def regions_vary(self) -> bool:
+        """Whether any region depends on time."""
+        return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
+
+    @cached_property
+    def found_whole(self) -> set[bytes]:
+        """Sets, in bytes, that the regions were found to cover without overlap: the check is not made again."""
+        return set()
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        for i, mode in enumerate(self.modes):
+            try:
+                mode.linear.require_horizon(horizon)
+                mode.region.at_dimensions(self.state_dim, self.control_dim, horizon, "dynamics")
+            except ProblemError as error:
+                own = error.field.removeprefix("dynamics.")
+                own = {"C": "G", "D": "H", "e": "h"}.get(own, own)
+                raise ProblemError(f"dynamics.modes[{i}].{own}", error.got, error.expected, error.advice) from None
+
+    def arrays(self, horizon: int) -> ModeArrays:
+        """Return all modes at all times; what does not depend on time stands in memory once."""
+        n, m = self.state_dim, self.control_dim
+        regions = [mode.region.at_dimensions(n, m, horizon, "dynamics") for mode in self.modes]
+        most = max(region.rows for region in regions)
+
+        def stacked(parts: Sequence[Array], ndim: int) -> Array:
+            per_time = [part if part.ndim > ndim else part[None] for part in parts]
+            times = max(len(part) for part in per_time)
+            once = np.stack([np.broadcast_to(part, (times, *part.shape[1:])) for part in per_time], axis=1)
+            return np.broadcast_to(once, (horizon, *once.shape[1:]))
+
+        def filled(part: Array, axis: int, value: float) -> Array:
+            pad = [(0, 0)] * part.ndim
+            pad[axis] = (0, most - part.shape[axis])
+            return np.pad(part, pad, constant_values=value)
+
+        return ModeArrays(
+            A=stacked([mode.linear.A for mode in self.modes], 2),
+            B=stacked([mode.linear.B for mode in self.modes], 2),
+            offset=stacked([mode.linear.offset for mode in self.modes], 1),
+            G=stacked([filled(region.C, -2, 0.0) for region in regions], 2),
+            H=stacked([filled(region.D, -2, 0.0) for region in regions], 2),
+            h=stacked([filled(region.e, -1, np.inf) for region in regions], 1),
+            least=(np.zeros(n), np.zeros(m)),
+        )
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over modes and times."""
+        parts = [mode.linear.gains() for mode in self.modes]
+        A, B, d = (np.max([part[k] for part in parts], axis=0) for k in range(3))
+        return A, B, d
+
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains``, which are the same along all trajectories."""
+        return self.gains()
+
+    def along(self, sequence: Indices) -> LinearDynamics:
+        """Return the time-varying linear dynamics of a mode sequence (T,)."""
+        arrays, times = self.arrays(len(sequence)), np.arange(len(sequence))
+        A, B, offset = (part[times, sequence] for part in (arrays.A, arrays.B, arrays.offset))
+        return LinearDynamics(A, B, offset, self.sampling_time, self.state_names, self.control_names)
+
+    def averaged(self, weights: Array) -> LinearDynamics:
+        """Return sum_i alpha_{t,i} (A_i, B_i, d_i), the element of Clarke's Jacobian with the weights (T, modes)."""
+        arrays = self.arrays(len(weights))
+        A, B = (np.einsum("tk,tkij->tij", weights, part) for part in (arrays.A, arrays.B))
+        offset = np.einsum("tk,tki->ti", weights, arrays.offset)
+        return LinearDynamics(A, B, offset, self.sampling_time, self.state_names, self.control_names)
+
+    def region_rows(self, sequence: Indices) -> StageRows:
+        """Return the rows G x_t + H u_t <= h of the regions of a mode sequence (T,)."""
+        arrays, times = self.arrays(len(sequence)), np.arange(len(sequence))
+        G, H, h = (part[times, sequence] for part in (arrays.G, arrays.H, arrays.h))
+        return StageRows(G, H, h, REGION)
+
+    def sequence_of(self, x: Array, u: Array) -> Indices:
+        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
+
+        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m). See ``ModeArrays.sequence``.
+        """
+        return self.arrays(len(u)).sequence(x, u)
+
+    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
+
+        It raises NumericalError where no region holds (x_t, u_t): the state has left the sets that the regions cover.
+        What follows a state that is not finite is not a number.
+        """
+        arrays = self.arrays(horizon)
+        limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
+
+        def step(t: int, x: Array, u: Array) -> Array:
+            excess = arrays.G[t] @ x + arrays.H[t] @ u - arrays.h[t]
+            size = np.abs(arrays.G[t]) @ np.abs(x) + np.abs(arrays.H[t]) @ np.abs(u) + limits[t]
+            holds = (excess <= REPLAY_ROUNDING * size).all(axis=1)
+            if not np.isfinite(x).all():
+                return np.full_like(x, np.nan)
+            if not holds.any():
+                raise NumericalError(
+                    f"No mode of the dynamics holds at t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}: "
+                    "the regions cover the state and control sets, and this lies outside."
+                )
+            i = int(np.argmax(holds))
+            return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]
+
+        return step
+
+
+def as_sequence(field: str, sequence: Any, horizon: int, modes: int) -> Indices:
+    """Return a mode sequence as integers (T,), or raise ProblemError."""
+    expected = f"{horizon} mode numbers from 0 to {modes - 1}"
+    try:
+        given = np.asarray(sequence)
+    except ValueError:
+        raise ProblemError(field, brief(sequence), expected) from None
+    if given.shape != (horizon,) or given.dtype.kind not in "iu":
+        raise ProblemError(field, f"shape {given.shape} of {given.dtype}", expected)
+    if (given < 0).any() or (given >= modes).any():
+        raise ProblemError(field, brief(given.tolist()), expected)
+    return given.astype(np.intp)

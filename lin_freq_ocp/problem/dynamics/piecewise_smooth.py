@@ -1,0 +1,323 @@
+"""Dynamics x_{t+1} = f_i(x_t, u_t) with smooth pieces f_i, each where its switching functions are zero or below."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
+from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.formulas.jets import Jets, jets, values_of
+from lin_freq_ocp.formulas.nodes import MAXIMUM, MINIMUM, NORM, VARIABLE, Formula, in_order, kinks, listed_formulas
+from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
+from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
+from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+
+ZERO_NORM = 1e-9
+"""The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1."""
+
+OUTSIDE = 1e3
+"""A mode that is not defined at a point has a region there that the point is this far from."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothMode:
+    """One smooth piece of the dynamics, and where it holds.
+
+    Parameters
+    ----------
+    f : sequence of Formula, or function
+        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals;
+        functions that need numbers are wrapped in a ``DifferentiableFunction``, or come ``from_casadi``.
+    region : sequence of Formula, or function
+        Switching functions: the piece holds where all of them are <= 0. Nothing: everywhere.
+    domain : sequence of Formula, or function
+        What must be > 0 for f to be defined, as a denominator; denominators of f that no entry names may have any sign
+        but not be zero.
+    name : str
+        As reports show it; default "mode i".
+    """
+
+    f: Any
+    region: Any = ()
+    domain: Any = ()
+    name: str = ""
+
+    def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
+        """Return the mode with tuples of formulas.
+
+        Raises
+        ------
+        ProblemError
+            If they are none, or not one for each state, or a piece has maxima or minima.
+        """
+        f = listed_formulas(f"{field}.f", self.f, dimensions)
+        region = listed_formulas(f"{field}.region", self.region, dimensions)
+        domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
+        if len(f) != dimensions[0]:
+            raise ProblemError(f"{field}.f", f"{len(f)} formulas", f"{dimensions[0]}, one for each state")
+        if next(kinks([*f, *region, *domain], MAXIMUM, MINIMUM), None) is not None:
+            expected = "smooth pieces"
+            raise ProblemError(
+                f"{field}", "a maximum or minimum", expected, "PiecewiseSmoothDynamics.from_formulas makes the pieces."
+            )
+        return SmoothMode(f, region, domain, self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class ModeJets:
+    """All modes at (x_t, u_t), t = 0 .. T-1.
+
+    Attributes
+    ----------
+    f, regions, domains : one Jets for each mode
+        Its map (T, n), its switching functions, and what must be above zero.
+    """
+
+    f: tuple[Jets, ...]
+    regions: tuple[Jets, ...]
+    domains: tuple[Jets, ...]
+
+    def defined(self) -> Mask:
+        """Which modes are defined where, (T, modes)."""
+        return np.stack(
+            [
+                np.isfinite(f.values).all(axis=1)
+                & np.isfinite(f.slopes).all(axis=(1, 2))
+                & np.isfinite(region.values).all(axis=1)
+                & (domain.values > 0).all(axis=1)
+                for f, region, domain in zip(self.f, self.regions, self.domains, strict=True)
+            ],
+            axis=1,
+        )
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class PiecewiseSmoothDynamics:
+    """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
+
+    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact, or
+    those that functions give.
+
+    Parameters
+    ----------
+    modes : sequence of SmoothMode
+    state_dim, control_dim : int
+        n and m.
+    sampling_time : float, optional
+        Seconds per step.
+    state_names, control_names : sequences of str, optional
+        Names with units.
+
+    Raises
+    ------
+    ProblemError
+        Saying which field, what was got and what was expected.
+
+    Methods
+    -------
+    from_formulas(...)
+        Modes of formulas with maxima, minima and absolute values.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
+    """
+
+    modes: tuple[SmoothMode, ...]
+    state_dim: int
+    control_dim: int
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    def __init__(
+        self,
+        modes: Sequence[SmoothMode],
+        state_dim: int,
+        control_dim: int,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ):
+        n, m = positive_integer("dynamics.state_dim", state_dim), positive_integer("dynamics.control_dim", control_dim)
+        if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
+            raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
+        made = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
+        assign(
+            self,
+            modes=made,
+            state_dim=n,
+            control_dim=m,
+            **signal_labels(n, m, sampling_time, state_names, control_names),
+        )
+        _ = self.mode_names  # all different
+
+    @classmethod
+    def from_formulas(
+        cls,
+        f: Any,
+        state_dim: int,
+        control_dim: int,
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+        domain: Any = (),
+    ) -> PiecewiseSmoothDynamics:
+        """Take x_{t+1} = f(x_t, u_t) with maxima, minima and absolute values: one mode for each choice of arguments.
+
+        Choices that never hold, as u_0 > 1 and u_0 < -1, are left out.
+
+        Parameters
+        ----------
+        f : sequence of Formula, or function
+            One formula for each state, or a function of (x, u) that returns them.
+        state_dim, control_dim, sampling_time, state_names, control_names
+            As for the class.
+        domain : sequence of Formula, or function
+            What must be > 0, in every mode.
+
+        Raises
+        ------
+        ProblemError
+            If there are more than ``MOST_MODES`` (64) combinations that can hold, or f is none.
+        """
+        dimensions = positive_integer("state_dim", state_dim), positive_integer("control_dim", control_dim)
+        listed = listed_formulas("f", f, dimensions)
+        common = listed_formulas("domain", domain, dimensions)
+        modes = [SmoothMode(one.formulas, one.region, common, one.name) for one in formula_pieces(listed)]
+        return cls(modes, *dimensions, sampling_time, state_names, control_names)
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Return the name of every mode."""
+        return mode_labels(mode.name for mode in self.modes)
+
+    @property
+    def time_varying(self) -> bool:
+        """Whether the map depends on time: it does not."""
+        return False
+
+    @cached_property
+    def norms(self) -> tuple[Formula, ...]:
+        """The norms in the maps and switching functions, those within others first."""
+        formulas = [one for mode in self.modes for one in (*mode.f, *mode.region)]
+        return tuple(kinks(formulas, NORM))
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless everything given per time is given for ``horizon`` steps: nothing is."""
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return a rough size of the derivatives, (n, n) and (n, m), and of the constant, (n,)."""
+        n, m = self.state_dim, self.control_dim
+        found = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)]))
+        slopes = np.nan_to_num(np.abs([one.slopes for one in found.f]), nan=1.0, posinf=1.0).max(axis=(0, 1))
+        constant = np.nan_to_num(np.abs([one.values[0] for one in found.f]), nan=0.0, posinf=0.0).max(axis=0)
+        return slopes[:, :n], slopes[:, n:], constant
+
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return the largest derivatives along a trajectory, (n, n) and (n, m), and the largest constants, (n,)."""
+        A, B, d = (np.nan_to_num(part, posinf=0.0) for part in self.affine_at(x, u).gains())
+        return A, B, d
+
+    def jets_at(self, y: Array, selections: Mapping[Formula, Array] | None = None) -> ModeJets:
+        """Return all modes with derivatives at points y = (x, u), (points, n + m)."""
+        parts = [
+            tuple(jets(getattr(mode, part), y, selections) for mode in self.modes) for part in ("f", "region", "domain")
+        ]
+        return ModeJets(parts[0], parts[1], parts[2])
+
+    def affine_at(
+        self, x: Array, u: Array, selections: Mapping[Formula, Array] | None = None
+    ) -> PiecewiseAffineDynamics:
+        """Return all modes linearised at (x_t, u_t): their maps, and their switching functions as regions.
+
+        Parameters
+        ----------
+        x : (T+1, n) or (T, n), u : (T, m)
+        selections : mapping from norms to (T, components), optional
+            Derivatives of norms, as for ``jets``.
+        """
+        n, T = self.state_dim, len(u)
+        y = np.hstack([x[:T], u])
+        found = self.jets_at(y, selections)
+        defined = found.defined()
+        modes: list[AffineMode] = []
+        for i, name in enumerate(self.mode_names):
+            ok = defined[:, i]
+            F = np.where(ok[:, None, None], found.f[i].slopes, 0.0)
+            offset = np.where(ok[:, None], found.f[i].values, 0.0) - np.einsum("tij,tj->ti", F, y)
+            rows, values = found.regions[i].slopes, found.regions[i].values
+            if not rows.shape[1]:
+                rows, values = np.zeros((T, 1, y.shape[1])), np.full((T, 1), -np.inf)
+            far = np.zeros(rows.shape)
+            far[..., 0] = 1.0  # where a function is above zero and flat, no row of its own says how to get below
+            G = np.where(ok[:, None, None] & (rows.any(axis=2) | (values <= 0))[..., None], rows, far)
+            h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], values, OUTSIDE)
+            modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
+        return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
+
+    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+        """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
+        y = np.hstack([x[: len(u)], u])
+        found: dict[Formula, Mask] = {}
+        for one in self.norms:
+            size = np.linalg.norm(jets(one.arguments, y).values, axis=1)
+            found[one] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
+        return found
+
+    def pull_of_norm(self, one: Formula, y: Array, mode: int, eta: Array) -> float:
+        """Return the derivative of <eta, f_mode> by a norm at y = (x, u), the norm taken for a variable of its own."""
+        k = len(y)
+        variables = _with_one_more(self.modes[mode].f, one)
+        found = jets(variables, np.append(y, values_of([one], y[None])[0])[None])
+        return float(eta @ found.slopes[0, :, k])
+
+    def along(self, sequence: Indices, x: Array, u: Array) -> LinearDynamics:
+        """Return the linearisation along a trajectory, that of a mode sequence (T,)."""
+        return self.affine_at(x, u).along(sequence)
+
+    def sequence_of(self, x: Array, u: Array) -> Indices:
+        """Return the mode at every time: of those that hold, the one that leads nearest to x_{t+1}; (T,)."""
+        return self.affine_at(x, u).sequence_of(x, u)
+
+    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
+
+        It raises NumericalError where no mode is defined and holds.
+        """
+
+        def step(t: int, x: Array, u: Array) -> Array:
+            if not np.isfinite(x).all():
+                return np.full_like(x, np.nan)
+            found = self.jets_at(np.append(x, u)[None])
+            defined = found.defined()[0]
+            sizes = np.abs(np.append(x, u))
+            for i in np.flatnonzero(defined):
+                region = found.regions[i]
+                rounding = REPLAY_ROUNDING * (np.abs(region.slopes[0]) @ sizes + np.abs(region.values[0]))
+                if (region.values[0] <= rounding).all():
+                    return found.f[i].values[0]
+            at = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
+            raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
+
+        return step
+
+
+def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:
+    """Return formulas of (x, u, w) in which a norm is the further control w."""
+    n, m = one.dimensions
+    dimensions = n, m + 1
+    made: dict[Formula, Formula] = {}
+    for node in in_order(formulas):
+        if node is one:
+            made[node] = Formula(dimensions, VARIABLE, (), (float(n + m),))
+        else:
+            arguments = tuple(made[argument] for argument in node.arguments)
+            made[node] = replace(node, dimensions=dimensions, arguments=arguments)
+    return [made[node] for node in formulas]

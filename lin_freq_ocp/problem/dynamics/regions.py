@@ -1,0 +1,268 @@
+"""Polyhedral regions in (x, u): whether they cover the sets or overlap, where they meet, and whether the map jumps.
+
+Lengths are measured in natural units: of each component the half width of its bounds, or how far the rows of the
+regions reach along it, if that is less or if it has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask, brief
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.geometry.polyhedra import (
+    FLAT,
+    SAME_FACET,
+    THICKNESS,
+    Cell,
+    ball_centre,
+    cell_of,
+    natural_sizes,
+    uncovered,
+)
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION
+from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
+
+CONTINUITY_TOLERANCE = 1e-7
+"""Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
+linearised are right to 1e-9 or so, and what the judge forgives, BORDER_TOLERANCE, is ten times as much."""
+
+NARROW = 1e-9
+"""A component whose bounds are closer than this, relative to their size, is fixed between them."""
+
+LEAST_UNIT = 1e-6
+"""Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
+shorter may be rounding, and THICKNESS times this is still a hundred times above it."""
+
+PLACE_LENGTH = 200
+"""Characters of a point (x, u) in a message."""
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """Where the regions of two modes meet: h_x'x + h_u'u = limit, with the first mode below.
+
+    Attributes
+    ----------
+    first, second : int
+        The modes.
+    h_x : (n,), h_u : (m,), limit : float
+        The facet, h_x'x + h_u'u <= limit for the first mode; |(h_x, h_u)| = 1.
+    g : (n,)
+        D f_first - D f_second = g h' where the map is continuous.
+    jump : float
+        Bound on the difference of the two maps on the border, within the bounds of the sets, relative to its terms.
+    time : int or None
+        The time, if the dynamics depend on it.
+    """
+
+    first: int
+    second: int
+    h_x: Array
+    h_u: Array
+    limit: float
+    g: Array
+    jump: float
+    time: int | None = None
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the map does not jump here."""
+        return self.jump <= CONTINUITY_TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """The regions of one time in y = (v - centre) / units, v = (x, u).
+
+    Attributes
+    ----------
+    cells : list of Cell
+        One region each, in all components of y.
+    domain : Cell
+        The sets, in the free components of y.
+    free : (n + m,)
+        Which components are not fixed by their bounds; of the others, y is 0.
+    centre, units, extent : (n + m,)
+        ``extent``: the largest |y| within the bounds; 1 without.
+    """
+
+    cells: list[Cell]
+    domain: Cell
+    free: Mask
+    centre: Array
+    units: Array
+    extent: Array
+
+    def place(self, y: Array) -> str:
+        """Return (x, u) of free components y, as a message shows it."""
+        v = self.centre.copy()
+        v[self.free] += self.units[self.free] * y
+        return brief([float(f"{value:.4g}") for value in v], PLACE_LENGTH)
+
+    @property
+    def key(self) -> bytes:
+        """Return what pieces share that are the same."""
+        parts = [self.centre, self.units, self.free.astype(float), self.domain.normals, self.domain.limits]
+        parts += [part for cell in self.cells for part in (cell.normals, cell.limits)]
+        return b"|".join(part.tobytes() for part in parts)
+
+
+def require_partition(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> None:
+    """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
+    if REGION in sets.names:
+        raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
+    arrays = dynamics.arrays(sets.horizon)
+    if not dynamics.regions_vary:
+        fault = _fault(dynamics, _pieces(arrays, 0, sets.around()), "")
+        if fault is None:
+            return
+        if sets.constant:
+            raise fault
+    for t in range(sets.horizon):
+        fault = _fault(dynamics, _pieces(arrays, t, sets.at(t)), f" at t = {t}")
+        if fault is not None:
+            raise fault
+
+
+def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border, ...]:
+    """Return every border that regions share within the sets."""
+    n, arrays, around = dynamics.state_dim, dynamics.arrays(sets.horizon), sets.around()
+    known: dict[bytes, list[tuple[int, int, Array, float]]] = {}
+    found: list[Border] = []
+    for t in range(sets.horizon if dynamics.time_varying else 1):
+        pieces = _pieces(arrays, t, around)
+        if pieces.key not in known:
+            pairs = combinations(range(len(pieces.cells)), 2)
+            facets = [(i, j, _shared_facet(pieces, i, j)) for i, j in pairs]
+            known[pieces.key] = [(i, j, *facet) for i, j, facet in facets if facet is not None]
+        for i, j, row, limit in known[pieces.key]:
+            g, jump = _jump(arrays, t, (i, j), pieces, row, limit)
+            normal = row / pieces.units
+            size = float(np.linalg.norm(normal))
+            edge = (limit + float(normal @ pieces.centre)) / size
+            time = t if dynamics.time_varying else None
+            found.append(Border(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
+    return tuple(found)
+
+
+def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
+    """Return the regions of one time in natural units."""
+    below, above = np.isfinite(sets.lower), np.isfinite(sets.upper)
+    lower, upper = np.where(below, sets.lower, 0.0), np.where(above, sets.upper, 0.0)
+    centre = np.where(below & above, (lower + upper) / 2, lower + upper)
+    width = np.where(below & above, upper - lower, np.inf)
+    fixed = width <= NARROW * np.maximum(np.abs(lower), np.abs(upper))
+    matrices = np.concatenate([arrays.G[t], arrays.H[t]], axis=-1)
+    limits, beyond = arrays.h[t] - matrices @ centre, sets.limits - sets.matrix @ centre
+    every, right = np.vstack([*matrices, sets.matrix]), np.concatenate([*limits, beyond])
+    known = np.isfinite(right)
+    units = natural_sizes(every[known], right[known], np.where(fixed, 0.0, width / 2), LEAST_UNIT)
+    cells = [cell_of(matrix * units, limit) for matrix, limit in zip(matrices, limits, strict=True)]
+    free, identity = ~fixed, np.eye(len(centre))
+    walls = np.vstack([identity[above & free], -identity[below & free]])[:, free]
+    distances = np.concatenate([((upper - centre) / units)[above & free], ((centre - lower) / units)[below & free]])
+    within = cell_of(np.vstack([walls, (sets.matrix * units)[:, free]]), np.append(distances, beyond))
+    if within is None or within.inner_point(THICKNESS) is None:  # equations among the rows: only the bounds remain
+        within = Cell(walls, distances)
+    extent = np.where(below & above, np.where(fixed, 0.0, width / 2) / units, 1.0)
+    return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
+
+
+def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> ProblemError | None:
+    """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
+    key = pieces.key
+    if key in dynamics.found_whole:
+        return None
+    names = dynamics.mode_names
+    for i, j in combinations(range(len(names)), 2):
+        point = _overlap(pieces, i, j)
+        if point is not None:
+            return ProblemError(
+                f"dynamics.modes[{j}]",
+                f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
+                "regions that meet on borders only",
+            )
+    columns = np.eye(len(pieces.free))[:, pieces.free]
+    regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
+    point = uncovered(pieces.domain, [region for region in regions if region is not None])
+    if point is None:
+        dynamics.found_whole.add(key)
+        return None
+    return ProblemError(
+        "dynamics.modes",
+        f"no mode around (x, u) = {pieces.place(point)}{when}",
+        "regions that cover the state and control sets",
+        "Widen a region or tighten the bounds.",
+    )
+
+
+def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
+    """Return the centre, in the sets, of a ball in all components that both regions hold."""
+    first, second, domain = pieces.cells[i], pieces.cells[j], pieces.domain
+    if first.apart_from(second, THICKNESS):
+        return None
+    normals = np.vstack([first.normals[:, pieces.free], second.normals[:, pieces.free], domain.normals])
+    limits = np.concatenate([first.limits, second.limits, domain.limits])
+    return ball_centre(normals, limits, np.ones(len(limits)), THICKNESS)
+
+
+def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None:
+    """Return (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge.
+
+    Regions on different sides of two hyperplanes meet in their intersection at most, which is an edge.
+    """
+    first, second = pieces.cells[i], pieces.cells[j]
+    opposite = np.abs(first.normals[:, None] + second.normals).max(axis=-1, initial=0.0) <= SAME_FACET
+    size = np.maximum(1.0, np.abs(first.limits))[:, None]
+    opposite &= np.abs(first.limits[:, None] + second.limits) <= SAME_FACET * size
+    facing = np.flatnonzero(opposite.any(axis=1))
+    if not len(facing):
+        return None
+    row, limit = first.normals[facing[0]], float(first.limits[facing[0]])
+    if not first.take(facing).same_as(row, limit).all():
+        return None
+    both = first & second
+    others = both.take(~both.same_as(row, limit) & ~both.same_as(-row, -limit))
+    return (row, limit) if _touch(pieces, others, row, limit) else None
+
+
+def _touch(pieces: _Pieces, others: Cell, row: Array, limit: float) -> bool:
+    """Whether, within the hyperplane row'y = limit, a ball fits into the other rows with its centre in the sets."""
+    domain, along = pieces.domain, row[pieces.free]
+    length = float(np.linalg.norm(along))
+    if length <= FLAT:
+        if abs(limit) > SAME_FACET:
+            return False
+        plane, inside = None, np.ones(len(domain.limits))
+    else:
+        direction = along / length
+        plane = direction, limit / length
+        inside = _part_across(domain.normals, direction)
+    normals = np.vstack([others.normals[:, pieces.free], domain.normals])
+    radii = np.append(_part_across(others.normals, row), inside)
+    return ball_centre(normals, np.append(others.limits, domain.limits), radii, THICKNESS, plane) is not None
+
+
+def _part_across(normals: Array, direction: Array) -> Array:
+    """Return the lengths of what remains of vectors without their parts along a direction of length 1."""
+    return np.linalg.norm(normals - np.outer(normals @ direction, direction), axis=1)
+
+
+def _jump(
+    arrays: ModeArrays, t: int, pair: tuple[int, int], pieces: _Pieces, row: Array, limit: float
+) -> tuple[Array, float]:
+    """Return g with D f_i - D f_j = g row' (the nearest such), and a bound on the relative difference on the border."""
+    maps = [np.concatenate([arrays.A[t, i], arrays.B[t, i]], axis=-1) for i in pair]
+    difference, offset = (maps[0] - maps[1]) * pieces.units, arrays.offset[t, pair[0]] - arrays.offset[t, pair[1]]
+    offset = offset + (maps[0] - maps[1]) @ pieces.centre
+    g = difference @ row
+    rest = np.abs(difference - np.outer(g, row)) @ pieces.extent + np.abs(offset + g * limit)
+    largest = np.abs(pieces.centre) + pieces.extent * pieces.units
+    terms = (np.abs(maps[0]) + np.abs(maps[1])) @ largest + np.abs(arrays.offset[t, list(pair)]).sum(axis=0)
+    return g, float((rest / np.where(terms > 0, terms, 1.0)).max())

@@ -1,0 +1,131 @@
+"""The polyhedral part of the sets of (x_t, u_t): bounds, and rows beyond them, of one time or around all times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.penalties import Below
+from lin_freq_ocp.problem.terms.term import Term
+
+
+@dataclass(frozen=True, eq=False)
+class StageSet:
+    """{v = (x, u) : lower <= v <= upper, matrix v <= limits}.
+
+    Attributes
+    ----------
+    lower, upper : (n + m,)
+    matrix : (rows, n + m), limits : (rows,)
+    """
+
+    lower: Array
+    upper: Array
+    matrix: Array
+    limits: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of (x_t, u_t) at some times: matrix (groups or 1, rows, n + m), limits (groups, rows), times (groups,)."""
+
+    matrix: Array
+    limits: Array
+    times: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class StageSets:
+    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows that must hold; no balls, no cones.
+
+    Attributes
+    ----------
+    states, controls : Box
+        Bounds (T+1, n) and (T, m).
+    tube : Box
+        The bounds of the states, with those of the ends.
+    rows : sequence of rows beyond the bounds
+    names : tuple of str
+        Of everything that the problem constrains or costs beyond bounds.
+    """
+
+    states: Box
+    controls: Box
+    tube: Box
+    rows: Sequence[_Rows]
+    names: tuple[str, ...]
+
+    @property
+    def horizon(self) -> int:
+        """Return T."""
+        return len(self.controls.lower)
+
+    def around(self) -> StageSet:
+        """Return bounds around the sets of all times, with the rows that hold at all of them."""
+        T = self.horizon
+        lower = np.concatenate([self.states.lower[:T].min(0), self.controls.lower.min(0)])
+        upper = np.concatenate([self.states.upper[:T].max(0), self.controls.upper.max(0)])
+        fixed_start = T > 1 and (self.tube.lower[0] == self.tube.upper[0]).all()  # which lies in all sets, unsaid
+        needed = set(range(int(fixed_start), T))
+        lasting = [rows for rows in self.rows if len(rows.matrix) == 1 and needed <= set(rows.times.tolist())]
+        return _stage_set(lower, upper, [(rows.matrix[0], rows.limits.max(0)) for rows in lasting])
+
+    def at(self, t: int) -> StageSet:
+        """Return the set of one time."""
+        lower, upper = (
+            np.append(box, control)
+            for box, control in (
+                (self.tube.lower[t], self.controls.lower[t]),
+                (self.tube.upper[t], self.controls.upper[t]),
+            )
+        )
+        there = [
+            (rows.matrix[min(k, len(rows.matrix) - 1)], rows.limits[k])
+            for rows in self.rows
+            for k in np.flatnonzero(rows.times == t)
+        ]
+        return _stage_set(lower, upper, there)
+
+    @property
+    def constant(self) -> bool:
+        """Whether the sets, ends apart, are the same at all times."""
+        T = self.horizon
+        bounds = self.states.lower[:T], self.states.upper[:T], self.controls.lower, self.controls.upper
+        rows = all(len(rows.matrix) == 1 and (rows.limits == rows.limits[0]).all() for rows in self.rows)
+        return rows and all(bool((bound == bound[0]).all()) for bound in bounds)
+
+
+def stage_sets(states: Box, controls: Box, tube: Box, terms: Sequence[Term]) -> StageSets:
+    """Return the sets, from the bounds of states (T+1, n), of controls (T, m), of states with ends, and from terms."""
+    T = len(controls.lower)
+    rows: list[_Rows] = []
+    for term in terms:
+        inside = isinstance(term.map, StageMap) and term.map.times < T
+        if not term.hard or not isinstance(term.map, StageMap) or not isinstance(term.penalty, Below):
+            continue
+        limits = np.broadcast_to(term.penalty.limit - term.map.constant, term.shape)
+        matrix = _matrix(term.map, states.lower.shape[1], controls.lower.shape[1])
+        if np.any(inside):
+            rows.append(_Rows(matrix if len(matrix) == 1 else matrix[inside], limits[inside], term.map.times[inside]))
+    return StageSets(states, controls, tube, rows, tuple(term.name for term in terms))
+
+
+def _matrix(of_stage: StageMap, n: int, m: int) -> Array:
+    """Return the coefficients of (x, u), (groups or 1, rows, n + m)."""
+    rows = of_stage.shape[1]
+    parts = [
+        np.zeros((1, rows, columns)) if part is None else part.reshape(-1, rows, columns)
+        for part, columns in ((of_stage.C, n), (of_stage.D, m))
+    ]
+    groups = max(map(len, parts))
+    return np.concatenate([np.broadcast_to(part, (groups, *part.shape[1:])) for part in parts], axis=-1)
+
+
+def _stage_set(lower: Array, upper: Array, rows: Sequence[tuple[Array, Array]]) -> StageSet:
+    matrix = np.vstack([np.zeros((0, len(lower))), *(matrix for matrix, _ in rows)])
+    return StageSet(lower, upper, matrix, np.concatenate([np.zeros(0), *(limits for _, limits in rows)]))

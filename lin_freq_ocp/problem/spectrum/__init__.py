@@ -1,0 +1,1 @@
+"""Frequency constraints: bands of frequencies, and bounds on magnitude and energy."""

@@ -1,0 +1,297 @@
+"""Frequency constraints: bands in rad/sample, Hz or DFT bins, which become bins when they meet a signal's length.
+
+A stop band sets DFT bins of this horizon to zero. What lies between the bins is small, but not zero.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, real_array
+from lin_freq_ocp.errors import BandWarning, ProblemError
+from lin_freq_ocp.phrases import number, runs_in_words, runs_of, split_unit
+
+MIRRORED = ", and their mirror images"
+"""What goes with every bin of a real signal."""
+
+BIN_TOLERANCE = 1e-9
+"""A cut-off within this distance of a bin (in bins, relative to the bin number above 1) falls on it, and keeps it."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A stop band on one or all components of a signal; made by low_pass, high_pass, band_pass, notch, stop_band.
+
+    Parameters
+    ----------
+    kind : str
+        The name of the function that made it.
+    edges : tuple of float
+        Lower and upper edge in ``unit``; of a notch, centre and width; of a stop band given by bins, the bins.
+    unit : {"rad/sample", "Hz", "bins"}
+        Unit of the edges.
+    component : int, str or None
+        Index or name of the component; None means all.
+    """
+
+    kind: str
+    edges: tuple[float, ...]
+    unit: str
+    component: int | str | None = None
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Return the lower and upper edge in ``unit``, of a band given by frequencies."""
+        first, second = self.edges
+        return (first - second / 2, first + second / 2) if self.kind == "notch" else (first, second)
+
+    @property
+    def removed(self) -> str:
+        """Return in words which bins it removes."""
+        if self.unit == "bins":
+            bins = np.unique([int(edge) for edge in self.edges])
+            return f"bins {runs_in_words(runs_of(bins))}" if len(bins) > 1 else f"bin {bins[0]}"
+        low, high = (number(edge) for edge in self.limits)
+        return {
+            "low_pass": f"the bins above {high} {self.unit}",
+            "high_pass": f"the bins below {low} {self.unit}",
+            "band_pass": f"the bins below {low} and above {high} {self.unit}",
+            "notch": f"the bins between {low} and {high} {self.unit}",
+        }[self.kind]
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        kind = self.kind.replace("_", " ")
+        return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero{MIRRORED}"
+
+    def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
+        stopped = self.at(length, sampling_time, field)
+        if not stopped.any():
+            warnings.warn(f"{field}: {self} removes no bin of a signal of {length} samples.", BandWarning, stacklevel=2)
+        elif stopped.all():
+            what = f"removes every bin of a signal of {length} samples, which must then be zero"
+            warnings.warn(f"{field}: {self} {what}.", BandWarning, stacklevel=2)
+        return stopped
+
+    def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it is about, (length//2 + 1,)."""
+        return self._listed(length, field) if self.unit == "bins" else self._between(length, sampling_time, field)
+
+    def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        k = np.arange(length // 2 + 1)
+        bins_per_unit = self._bins_per_unit(length, sampling_time, field)
+        low, high = (edge * bins_per_unit for edge in self.limits)
+        slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
+        if self.kind == "notch":
+            return (k > low + slack_low) & (k < high - slack_high)
+        return ~((k >= low - slack_low) & (k <= high + slack_high))
+
+    def _listed(self, length: int, field: str) -> Mask:
+        outside = [k for k in self.edges if abs(k) > length]
+        if outside:
+            raise ProblemError(
+                f"{field}.bins",
+                f"bin {outside[0]}",
+                f"bins 0 .. {length - 1} of a signal of {length} samples",
+                "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0.",
+            )
+        bins = np.array(self.edges, dtype=int)
+        folded = np.minimum(bins % length, -bins % length)
+        stopped = np.zeros(length // 2 + 1, dtype=bool)
+        stopped[folded] = True
+        return stopped
+
+    def _bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
+        if self.unit == "rad/sample":
+            return length / (2 * np.pi)
+        if sampling_time is None:
+            raise ProblemError(
+                f"{field}", f"{self}", "a sampling time", "Give dynamics.sampling_time, or the edges in rad/sample."
+            )
+        nyquist = 0.5 / sampling_time
+        for edge in self.edges:
+            if np.isfinite(edge) and edge > nyquist * (1 + BIN_TOLERANCE):
+                raise ProblemError(
+                    f"{field}.{self.kind}",
+                    f"{edge:g} Hz",
+                    f"at most the Nyquist frequency {nyquist:g} Hz",
+                    f"The sampling time is {sampling_time:g} s.",
+                )
+        return sampling_time * length
+
+    def __str__(self) -> str:
+        if self.unit == "bins":
+            shown = brief([int(edge) for edge in self.edges], 40)
+        else:
+            shown = " .. ".join(f"{edge:.6g}" for edge in self.limits if np.isfinite(edge)) + f" {self.unit}"
+        return f"{self.kind}({shown})" + ("" if self.component is None else f" on {self.component!r}")
+
+
+def low_pass(
+    cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
+) -> Band:
+    """Keep the bins up to the cut-off and remove those above.
+
+    Parameters
+    ----------
+    cutoff, cutoff_hz : float
+        Cut-off in rad/sample (0 .. pi) or in Hz (0 .. Nyquist); exactly one of them. A bin on it is kept.
+    component : int or str, optional
+        Index or name of the component; default all.
+    """
+    edge, unit = _edge("low_pass", "cutoff", cutoff, cutoff_hz)
+    return Band("low_pass", (0.0, edge), unit, component)
+
+
+def high_pass(
+    cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
+) -> Band:
+    """Keep the bins from the cut-off on and remove those below; see ``low_pass``."""
+    edge, unit = _edge("high_pass", "cutoff", cutoff, cutoff_hz)
+    return Band("high_pass", (edge, np.inf), unit, component)
+
+
+def band_pass(
+    lower: float | None = None,
+    upper: float | None = None,
+    *,
+    lower_hz: float | None = None,
+    upper_hz: float | None = None,
+    component: int | str | None = None,
+) -> Band:
+    """Keep the bins from ``lower`` to ``upper`` (both kept) and remove the others; see ``low_pass``."""
+    low, unit = _edge("band_pass", "lower", lower, lower_hz)
+    high, other = _edge("band_pass", "upper", upper, upper_hz)
+    if unit != other:
+        raise ProblemError("band_pass", f"lower in {unit}, upper in {other}", "both in the same unit")
+    if low > high:
+        raise ProblemError(
+            "band_pass", f"lower {low:g} above upper {high:g} {unit}", "lower <= upper", "Exchange them?"
+        )
+    return Band("band_pass", (low, high), unit, component)
+
+
+def notch(
+    centre: float | None = None,
+    width: float | None = None,
+    *,
+    centre_hz: float | None = None,
+    width_hz: float | None = None,
+    component: int | str | None = None,
+) -> Band:
+    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others; see ``low_pass``."""
+    middle, unit = _edge("notch", "centre", centre, centre_hz)
+    span, other = _edge("notch", "width", width, width_hz)
+    if unit != other:
+        raise ProblemError("notch", f"centre in {unit}, width in {other}", "both in the same unit")
+    if span == 0:
+        raise ProblemError("notch.width", "0", "a width above zero")
+    return Band("notch", (middle, span), unit, component)
+
+
+def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Band:
+    """Remove the listed DFT bins, 0-based mod N; the conjugate bin N-k of each goes with it."""
+    listed = list(bins) if isinstance(bins, Iterable) else [bins]
+    if not listed or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in listed):
+        raise ProblemError(
+            "stop_band.bins",
+            brief(listed),
+            "a list of at least one whole number",
+            "Leave the band out to remove nothing.",
+        )
+    return Band("stop_band", tuple(int(k) for k in listed), "bins", component)
+
+
+def stopped_bins(
+    field: str,
+    given: Any,
+    length: int,
+    component_names: Sequence[str],
+    sampling_time: float | None,
+    others: tuple[type, ...] = (),
+) -> Mask:
+    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united.
+
+    ``others`` are types of further frequency constraints that may stand among the bands.
+    """
+    bands: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+    stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
+    for i, band in enumerate(bands):
+        where = f"{field}[{i}]" if given is bands else field
+        if isinstance(band, others):
+            continue
+        if not isinstance(band, Band):
+            expected = ", ".join(["a band", *(other.__name__ for other in others[:-1])])
+            expected += "".join(f" or {other.__name__}" for other in others[-1:])
+            advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
+            raise ProblemError(where, brief(band), expected, advice)
+        columns = component_indices(where, band.component, component_names)
+        alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
+        stopped[:, columns] |= alone[:, None]
+        if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
+            what = f"removes every bin of a signal of {length} samples that the bands before it leave"
+            warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
+    stopped.flags.writeable = False
+    return stopped
+
+
+def bands_of(stop: Mask) -> list[Band]:
+    """Return bands that remove just these bins (k, components)."""
+    components = np.flatnonzero(stop.any(0))
+    return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
+
+
+def component_words(component: int | str | None, names: Sequence[str]) -> str:
+    """Return the name of a component, without its unit, or that all are meant."""
+    if component is None and len(names) > 1:
+        return "every component"
+    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
+
+
+def time_signal(rho: ComplexArray, length: int) -> Array:
+    """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
+    k = np.arange(length // 2 + 1)
+    weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
+    return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
+
+
+def _edge(kind: str, name: str, radians: float | None, hertz: float | None) -> tuple[float, str]:
+    if (radians is None) == (hertz is None):
+        got = "neither" if radians is None else "both"
+        raise ProblemError(f"{kind}.{name}", f"{got} of {name} and {name}_hz", "exactly one of them")
+    value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
+    if value.ndim or value < 0:
+        raise ProblemError(f"{kind}.{name}", brief(radians if hertz is None else hertz), "one number, zero or above")
+    if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
+        raise ProblemError(
+            f"{kind}.{name}",
+            f"{float(value):g} rad/sample",
+            "at most pi, the Nyquist frequency",
+            f"In Hz it is {name}_hz=.",
+        )
+    return float(value), "rad/sample" if hertz is None else "Hz"
+
+
+def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
+    """Return the indices that a component (index, name, or None for all) stands for."""
+    count = len(component_names)
+    if component is None:
+        return list(range(count))
+    if isinstance(component, str):
+        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
+        if len(matches) == 1:
+            return matches
+    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
+        return [int(component)]
+    raise ProblemError(
+        f"{field}.component",
+        brief(component),
+        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
+    )

@@ -1,0 +1,333 @@
+"""Frequency constraints beyond stop bands: bounds on magnitudes and energies, and linear equations over all times.
+
+They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. On a finer
+grid than the DFT's (``oversampling``), or with a window, they are the cure for what leaks between the bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import get_window
+
+from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.phrases import AT_MOST, datum, first_few, number, price, short_name
+from lin_freq_ocp.problem.spectrum.bands import Band, component_words, stop_band
+
+NO_LOWER_MASK = (
+    "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
+    "could be proven. Ask for a reference instead: u_ref, x_ref."
+)
+"""Why there is none."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class _SpectrumBound:
+    """What MagnitudeBound and EnergyBound share: where they hold."""
+
+    band: Band
+    component: int | str | None
+    penalty: float | None
+    window: Any
+    oversampling: int
+
+    def _place(
+        self,
+        bins: Iterable[int] | None,
+        band: Band | None,
+        component: int | str | None,
+        penalty: float | None,
+        window: Any,
+        oversampling: int,
+    ) -> None:
+        kind = type(self).__name__
+        if (bins is None) == (band is None):
+            got = "neither" if bins is None else "both"
+            raise ProblemError(f"{kind}", f"{got} of bins and band", "exactly one of them")
+        if band is not None and not isinstance(band, Band):
+            raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
+        where = band
+        if bins is not None:
+            where = stop_band(bins=bins)
+        assert where is not None  # one of them is there
+        if component is not None and where.component is not None:
+            got = f"{component!r}, and {where.component!r} from the band"
+            raise ProblemError(f"{kind}.component", got, "one component")
+        if isinstance(window, str):
+            _named_window(kind, window, 8)
+        elif window is not None:
+            window = real_array(f"{kind}.window", window)
+        assign(
+            self,
+            band=where,
+            component=where.component if component is None else component,
+            penalty=None if penalty is None else positive_number(f"{kind}.penalty", penalty),
+            window=window,
+            oversampling=positive_integer(f"{kind}.oversampling", oversampling),
+        )
+
+    def on(self, component: int | str) -> Self:
+        """Return the same bound on one component."""
+        alone = copy(self)
+        assign(alone, component=component)
+        return alone
+
+    @property
+    def where(self) -> str:
+        """Return in words where it holds: the bins, the window and the grid, and what leaving it costs."""
+        window = "given" if not isinstance(self.window, str) else self.window
+        windowed = "" if self.window is None else f"; window {window}"
+        finer = "" if self.oversampling == 1 else f"; on a grid {self.oversampling} times as fine"
+        return f"{self.band.removed}{windowed}{finer}"
+
+    def samples(self, length: int, field: str) -> Array:
+        """Return the window of a signal, (length,)."""
+        if self.window is None:
+            return np.ones(length)
+        if isinstance(self.window, str):
+            return _named_window(field, self.window, length)
+        if self.window.shape != (length,):
+            raise ProblemError(f"{field}.window", f"shape {self.window.shape}", f"shape ({length},), one per sample")
+        return self.window
+
+    def points(self, length: int) -> int:
+        """Return the number of points of the grid on the whole circle."""
+        return self.oversampling * length
+
+    def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
+        """Return where on the grid it holds: indices within 0 .. points/2."""
+        if self.band.unit != "bins":
+            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, f"{field}.band"))
+            if not len(found):
+                raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
+            return found
+        listed = np.flatnonzero(self.band.at(length, sampling_time, field))
+        grid, q = np.zeros(self.points(length) // 2 + 1, dtype=bool), self.oversampling
+        for k in listed:  # between neighbours, too; for odd N, the last bin's is its own conjugate
+            last = q * k + (q if k + 1 in listed or 2 * k + 1 == length else 0)
+            grid[q * k : last + 1] = True
+        return np.flatnonzero(grid)
+
+
+class MagnitudeBound(_SpectrumBound):
+    """|uhat_k| <= limit at the bins that a band would remove (a mask).
+
+    Parameters
+    ----------
+    limit : float or (bins,)
+        In the units of the DFT, sum_t u_t exp(-2 pi i k t/N): the unit of the signal, as no 1/N stands before the sum.
+        One number, or one for each of the bounded bins 0 .. N/2 (with oversampling, for each point of the finer grid).
+    limit_db : float or (bins,), with ``reference`` : float
+        Instead of ``limit``: limit = reference * 10^(limit_db / 20).
+    bins : list of int, or band : Band
+        Where; of a Band, the bins it would remove.
+    component : int or str, optional
+        Index or name of the component; default all, each with this bound.
+    penalty : float, optional
+        Makes it soft: penalty * excess of each bin is added to the cost.
+    window : str or (N,), optional
+        Multiplies the signal first; a name is one of scipy.signal.get_window.
+    oversampling : int
+        Holds on a grid this many times as fine as the DFT's, with the frequencies of the band between its bins.
+    between : bool
+        Hold the limit between the points of the finer grid, too: on them it is made smaller by
+        cos(pi/(2 oversampling)), as no spectrum of N samples exceeds its largest value on the whole grid by more
+        (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
+        circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
+        can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
+
+    Raises
+    ------
+    ProblemError
+        If a value is not of this kind.
+    UnsupportedError
+        For ``at_least``: signals above a mask are no convex set.
+    """
+
+    limit: Array
+    between: bool
+
+    def __init__(
+        self,
+        limit: ArrayLike | None = None,
+        *,
+        limit_db: ArrayLike | None = None,
+        reference: float | None = None,
+        at_least: ArrayLike | None = None,
+        bins: Iterable[int] | None = None,
+        band: Band | None = None,
+        component: int | str | None = None,
+        penalty: float | None = None,
+        window: str | ArrayLike | None = None,
+        oversampling: int = 1,
+        between: bool = False,
+    ):
+        if at_least is not None:
+            raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
+        assign(self, limit=_limit(limit, limit_db, reference), between=between)
+        self._place(bins, band, component, penalty, window, oversampling)
+        if not isinstance(between, bool):
+            raise ProblemError("MagnitudeBound.between", brief(between), "True or False")
+        if between and self.oversampling < 2:
+            raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        low, high = (number(float(limit)) for limit in (self.limit.min(), self.limit.max()))
+        limit = low if low == high else f"{low} to {high} (a limit for each bin)"
+        between = " and between its points" if self.between else ""
+        of = component_words(self.component, names)
+        return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
+
+    def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
+        """Return where on the grid it holds: indices within 0 .. points/2, in the order of the limits."""
+        found = super().bins(length, sampling_time, field)
+        listed = [int(k) for k in self.band.edges] if self.band.unit == "bins" and self.limit.ndim else []
+        if listed and (listed != sorted(set(listed)) or not 0 <= listed[0] <= listed[-1] <= length // 2):
+            got = f"{brief(listed)}, with a limit for each"
+            raise ProblemError(f"{field}.bins", got, f"increasing bins within 0 .. {length // 2}")
+        return found
+
+    def limits(self, count: int, field: str) -> Array:
+        """Return one limit for each of ``count`` bins."""
+        if self.limit.shape not in ((), (count,)):
+            raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
+        return np.broadcast_to(self.factor * self.limit, (count,))
+
+    @property
+    def factor(self) -> float:
+        """Return what the limit is multiplied by on the grid."""
+        return float(np.cos(np.pi / (2 * self.oversampling))) if self.between else 1.0
+
+
+class EnergyBound(_SpectrumBound):
+    """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove; each pair of conjugate bins once.
+
+    Parameters
+    ----------
+    limit : float
+        In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
+    penalty : float, optional
+        Makes it soft: penalty * excess of the root of the energy over the root of the limit is added to the cost.
+    bins, band, component, window, oversampling
+        As for ``MagnitudeBound``.
+    """
+
+    limit: float
+
+    def __init__(
+        self,
+        limit: float,
+        *,
+        bins: Iterable[int] | None = None,
+        band: Band | None = None,
+        component: int | str | None = None,
+        penalty: float | None = None,
+        window: str | ArrayLike | None = None,
+        oversampling: int = 1,
+    ):
+        energy = real_array("EnergyBound.limit", limit)
+        if energy.ndim or energy < 0:
+            raise ProblemError("EnergyBound.limit", brief(limit), "one number, zero or above")
+        assign(self, limit=float(energy))
+        self._place(bins, band, component, penalty, window, oversampling)
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        of, limit = component_words(self.component, names), f"{AT_MOST} {number(self.limit)}"
+        square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
+        return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
+
+    def root(self) -> Array:
+        """Return the limit of the Euclidean norm of all bounded points of the grid."""
+        return np.asarray(self.factor * np.sqrt(self.limit))
+
+    @property
+    def factor(self) -> float:
+        """Return what the root of the limit is multiplied by on the grid."""
+        return float(np.sqrt(self.oversampling))
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class LinearConstraint:
+    """constant + sum_t coefficients_t v_t = 0 for the signal v it is given for (paper, (SFC) and (CFC)).
+
+    Parameters
+    ----------
+    coefficients : (times, rows, components)
+        One matrix per time: T of them for controls, T+1 for states.
+    constant : (rows,), optional
+        Zero without.
+    penalty : float, optional
+        Makes it soft: penalty times the Euclidean norm of what should be zero is added to the cost.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match or entries are not finite.
+    """
+
+    coefficients: Array
+    constant: Array
+    penalty: float | None
+
+    def __init__(self, coefficients: ArrayLike, constant: ArrayLike | None = None, penalty: float | None = None):
+        matrices = real_array("LinearConstraint.coefficients", coefficients)
+        if matrices.ndim != 3 or 0 in matrices.shape:
+            raise ProblemError(
+                "LinearConstraint.coefficients", f"shape {matrices.shape}", "one matrix (rows, components) per time"
+            )
+        rows = matrices.shape[1]
+        right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
+        if right.shape != (rows,):
+            raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
+        soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
+        impossible = ~matrices.any(axis=(0, 2)) & (right != 0)
+        if impossible.any() and soft is None:
+            row = int(np.argmax(impossible))
+            got = f"{right[row]:g} for row {row}, which has no coefficients"
+            raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
+        assign(self, coefficients=matrices, constant=right, penalty=soft)
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return it in words, for a signal with components of these names."""
+        rows = self.coefficients.shape[1]
+        used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
+        of = first_few(used) if used else "nothing"
+        equations = "linear equation" if rows == 1 else f"{rows} linear equations"
+        right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"
+        cost = price(self.penalty, "norm")
+        return f"{equations} in {of} over all times: constant + sum of coefficients_t v_t = 0{right}{cost}"
+
+
+def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
+    field = "MagnitudeBound.limit"
+    if (limit is None) == (limit_db is None):
+        raise ProblemError(field, "neither" if limit is None else "both", "exactly one of limit and limit_db")
+    if (limit_db is None) != (reference is None):
+        raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
+    if limit_db is None:
+        bound = real_array(field, limit, allow_infinite=True)
+    else:
+        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
+        with np.errstate(over="ignore"):  # so high that there is no limit
+            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
+    if bound.ndim > 1 or (bound < 0).any():
+        given = limit if limit_db is None else limit_db
+        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
+    return bound
+
+
+def _named_window(field: str, name: str, length: int) -> Array:
+    try:
+        return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
+    except ValueError:
+        raise ProblemError(
+            f"{field}.window", repr(name), "a window of scipy.signal, such as 'hann', or numbers"
+        ) from None

@@ -1,0 +1,194 @@
+"""Joint rows C x_t + D u_t <= e_t on the state and the control of a step, t = 0 .. T-1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, positive_number, real_array, shaped, times_vectors
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import AT_MOST, inequalities, plural, price
+from lin_freq_ocp.problem.sets.box import NO_BOUND
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class StageRows:
+    """C_t x_t + D_t u_t <= e_t, row by row, for t < T (x_T has no control, and no rows).
+
+    Parameters
+    ----------
+    C : (rows, n), (T, rows, n), or None
+        Coefficients of the state, or one matrix per time; None stands for zeros.
+    D : (rows, m), (T, rows, m), or None
+        Coefficients of the control; at least one of C and D is given.
+    e : (rows,) or (T, rows)
+        Upper limits, always given; inf, or 1e20 and above, where a row has none at that time.
+    name : str
+        Under which the multipliers, and whatever is said of these rows, stand.
+    penalty : float, optional
+        Makes the rows soft: penalty times the excess of each row is added to the cost.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, entries are not numbers, or neither C nor D is given.
+
+    Notes
+    -----
+    Until a problem completes it, a matrix that was not given has no columns.
+
+    Methods
+    -------
+    values(x, u)
+        C_t x_t + D_t u_t of every time.
+    slack(x, u)
+        How much each row has left.
+    violation(x, u)
+        By how much each row is violated.
+    """
+
+    C: Array
+    D: Array
+    e: Array
+    name: str
+    penalty: float | None
+
+    def __init__(
+        self,
+        C: ArrayLike | None = None,
+        D: ArrayLike | None = None,
+        e: ArrayLike | None = None,
+        name: str = "stage rows",
+        penalty: float | None = None,
+    ):
+        if not isinstance(name, str) or not name.strip() or not name.isprintable():
+            raise ProblemError("stage_rows.name", brief(name), "a name of printable characters")
+        if e is None:
+            raise ProblemError("stage_rows.e", "nothing", "one limit per row, or (T, rows)")
+        limits = real_array("stage_rows.e", e, allow_infinite=True)
+        if limits.ndim not in (1, 2) or limits.shape[-1] == 0:
+            raise ProblemError("stage_rows.e", f"shape {limits.shape}", "one limit per row, or (T, rows)")
+        if (limits == -np.inf).any():
+            raise ProblemError(f"stage_rows.e{_place(limits == -np.inf)}", "-inf", "a number, or inf for no bound")
+        limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
+        rows = limits.shape[-1]
+        soft = None if penalty is None else positive_number("stage_rows.penalty", penalty)
+        assign(self, C=_matrix("C", C, rows), D=_matrix("D", D, rows), e=limits, name=name, penalty=soft)
+        if not self.C.shape[-1] and not self.D.shape[-1]:
+            raise ProblemError("stage_rows", "neither C nor D", "at least one of them")
+
+    def at_dimensions(self, n: int, m: int, horizon: int, field: str) -> StageRows:
+        """Return the same rows with both matrices, checked against n states, m controls and T = ``horizon``.
+
+        Raises
+        ------
+        ProblemError
+            Naming ``field``, if a shape does not fit or a row without coefficients asks for 0 <= e < 0.
+        """
+        if self.e.ndim == 2 and len(self.e) != horizon:
+            expected = f"one for each of the {horizon} steps of the horizon"
+            raise ProblemError(f"{field}.e", f"limits for {len(self.e)} times", expected)
+        rows = self.e.shape[-1]
+        C = shaped(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
+        D = shaped(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
+        complete = StageRows(C, D, self.e, self.name, self.penalty)
+        impossible = complete._empty & (self.e < 0)
+        if impossible.any():
+            t, row = (int(i) for i in np.argwhere(np.atleast_2d(impossible))[0])
+            when = f" at t = {t}" if impossible.ndim == 2 else ""
+            raise ProblemError(
+                f"{field}.e", f"a limit below 0 for row {row}{when}, which has no coefficients", "a row that can hold"
+            )
+        return complete
+
+    @property
+    def rows(self) -> int:
+        """Return the number of rows."""
+        return self.e.shape[-1]
+
+    @property
+    def time_varying(self) -> bool:
+        """Whether C or D depends on time."""
+        return self.C.ndim == 3 or self.D.ndim == 3
+
+    def bounded(self, horizon: int) -> Mask:
+        """Return where a row restricts anything, (T, rows): its limit is finite and it has a coefficient."""
+        return np.broadcast_to(np.isfinite(self.e) & ~self._empty, (horizon, self.rows))
+
+    def values(self, x: Array, u: Array) -> Array:
+        """Return C_t x_t + D_t u_t, shape (T, rows); x is (T+1, n) or (T, n), u is (T, m)."""
+        return times_vectors(self.C, x[: len(u)]) + times_vectors(self.D, u)
+
+    def slack(self, x: Array, u: Array) -> Array:
+        """Return e_t - C_t x_t - D_t u_t, shape (T, rows): negative where a row is violated, inf without a limit."""
+        return self.e - self.values(x, u)
+
+    def violation(self, x: Array, u: Array) -> Array:
+        """Return by how much each row is violated (0 where it holds), shape (T, rows)."""
+        return np.maximum(-self.slack(x, u), 0.0)
+
+    def pull_back(self, weights: Array) -> tuple[Array, Array]:
+        """Return C_t' l_t, shape (T, n), and D_t' l_t, shape (T, m), for weights l (T, rows)."""
+        return (
+            times_vectors(np.swapaxes(self.C, -1, -2), weights),
+            times_vectors(np.swapaxes(self.D, -1, -2), weights),
+        )
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return few rows one by one, of others how many there are, for states and then controls of these names."""
+        symbols = f"C x + D u {AT_MOST} e"
+        varying = self.time_varying or (self.e.ndim == 2 and bool((self.e != self.e[0]).any()))
+        if varying:
+            text = f"{plural(self.rows, 'row')} {symbols}, which depend on time"
+        else:
+            limits = self.e if self.e.ndim == 1 else self.e[0]
+            coefficients = [matrix if matrix.ndim == 2 else matrix[0] for matrix in (self.C, self.D)]
+            text = inequalities(np.hstack(coefficients), limits, names, symbols)
+        return f"{text}{price(self.penalty, 'excess of a row')}"
+
+    def magnitudes(self) -> StageRows:
+        """Return the rows of |C|, |D|, |e|: their values bound the sums of the absolute values of all terms."""
+        return StageRows(np.abs(self.C), np.abs(self.D), np.abs(self.e), self.name, self.penalty)
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return how large each row can be, (rows,), with states as large as x (n,) and controls as u (m,)."""
+        return (np.abs(self.C) @ x).reshape(-1, self.rows).max(0) + (np.abs(self.D) @ u).reshape(-1, self.rows).max(0)
+
+    @property
+    def _empty(self) -> Mask:
+        """Where a row has no coefficient, (rows,) or (T, rows)."""
+        return np.asarray(~(self.C.any(axis=-1) | self.D.any(axis=-1)))
+
+
+def row_families(given: Any, n: int, m: int, horizon: int) -> tuple[StageRows, ...]:
+    """Return all families of joint rows, completed, from one, a sequence of differently named ones, or None."""
+    if given is None:
+        return ()
+    if isinstance(given, StageRows):
+        return (given.at_dimensions(n, m, horizon, "stage_rows"),)
+    if not isinstance(given, Sequence) or not all(isinstance(one, StageRows) for one in given):
+        raise ProblemError("stage_rows", brief(given), "StageRows, a sequence of them, or None")
+    names = [one.name for one in given]
+    if len(set(names)) != len(names):
+        raise ProblemError("stage_rows", f"the names {brief(names)}", "a different name for each", "Give name=.")
+    return tuple(one.at_dimensions(n, m, horizon, f"stage_rows[{i}]") for i, one in enumerate(given))
+
+
+def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
+    matrix = np.zeros((rows, 0)) if value is None else real_array(f"stage_rows.{field}", value)
+    if matrix.ndim not in (2, 3) or matrix.shape[-2] != rows:
+        raise ProblemError(
+            f"stage_rows.{field}",
+            f"shape {matrix.shape}",
+            f"a matrix with {rows} rows, as many as e has, or (T, {rows}, ...) with one per time",
+            "A single row is a matrix with one row: [[c_1, c_2, ...]].",
+        )
+    return matrix
+
+
+def _place(wrong: Mask) -> str:
+    return "".join(f"[{i}]" for i in np.argwhere(wrong)[0])

@@ -1,0 +1,1 @@
+"""Modes over time, in figures and in sentences."""

@@ -1,0 +1,284 @@
+"""Modes in pictures: tints behind the panels, one strip for each trajectory, and the adjoint with its kinks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FuncFormatter
+
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.phrases import LARGE, SMALL, number, split_unit
+from lin_freq_ocp.report.entries import CLASSICAL, entries
+from lin_freq_ocp.report.figures.scene import MARGIN, Scene
+from lin_freq_ocp.report.figures.style import (
+    COMPONENTS,
+    FILTERED,
+    GRID,
+    HATCHES,
+    INK,
+    LABEL_SIZE,
+    MUTED,
+    NOTE_SIZE,
+    PAPER,
+    ROW_HEIGHT,
+    TICK_SIZE,
+    TINTS,
+    WIDTH,
+    Note,
+    dress,
+    legend_above,
+    new_figure,
+    plain,
+    thinned,
+)
+from lin_freq_ocp.report.modes.spans import NO_MODE, Kink, Span, mode_names, mode_sequence, sequence_of, spans
+
+CHARACTER = 0.52 * NOTE_SIZE / 72
+"""Inches: about the width of a character of a note."""
+
+LEGEND_WIDTH, LEGEND_CHARACTER = WIDTH - 0.3, 1.12 * CHARACTER
+"""Inches: what a legend may take, and about the width of one of its characters."""
+
+LONGEST_NAME = 32
+"""Characters of a mode's name in a picture."""
+
+STRIP_HEIGHT = 0.3
+"""Inches: height of a strip, and the room between strips."""
+
+BAR = 0.02
+"""Width of the bar of an interval, relative to the time axis."""
+
+MARKED = 60
+"""Up to so many values are points on their line."""
+
+
+def shade_modes(ax: Axes, scene: Scene) -> None:
+    """Put the tint of the host's mode behind every step of a panel in time."""
+    for span in scene.modes:
+        if span.mode != NO_MODE:
+            start, end = scene.time.factor * span.start, scene.time.factor * span.end
+            ax.axvspan(start, end, **_look(span.mode), zorder=0)
+
+
+@dataclass(frozen=True)
+class ModeLegend:
+    """The tints of some modes with their names, and whose modes they are; empty without any."""
+
+    modes: tuple[int, ...]
+    names: tuple[str, ...]
+    whose: str
+
+    @property
+    def columns(self) -> int:
+        """Return how many names fit side by side."""
+        return max(1, int(LEGEND_WIDTH / self._entry)) if self.modes else 1
+
+    @property
+    def in_one_row(self) -> bool:
+        """Whether all fit into one row, with whose modes they are."""
+        return len(self.modes) * self._entry + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH
+
+    @property
+    def height(self) -> float:
+        """Return the inches that it takes."""
+        rows = 0 if not self.modes else 1 if self.in_one_row else 1 + ceil(len(self.modes) / self.columns)
+        return 0.24 * rows + (0.08 if rows else 0.0)
+
+    @property
+    def _entry(self) -> float:
+        return LEGEND_CHARACTER * max(map(len, self.names), default=0) + 0.55
+
+    def draw(self, figure: Figure) -> None:
+        """Put it below the panels."""
+        if not self.modes:
+            return
+        legend = figure.legend(
+            handles=[Patch(**_look(mode)) for mode in self.modes],
+            labels=["mode"] * len(self.modes),
+            title=None if self.in_one_row else plain(self.whose),
+            title_fontsize=LABEL_SIZE + 0.5,
+            alignment="left",
+            loc="outside lower left",
+            ncols=len(self.modes) if self.in_one_row else self.columns,
+            frameon=False,
+            fontsize=LABEL_SIZE + 0.5,
+            labelcolor=INK,
+            handlelength=1.8,
+            columnspacing=1.6,
+        )
+        legend.get_title().set_color(INK)
+        labels = list(self.names)
+        labels[-1] += f"   ({self.whose})" if self.in_one_row else ""
+        for text, label in zip(legend.get_texts(), labels, strict=True):
+            text.set_text(label)  # a label that begins with an underscore would be left out
+
+
+def mode_legend(scene: Scene) -> ModeLegend:
+    """Return the explanation of the tints behind the panels of a scene."""
+    whose = "mode" if len(scene.traces) == 1 else f"mode of the {scene.host.label} trajectory"
+    return _legend_of(scene, {span.mode for span in scene.modes}, whose)
+
+
+def _legend_of(scene: Scene, modes: set[int], whose: str) -> ModeLegend:
+    used, names = sorted(modes - {NO_MODE}), _short_names(mode_names(scene.problem))
+    return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
+
+
+def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
+    """Return label and mode sequence of every trajectory of a comparison; None where its states mean nothing."""
+    rows = list[tuple[str, Indices | None]]()
+    shown = entries(comparison)
+    for entry in shown:
+        if entry.trajectory is not None:
+            rows.append((entry.label, mode_sequence(entry.problem, entry.trajectory) if entry.replayed else None))
+    solved = {CLASSICAL: comparison.classical, shown[-1].label: comparison.constrained}
+    return [(label, sequence_of(solved[label]) if label in solved else modes) for label, modes in rows]
+
+
+def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
+    """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
+    names, factor, horizon = _short_names(mode_names(scene.problem)), scene.time.factor, scene.problem.horizon
+    drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
+    unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
+    legend = _legend_of(scene, {span.mode for _, span in drawn} if unnamed else set(), "mode")
+    figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
+    ax = figure.add_subplot()
+    for row, span in drawn:
+        _draw_strip(ax, span, row, factor, horizon, names)
+    for row, (_, modes) in enumerate(rows):
+        if modes is None:
+            ax.text(0.5 * factor * horizon, row, "not replayed", **_word(MUTED))
+    dress(ax, "Modes", scene.time.label, "")
+    ax.grid(False)
+    ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)
+    ax.set_ylim(len(rows) - 0.35, -0.65)
+    ax.set_yticks(range(len(rows)), [plain(label) for label, _ in rows], fontsize=LABEL_SIZE, color=INK)
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    legend.draw(figure)
+    return figure
+
+
+def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink], least: float) -> Figure:
+    """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
+
+    Parameters
+    ----------
+    least : float
+        What is smaller is zero up to the tolerance of the adjoint equation.
+    """
+    names = scene.problem.state_names
+    columns = min(len(names), 2)
+    rows = ceil(len(names) / columns)
+    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(scene).height)
+    for i, name in enumerate(names):
+        ax = figure.add_subplot(rows, columns, i + 1)
+        shade_modes(ax, scene)
+        times = scene.time.factor * np.arange(len(eta))
+        marker: dict[str, Any] = {"marker": "o", "markersize": 3.2} if len(eta) <= MARKED else {}
+        ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, **marker)
+        for kink in found:
+            _draw_kink(ax, scene, kink, i)
+        end = scene.time.factor * scene.problem.horizon
+        ax.set_xlim(-BAR * end, (1 + BAR) * end)
+        notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
+        short, unit = split_unit(name)
+        label = f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]"
+        dress(ax, f"Adjoint of {short}", scene.time.label, label, notes)
+    _adjoint_legend(figure, bool(found))
+    mode_legend(scene).draw(figure)
+    return figure
+
+
+def smallest_adjoint(certificate: Certificate) -> float:
+    """Return the size below which the judge cannot tell eta from zero."""
+    scales = [one.scale * one.tolerance for one in certificate.conditions if one.name == "adjoint equation"]
+    return max(scales, default=0.0)
+
+
+def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
+    """Let the axis reach over all values, but not magnify what is nothing but rounding; say so."""
+    low, high = float(shown.min()), float(shown.max())
+    if max(-low, high) <= least:
+        ax.set_ylim(-1, 1)
+        return [Note("zero, within the tolerance of the adjoint equation")]
+    margin = 1.5 * MARGIN * (high - low if high - low > least else max(-low, high))
+    ax.set_ylim(low - margin, high + margin)
+    if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
+    return []
+
+
+def _draw_kink(ax: Axes, scene: Scene, kink: Kink, i: int) -> None:
+    """Draw the interval as a bar with caps, and beside it what the adjoint equation requires."""
+    factor = scene.time.factor
+    at, half = factor * kink.time, 0.5 * factor * BAR * scene.problem.horizon
+    low, high = float(kink.lower[i]), float(kink.upper[i])
+    bar = Rectangle((at - half, low), 2 * half, high - low)
+    bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
+    ax.add_patch(bar)
+    ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
+    ax.plot(at, kink.required[i], "D", **_required(), zorder=8)
+
+
+def _required() -> dict[str, Any]:
+    return {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+
+
+def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
+    eta = "\N{GREEK SMALL LETTER ETA}"
+    handles: list[Artist] = [
+        Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {eta}")
+    ]
+    if with_kinks:
+        within, required = (
+            f"$D_x$ <{eta}, f> over all derivatives at a kink",
+            "what the adjoint equation requires of it",
+        )
+        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
+        handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label=required))
+    legend_above(figure, handles)
+
+
+def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:
+    """Draw a span as a box, with its mode's name where there is room."""
+    outside = span.mode == NO_MODE
+    look = {"facecolor": PAPER, "edgecolor": GRID, "linestyle": (0, (3, 2))} if outside else _look(span.mode)
+    box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
+    box.set(**look)
+    ax.add_patch(box)
+    ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
+    name = "outside" if outside else names[span.mode]
+    if _has_room(span, name, horizon):
+        ax.text(0.5 * factor * (span.start + span.end), row, name, **_word(MUTED if outside else INK))
+
+
+def _has_room(span: Span, name: str, horizon: int) -> bool:
+    return 0.82 * WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
+
+
+def _word(color: str) -> dict[str, Any]:
+    return {"ha": "center", "va": "center_baseline", "fontsize": TICK_SIZE, "color": color}
+
+
+def _look(mode: int) -> dict[str, Any]:
+    """Return facecolor, hatch and edge of a mode."""
+    hatch = HATCHES[mode // len(TINTS) % len(HATCHES)]
+    return {"facecolor": TINTS[mode % len(TINTS)], "hatch": hatch, "edgecolor": PAPER, "linewidth": 0}
+
+
+def _short_names(names: Sequence[str]) -> list[str]:
+    """Return names as pictures show them, ready to be drawn."""
+    end = "\N{HORIZONTAL ELLIPSIS}"
+    return [plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]

@@ -1,0 +1,112 @@
+"""Where a search over modes begins: a trajectory, controls, or a mode sequence that somebody already has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Indices, brief
+from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A start of a search over modes.
+
+    Attributes
+    ----------
+    sequence : (T,)
+        The modes that the trajectory lies in, or those given.
+    trajectory : Trajectory or None
+        None where only modes are given.
+    """
+
+    sequence: Indices
+    trajectory: Trajectory | None
+
+    @property
+    def saved(self) -> Any:
+        """Return what a file can hold, and ``start_of`` takes: modes, or the table of x and u."""
+        if self.trajectory is None:
+            return self.sequence.tolist()
+        return {"x": self.trajectory.x.tolist(), "u": self.trajectory.u.tolist()}
+
+
+def start_of(problem: OptimalControlProblem, given: Any) -> Start:
+    """Return what a search begins with.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    given : Trajectory, mapping with x and u, (T, m) or (T,) integers
+        A trajectory, also that of a result; controls, which are replayed from the initial state; or the mode at every
+        time.
+
+    Raises
+    ------
+    ProblemError
+        Naming ``start``, if it is none of these, or does not fit the problem.
+    UnsupportedError
+        If the dynamics are linear.
+    """
+    if isinstance(problem.dynamics, LinearDynamics):
+        raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
+    given = given if isinstance(given, Trajectory) else getattr(given, "trajectory", given)
+    if isinstance(given, (Trajectory, Mapping)):
+        trajectory = _trajectory(problem, given)
+    else:
+        array = _array(problem, given)
+        if array.ndim != 2:
+            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.modes)), None)
+        trajectory = _replayed(problem, array)
+    return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
+
+
+def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, Any]) -> Trajectory:
+    expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
+    if isinstance(given, Mapping):
+        if set(given) != {"x", "u"}:
+            raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
+        try:
+            given = Trajectory(given["x"], given["u"])
+        except ProblemError as error:
+            raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
+    try:
+        problem.require(given)
+    except ProblemError as error:
+        raise ProblemError("start", error.got, error.expected, error.advice) from None
+    return given
+
+
+def _array(problem: OptimalControlProblem, given: Any) -> Any:
+    """Return an array of controls (T, m), or of mode numbers (T,)."""
+    T, m = problem.horizon, problem.control_dim
+    expected = f"a Trajectory, controls of shape {(T, m)}, or {T} mode numbers"
+    try:
+        array = np.asarray(given)
+    except ValueError:
+        raise ProblemError("start", brief(given), expected) from None
+    whole = array.shape == (T,) and array.dtype.kind in "iu"
+    if not whole and (array.shape != (T, m) or array.dtype.kind not in "iuf"):
+        got = brief(given) if array.dtype.kind not in "iuf" or not array.ndim else f"shape {array.shape}"
+        advice = "Mode numbers are integers." if array.shape == (T,) and array.dtype.kind == "f" else ""
+        raise ProblemError("start", got, expected, advice)
+    return array
+
+
+def _replayed(problem: OptimalControlProblem, controls: Any) -> Trajectory:
+    try:
+        return simulate(problem, controls)
+    except ProblemError as error:
+        raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
+    except NumericalError as error:
+        got = f"controls that cannot be replayed ({error})"
+        raise ProblemError("start", got, "controls that lead through regions of modes") from None

@@ -1,0 +1,1 @@
+"""Linear problems as sparse convex programs, and their duals as multipliers."""

@@ -1,0 +1,237 @@
+"""A problem as a sparse quadratic or second-order cone program in x_0 .. x_T, u_0 .. u_{T-1}, and slacks of its terms.
+
+    minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T + (terms)
+    DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
+    STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
+    CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
+    STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
+    CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
+    TERMS             everything else: conic_terms.py
+
+The variables are deviations from the references x_ref, u_ref, so that a small cost is not the difference of large
+numbers; the right-hand sides are shifted accordingly. Fixed ends are rows of STATE_SET with equal bounds: their dual is
+mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come
+out as in the maximum principle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.linear.conic_terms import ConicTerms, conic_terms
+from lin_freq_ocp.transcription.linear.dense_rows import require_dense_memory
+from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
+from lin_freq_ocp.transcription.program import Block, Program
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTranscription:
+    """The program of a linear problem, with its own inverse for trajectories and multipliers."""
+
+    problem: OptimalControlProblem
+
+    @cached_property
+    def program(self) -> Program:
+        """Return the program in the problem's own units; UnsupportedError if it does not fit into memory."""
+        require_dense_memory(self.problem)
+        problem, stack = self.problem, _RowStack()
+        states, controls = self._states, self._controls
+        stack.add(Block.DYNAMICS, *self._dynamics_rows())
+        stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
+        stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
+        for block, stop, length, first in (
+            (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
+            (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
+        ):
+            matrix = _spectrum_rows(stop, length, states + controls, first)
+            stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
+        terms = self.conic_terms
+        stack.add(Block.TERMS, terms.matrix, terms.lower, terms.upper)
+        x, u = self._references
+        gradient = [part.ravel() for part in problem.quadratic.gradient(x, u)]
+        origin = np.concatenate([x.ravel(), u.ravel(), np.zeros(terms.slacks)])
+        return stack.program(
+            self._hessian(),
+            np.concatenate([*gradient, terms.prices]),
+            problem.quadratic.value(x, u),
+            origin,
+            terms.cones,
+        )
+
+    @cached_property
+    def conic_terms(self) -> ConicTerms:
+        """The rows, slacks and prices of the problem's terms."""
+        return conic_terms(self.problem)
+
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return (x, u) from a point of the program."""
+        x, u = np.split(z[: self.signals], [self._states])
+        x_ref, u_ref = self._references
+        return Trajectory(x_ref + x.reshape(x_ref.shape), u_ref + u.reshape(u_ref.shape))
+
+    def direction(self, z: Array) -> Trajectory:
+        """Return the change (dx, du) that is a change z of the point of the program."""
+        x, u = np.split(z[: self.signals], [self._states])
+        return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
+
+    def point(self, trajectory: Trajectory) -> Array:
+        """Return the point of the program that is this trajectory."""
+        a, b = self.problem.quadratic.deviations(trajectory.x, trajectory.u)
+        return np.concatenate([a.ravel(), b.ravel(), self.conic_terms.slacks_of(trajectory)])
+
+    def multipliers(self, y: Array, eta_C: float) -> Multipliers:
+        """Return the theorem's multipliers from the duals of all rows; eta_C = 0 for a Farkas ray."""
+        problem, rows = self.problem, self.program.rows
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        mu, nu = np.zeros((T + 1, n)), np.zeros((T, m))
+        mu[_bounded(problem.state_tube)] = y[rows[Block.STATE_SET]]
+        nu[_bounded(problem.control_tube)] = y[rows[Block.CONTROL_SET]]
+        return Multipliers(
+            eta_C=eta_C,
+            eta=y[rows[Block.DYNAMICS]].reshape(T, n),
+            mu=mu,
+            nu=nu,
+            rho_u=_split_bins(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
+            rho_x=_split_bins(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
+            stage=self.conic_terms.multipliers(y[rows[Block.TERMS]]),
+        )
+
+    def column_units(self, state_units: Array, control_units: Array) -> Array:
+        """Return one unit per variable from those of states, (n,) or (T+1, n), and of controls, (m,) or (T, m)."""
+        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
+        steady = np.broadcast_to(state_units, (T + 1, n)), np.broadcast_to(control_units, (T, m))
+        return np.concatenate([*(part.ravel() for part in steady), self.conic_terms.slack_units(*steady)])
+
+    @property
+    def signals(self) -> int:
+        """Return how many variables are states and controls; slacks follow."""
+        return self._states + self._controls
+
+    @property
+    def _references(self) -> tuple[Array, Array]:
+        problem = self.problem
+        x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, problem.state_dim))
+        return x, np.broadcast_to(problem.quadratic.u_ref, (problem.horizon, problem.control_dim))
+
+    @property
+    def _states(self) -> int:
+        return (self.problem.horizon + 1) * self.problem.state_dim
+
+    @property
+    def _controls(self) -> int:
+        return self.problem.horizon * self.problem.control_dim
+
+    def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
+        dynamics, T, n = self.problem.linear, self.problem.horizon, self.problem.state_dim
+        offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
+        parts = [(np.eye(n), 0, n), (-dynamics.A, 0, 0), (-dynamics.B, 0, self._states)]
+        matrix = _placed([_block_diagonal(*part, T) for part in parts], (T * n, self._states + self._controls))
+        return matrix, offset, offset
+
+    def _hessian(self) -> sp.csc_array:
+        cost, T, first = self.problem.quadratic, self.problem.horizon, self._states
+        last, variables = first - self.problem.state_dim, self.signals + self.conic_terms.slacks
+        parts = [
+            _block_diagonal(cost.Q, 0, 0, T),
+            _block_diagonal(cost.P, last, last, 1),
+            _block_diagonal(cost.S, 0, first, T),
+            _block_diagonal(np.swapaxes(cost.S, -1, -2), first, 0, T),
+            _block_diagonal(cost.R, first, first, T),
+        ]
+        return _placed(parts, (variables, variables))
+
+
+class _RowStack:
+    """Rows under their block's name, in the order they came."""
+
+    def __init__(self):
+        self._parts: list[tuple[sp.csc_array, Array, Array]] = []
+        self._rows: dict[Block, slice] = {}
+        self._count = 0
+
+    def add(self, block: Block, matrix: sp.csc_array, lower: Array, upper: Array) -> None:
+        self._parts.append((matrix, lower, upper))
+        self._rows[block] = slice(self._count, self._count + matrix.shape[0])
+        self._count += matrix.shape[0]
+
+    def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array, cones: Sequence[slice]) -> Program:
+        """Return the program in the deviations from ``origin``, where the cost is ``constant`` and its gradient q.
+
+        ``cones`` count from the first row of the last block; matrices without columns for the slacks get zeros.
+        """
+        matrices, lower, upper = zip(*self._parts, strict=True)
+        A = sp.csc_array(sp.vstack([sp.csc_array(_widened(matrix, len(q))) for matrix in matrices]))
+        A.eliminate_zeros()
+        P.eliminate_zeros()
+        shift = A @ origin
+        first = self._count - matrices[-1].shape[0]
+        placed = tuple(slice(first + cone.start, first + cone.stop) for cone in cones)
+        limits = np.concatenate(lower) - shift, np.concatenate(upper) - shift
+        return Program(P, q, constant, A, *limits, self._rows, placed)
+
+
+def _widened(matrix: sp.csc_array, columns: int) -> sp.csc_array:
+    return sp.csc_array((matrix.data, matrix.indices, _pointers(matrix, columns)), shape=(matrix.shape[0], columns))
+
+
+def _pointers(matrix: sp.csc_array, columns: int) -> Indices:
+    return np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
+
+
+def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> tuple[Array, Indices, Indices]:
+    """Return values, rows and columns of diag(M_0 .. M_{times-1}), one matrix or one per time, from a place on."""
+    rows, columns = matrices.shape[-2:]
+    i = row + np.arange(times * rows).reshape(times, rows, 1)
+    j = column + np.arange(times * columns).reshape(times, 1, columns)
+    blocks, i, j = np.broadcast_arrays(matrices, i, j)
+    return blocks.ravel(), i.ravel(), j.ravel()
+
+
+def _placed(parts: Sequence[tuple[Array, Indices, Indices]], shape: tuple[int, int]) -> sp.csc_array:
+    """Return the matrix of these entries: to join sparse matrices takes several times as long."""
+    values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return sp.csc_array((values, (i, j)), shape=shape)
+
+
+def _bounded(tube: Box) -> Mask:
+    return np.isfinite(tube.lower) | np.isfinite(tube.upper)
+
+
+def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
+    bounded = _bounded(tube)
+    chosen = np.flatnonzero(bounded.ravel())
+    matrix = sp.csc_array(
+        (np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns)
+    )
+    return matrix, tube.lower[bounded], tube.upper[bounded]
+
+
+def _spectrum_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
+    """Return the DFT rows of every component; component j of time t is variable first + t * components + j."""
+    components = stop.shape[1]
+    parts = [sp.csc_array((0, columns))]
+    for j in range(components):
+        rows = real_rows(length, stop[:, j])
+        place = first + np.arange(length) * components + j
+        row, time = np.nonzero(np.ones_like(rows, dtype=bool))
+        parts.append(sp.csc_array((rows.ravel(), (row, place[time])), shape=(len(rows), columns)))
+    return sp.csc_array(sp.vstack(parts))
+
+
+def _split_bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
+    result, first = np.zeros(stop.shape, dtype=np.complex128), 0
+    for j in range(stop.shape[1]):
+        k = np.flatnonzero(stop[:, j])
+        count = 2 * len(k) - int(np.isin([0, length / 2], k).sum())
+        result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
+        first += count
+    return result

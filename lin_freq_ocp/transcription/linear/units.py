@@ -1,0 +1,228 @@
+"""Typical magnitudes of a problem's states, controls and cost, so that a solver sees numbers near 1.
+
+Bounds say what is allowed, not what happens (30 rad/s allowed, 0.5 reached), so magnitudes come from the trajectory
+that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them. What counts is the deviation
+from the references, in which the program is written. Once there is a trajectory, its own magnitudes are the units: an
+answer is measured in them (``own_scaling``), and solved again in them if they are not those that it was found in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.arrays import Array, times_vectors
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.transcription.program import Block, Program, Scaling
+
+HESSIAN_REGULARISATION = 1e-6
+"""Added to the Hessian, relative to its mean diagonal: directions without cost get the smallest trajectory."""
+
+ROW_REGULARISATION = 1e-10
+"""Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory."""
+
+NEGLIGIBLE = 1e-6
+"""A component whose typical magnitude, relative to what the data state of it, is below this does not move."""
+
+ROUNDING = 1e-12
+"""What is smaller than this part of its unit until then is rounding."""
+
+UNNOTICED = 1e-3
+"""A component that is smaller than this part of what would change another one by its size, spread over the horizon,
+does not move: that part is its unit."""
+
+TERM_SHARE = 0.1
+"""With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
+than this part of what the data state of it, or larger by as much; a second solve corrects it."""
+
+REVISED = 100.0
+"""Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
+
+COST_LEVEL = 10.0
+"""Steepest slope of the scaled cost: the other slopes are smaller, and solvers need to see them all."""
+
+
+def natural_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
+    guess = stated_sizes(transcription.problem)
+    x, u = _relaxed_magnitudes(transcription, guess)
+    if any(not term.hard or term.kind != "stage rows" for term in transcription.problem.terms):
+        x, u = (
+            np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
+        )
+    columns = transcription.column_units(x, u)
+    return _scaling(transcription, columns, columns)
+
+
+def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
+    """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
+
+    A component is as large as in the largest of them, but not much smaller or larger than the data state: what moves
+    in one mode may stand still in another.
+    """
+    first = transcriptions[0]
+    stated = first.column_units(*stated_sizes(first.problem))
+    largest = np.max([natural_scaling(one).columns for one in transcriptions], axis=0)
+    columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
+    return _scaling(first, columns, columns)
+
+
+def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+    """Return the units in which a point z (in the program's own units) is of order 1.
+
+    Parameters
+    ----------
+    fallback : (variables,)
+        Units of variables that are zero, and that nothing else gives a size.
+    per_time : bool
+        Whether a component may have another unit at every time, as where it decays over many orders of magnitude.
+    """
+    x, u = _floored(transcription, *_by_time(transcription, z))
+    if not per_time:
+        x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
+    columns = transcription.column_units(x, u)
+    signals, least = np.concatenate([x.ravel(), u.ravel()]), ROUNDING * fallback[: transcription.signals]
+    columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
+    return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+
+
+def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
+    """Return how large the variables of a point are, (variables,): none smaller than what could be noticed."""
+    x, u = _floored(transcription, *_by_time(transcription, z))
+    return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
+
+
+def stated_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the units that the data of a problem state."""
+    columns = transcription.column_units(*stated_sizes(transcription.problem))
+    return _scaling(transcription, columns, columns)
+
+
+def plain_scaling(transcription: LinearTranscription) -> Scaling:
+    """Return the problem's own units."""
+    program = transcription.program
+    return Scaling(np.ones(program.A.shape[1]), np.ones(program.A.shape[0]), 1.0)
+
+
+def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
+    """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
+    revised = own_scaling(transcription, z, scaling.columns)
+    return revised if distance(revised, scaling) > REVISED else None
+
+
+def distance(one: Scaling, other: Scaling) -> float:
+    """Return the largest factor between the units of two scalings."""
+    changes = np.append(one.columns / other.columns, one.cost / other.cost)
+    return float(np.exp(np.abs(np.log(changes)).max()))
+
+
+def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
+    """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
+    program, problem = transcription.program, transcription.problem
+    slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
+    costs = np.append(np.ones(transcription.signals, dtype=bool), transcription.conic_terms.of_costs)
+    steepest = float(slopes[costs].max(initial=0.0))
+    if steepest == 0:  # nothing but penalties
+        steepest = float(slopes.max(initial=0.0))
+    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+    return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
+
+
+def _row_units(program: Program, columns: Array, problem: OptimalControlProblem) -> Array:
+    """Return one factor per row: a dynamics or bound row is divided by its component's unit, any other likewise."""
+    rows = np.empty(program.A.shape[0])
+    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
+    norms = _row_norms(_scaled(program.A, np.ones(len(rows)), columns))
+    for block in set(program.rows) - {Block.DYNAMICS}:
+        rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
+    for cone in program.cones:
+        rows[cone] = rows[cone].min()
+    return rows
+
+
+def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the largest deviations from the references of the optimum without inequalities and bands."""
+    program, problem = transcription.program, transcription.problem
+    if not program.P.nnz and program.q.any():  # without curvature, what the cost asks for is endless
+        return guess
+    keep = np.flatnonzero(program.equality)
+    keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
+    signals = transcription.signals
+    columns = transcription.column_units(*guess)[:signals]
+    P = _scaled(program.P[:signals, :signals], columns, columns)
+    A = _scaled(program.A[keep][:, :signals], np.ones(len(keep)), columns)
+    row_units = 1.0 / _row_norms(A)
+    mean = float(P.diagonal().mean()) or 1.0
+    kkt = _kkt(P, mean, _scaled(A, row_units, np.ones(signals)))
+    right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
+    try:
+        z = splu(kkt).solve(right)
+    except RuntimeError:  # exactly singular
+        return guess
+    z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
+    x, u = (signal.max(0) for signal in _by_time(transcription, z))
+    x, u = (_capped(size, tube) for size, tube in ((x, problem.state_tube), (u, problem.control_tube)))
+    x, u = (np.where(size > NEGLIGIBLE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
+    return x, u
+
+
+def _kkt(P: Any, mean: float, A: Any) -> Any:
+    """Return the regularised matrix of min z'P z / (2 mean) subject to rows A of length 1."""
+    signals, count = P.shape[0], A.shape[0]
+    every, hessian, rows = np.arange(signals + count), P.tocoo(), A.tocoo()
+    regularisation = np.append(np.full(signals, HESSIAN_REGULARISATION), np.full(count, -ROW_REGULARISATION))
+    values = np.concatenate([hessian.data / mean, rows.data, rows.data, regularisation])
+    i = np.concatenate([hessian.row, rows.row + signals, rows.col, every])
+    j = np.concatenate([hessian.col, rows.col, rows.row + signals, every])
+    return sp.csc_array((values, (i, j)), shape=(signals + count, signals + count))
+
+
+def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
+    """Return the magnitudes of states, (T+1, n), and controls, (T, m), of z."""
+    problem = transcription.problem
+    x, u = np.split(np.abs(z[: transcription.signals]), [(problem.horizon + 1) * problem.state_dim])
+    return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
+
+
+def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
+    """Return magnitudes (T+1, n) and (T, m), none smaller than what could be noticed in the dynamics."""
+    program, problem = transcription.program, transcription.problem
+    A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
+    constant = np.abs(program.lower[program.rows[Block.DYNAMICS]]).reshape(-1, problem.state_dim)
+    part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()
+    caused = times_vectors(A, x[:-1]) + times_vectors(B, u) + constant
+    x[1:] = np.maximum(x[1:], part * caused)
+    for matrix, signal in ((A, x[:-1]), (B, u)):
+        noticed = np.where(
+            (matrix > 0) & (x[1:, :, None] > 0), x[1:, :, None] / np.where(matrix > 0, matrix, 1), np.inf
+        )
+        needed = noticed.min(1)
+        np.maximum(signal, np.where(np.isfinite(needed), part * needed, 0.0), out=signal)
+    return x, u
+
+
+def _capped(reached: Array, tube: Box) -> Array:
+    """Return what is reached, but not beyond the bounds."""
+    widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
+    return np.minimum(reached, np.where(widest > 0, widest, np.inf))
+
+
+def _row_norms(matrix: Any) -> Array:
+    """Return the Euclidean norms of the rows of a matrix by columns; 1 for rows of zeros, which are in cones only."""
+    norms = np.sqrt(np.bincount(matrix.indices, matrix.data**2, minlength=matrix.shape[0]))
+    return np.where(norms > 0, norms, 1.0)
+
+
+def _scaled(matrix: Any, rows: Array, columns: Array) -> Any:
+    """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
+    scaled = sp.csc_array(matrix, copy=True)
+    scaled.data *= rows[scaled.indices]
+    scaled.data *= np.repeat(columns, np.diff(scaled.indptr))
+    return scaled

@@ -1,0 +1,1 @@
+"""Piecewise-affine problems as mixed-integer programs and as convex relaxations."""
