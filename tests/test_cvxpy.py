@@ -11,7 +11,7 @@ import pytest
 
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.interchange.cvxpy.problem import to_cvxpy
-from lin_freq_ocp.library.linear import pendulum
+from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

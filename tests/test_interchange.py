@@ -24,7 +24,7 @@ from lin_freq_ocp.interchange.problem_file.set_tables import SET_KINDS
 from lin_freq_ocp.interchange.problem_file.spectrum_tables import BOUNDS
 from lin_freq_ocp.interchange.problem_file.template import init_problem_file, template
 from lin_freq_ocp.interchange.results.solution_file import load_solution, save_csv, save_solution
-from lin_freq_ocp.library.linear import pendulum
+from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -24,7 +24,7 @@ from lin_freq_ocp.analysis.measures import padded_spectrum
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import ProblemError, SolveError
-from lin_freq_ocp.library.linear import pendulum
+from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.phrases import NOTHING, listed, number, runs_in_words, split_unit
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
