@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import in_order
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 SCHEMA = Draft202012Validator(json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8")))
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
 SAYS = {
     "first_steps": "satisfied, normal",
     "pendulum": "brickwall    peaks at 5.858 N and misses the end by 0.813 m and 16.72 rad",

@@ -27,7 +27,7 @@ from lin_freq_ocp.comparison.sweep.sweep import MEASURED
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
 
-SCHEMA = json.loads((Path(__file__).parents[1] / "docs" / "sweep.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "sweep.schema.json").read_text(encoding="utf-8"))
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)
 GRID = {"cutoff_hz": [None, 0.2, 1.0, 3.0], "control_bound": [0.2, 1.0]}
@@ -459,7 +459,7 @@ def test_a_point_that_breaks_constraints_has_no_cost():
 
 
 def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
-    text = (Path(__file__).parents[1] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
     code = text.split("```python\n")[1].split("```")[0].replace("ProcessPoolExecutor", "ThreadPoolExecutor")
     monkeypatch.chdir(tmp_path)
     exec(code, {"__name__": "__main__"})

@@ -38,7 +38,7 @@ from lin_freq_ocp.interchange.results.summary import (
 )
 from lin_freq_ocp.solve import ERRORS
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
 RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
