@@ -2,31 +2,19 @@
 
 from dataclasses import replace
 
-import kinks
 import numpy as np
 import pytest
 import verify_flips
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers import kinks
+from helpers.borders import changed, multipliers_of, peak_optimum
 from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.dynamics.piecewise_affine import REGION
-
-
-def changed(multipliers, **fields):
-    names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage", "weights")
-    return lfo.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
-
-
-def multipliers_of(problem, eta, mu, nu, rho_u=0.0, weights=None):
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    bins = np.full((T // 2 + 1, m), 0.0 + 0.0j)
-    bins[0] = rho_u
-    shaped = (np.reshape(part, shape) for part, shape in ((eta, (T, n)), (mu, (T + 1, n)), (nu, (T, m))))
-    return lfo.Multipliers(1.0, *shaped, bins, np.zeros(((T + 1) // 2 + 1, n)), weights=weights)
 
 
 def failures(certificate, label, name=""):
@@ -35,13 +23,6 @@ def failures(certificate, label, name=""):
 
 def fact(certificate, label, name=""):
     return next(one for one in certificate.borders.conditions if one.label == label and name in one.name)
-
-
-def peak_optimum():
-    """The optimum of the peak, with the multipliers of its rising sequence."""
-    problem = kinks.peak()
-    result = lfo.solve(problem.with_modes([0, 0]))
-    return problem, result.trajectory, weighted(problem, result.trajectory, np.array([0, 0]), result.multipliers)
 
 
 # --- by hand ---------------------------------------------------------------------------------------------------------

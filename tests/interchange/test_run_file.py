@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import parsed, run
-from test_interchange import assert_same, everything_at_once
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from helpers.problem_files import assert_same, everything_at_once
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.rerun import SAME_COST

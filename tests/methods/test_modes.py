@@ -6,10 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from modes import brute_force, random_problem
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.analysis.mode_reach import ModeReach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import semismooth_newton
 from jsonschema import Draft202012Validator
-from test_cli import parsed, run
-from test_schema import RESULT
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from helpers.schemas import RESULT
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.modes.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge

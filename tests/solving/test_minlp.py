@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modes import random_problem
 
 import lin_freq_ocp as lfo
+from helpers.modes import random_problem
 from lin_freq_ocp import library
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import nonlinear_backend

@@ -6,7 +6,6 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.backends import clarabel_
@@ -14,6 +13,7 @@ from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.transcription.program import Block
+from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
 """The default, which is "spectral" wherever that applies, and the sparse program."""

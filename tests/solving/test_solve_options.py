@@ -5,9 +5,9 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from test_cli import run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 
 REFUSED = [
     (("pendulum",), ("--node-limit", "3"), "node_limit: got 3", "only a search over affine modes"),

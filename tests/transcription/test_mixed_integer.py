@@ -11,9 +11,9 @@ import benchmark_modes
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from modes import brute_force, random_problem
 
 import lin_freq_ocp as lfo
+from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.backends.mixed import MixedSolution, bounded, mixed_backend
 from lin_freq_ocp.methods.modes import mixed

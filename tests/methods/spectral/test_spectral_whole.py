@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_spectral_class import LARGE_BOX, START, T, problem_of
 
 import lin_freq_ocp as lfo
+from helpers.spectral_plants import LARGE_BOX, START, T, problem_of
 from lin_freq_ocp.methods.spectral.kkt import whole_horizon
 from lin_freq_ocp.methods.spectral.kkt.structure import Structure
 from lin_freq_ocp.methods.spectral.kkt.violations import Violations
