@@ -4,7 +4,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
-from reference import PENDULUM, reference_problem
+from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
 
 def pytest_configure():

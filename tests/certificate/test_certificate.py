@@ -13,8 +13,8 @@ from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.testing.reference import STATED, reference_problem
 from lin_freq_ocp.transcription.linear import transcription as linear
-from reference import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
 

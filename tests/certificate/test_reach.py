@@ -6,7 +6,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
-from reference import time_varying
+from lin_freq_ocp.testing.reference import time_varying
 
 T = 30
 

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
-from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
@@ -33,6 +32,7 @@ from lin_freq_ocp.interchange.problem_file import (
 from lin_freq_ocp.interchange.problem_file.template import template
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.solve import ERRORS
+from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 PARTS = PROBLEM["$defs"]
 

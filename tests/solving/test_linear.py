@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import verify_linear
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.convex.polish import polished
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.testing.checks import linear
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
@@ -29,14 +29,14 @@ LOWEST = 0.5050507855147837
 @pytest.mark.parametrize("first", range(0, 40, 10))
 def test_random_problems_in_any_units_cost_what_plain_clarabel_says(first):
     for seed in range(first, first + 10):
-        outcome = verify_linear.check(seed)
+        outcome = linear.check(seed)
         assert not outcome.unanswered, outcome
         assert not outcome.wrong, outcome
 
 
 @pytest.mark.parametrize("seed", [130, 368, 282, 723])
 def test_problems_whose_answers_were_wrong(seed):
-    outcome = verify_linear.check(seed)
+    outcome = linear.check(seed)
     assert not outcome.unanswered, outcome
     assert not outcome.wrong, outcome
 

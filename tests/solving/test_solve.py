@@ -12,8 +12,8 @@ from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
+from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 from lin_freq_ocp.transcription.program import Block
-from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
 """The default, which is "spectral" wherever that applies, and the sparse program."""
