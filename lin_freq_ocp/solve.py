@@ -28,7 +28,7 @@ from lin_freq_ocp.errors import (
     UnsupportedError,
 )
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex import solve_convex
+from lin_freq_ocp.methods.convex import convex_candidates, solve_convex
 from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.free_of_cost import free_of_cost
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
@@ -303,19 +303,29 @@ def _worth(result: Result) -> int:
 
 
 def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | None, time_limit: float | None) -> Result:
-    """Return what the sparse program ends with."""
+    """Return what the sparse program ends with: the first answer that is worth something, else the first."""
     end = np.inf if time_limit is None else time.perf_counter() + time_limit
-    candidate = solve_convex(problem, backend, tolerance, time_limit)
+    candidates = convex_candidates(problem, backend, tolerance, time_limit)
+
+    def judged(candidate: Candidate) -> Result:
+        if candidate.status == "unbounded":
+            candidate = _if_feasible(problem, candidate, _left(end))
+        return _judged(problem, candidate, "convex", backend, tolerance)
+
+    candidate = next(candidates)
     if candidate.status not in ("optimal", "limit") and backend != PROVER:
         candidate = _accounted(problem, candidate, _left(end))
-    if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, _left(end))
-    result = _judged(problem, candidate, "convex", backend, tolerance)
+    result = judged(candidate)
     if result.status in ("locally_optimal", "numerical_error") and result.trajectory is not None:
         free = free_of_cost(problem, result.trajectory)
         other = result if free is None else _judged(problem, free, "convex", backend, tolerance)
         if other.status == "optimal":
             return replace(other, seconds=result.seconds)
+    if result.status == "numerical_error" and not result.interrupted:
+        for candidate in candidates:
+            other = judged(candidate)
+            if _worth(other) or other.interrupted:
+                return other
     return result
 
 
