@@ -30,7 +30,7 @@ from lin_freq_ocp.errors import (
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import convex_candidates, solve_convex
 from lin_freq_ocp.methods.ends import contradiction_at_ends
-from lin_freq_ocp.methods.free_of_cost import free_of_cost
+from lin_freq_ocp.methods.free_of_cost import free_of_cost, free_of_slope
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchProgress
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
@@ -317,14 +317,15 @@ def _convex(problem: OptimalControlProblem, backend: str, tolerance: float | Non
         candidate = _accounted(problem, candidate, _left(end))
     result = judged(candidate)
     if result.status in ("locally_optimal", "numerical_error") and result.trajectory is not None:
-        free = free_of_cost(problem, result.trajectory)
-        other = result if free is None else _judged(problem, free, "convex", backend, tolerance)
-        if other.status == "optimal":
-            return replace(other, seconds=result.seconds)
+        for free in (free_of_cost(problem, result.trajectory), free_of_slope(problem, result.trajectory, _left(end))):
+            other = result if free is None else _judged(problem, free, "convex", backend, tolerance)
+            if other.status == "optimal":
+                return replace(other, seconds=result.seconds)
     if result.status == "numerical_error" and not result.interrupted:
         for candidate in candidates:
             other = judged(candidate)
-            if _worth(other) or other.interrupted:
+            proven = other.status != "unbounded" or other.direction is not None
+            if (_worth(other) and proven) or other.interrupted:
                 return other
     return result
 

@@ -97,6 +97,13 @@ class Solves:
         """Solve in the given units with all bounds, however far, and measure."""
         return self._solve(scaling.apply(self.transcription.program), scaling, None)
 
+    def near(self, scaling: Scaling) -> Attempt | None:
+        """Solve in the given units without far bounds, and measure with them;
+        None if there are none, or if nothing else bounds the cost."""
+        near = scaling.apply(self.transcription.program).without_bounds_beyond(FAR)
+        attempt = None if near is None else self._solve(near, scaling, None)
+        return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
+
     def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
         """Measure what was found for the program, which is in the given units."""
         return measured(self.transcription, scaling, program, solution, self.tolerance)
@@ -123,6 +130,7 @@ def better_of(one: Attempt, other: Attempt) -> Attempt:
 
 
 def over(solves: Solves) -> bool:
+    """Whether there is no time left."""
     return time.perf_counter() >= solves.end
 
 
@@ -179,7 +187,9 @@ def measured(
             Candidate("unbounded", None, None, None, None, solution.words, descent=along), scaling, None, None, error
         )
     if z is None or y is None:
-        return Attempt(replace(_failed(solution.words), interrupted=claim is Claim.INTERRUPTED), scaling, None, None, np.inf)
+        return Attempt(
+            replace(_failed(solution.words), interrupted=claim is Claim.INTERRUPTED), scaling, None, None, np.inf
+        )
     if not program.P.nnz and not program.q.any():
         y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
     point, duals = scaling.primal(z), scaling.dual(y)

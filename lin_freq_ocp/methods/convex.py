@@ -31,6 +31,7 @@ GRACE = 0.25
 REVISIONS = 2
 """How often the units may follow the answer."""
 
+
 def solve_convex(
     problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
 ) -> Candidate:

@@ -11,15 +11,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.methods.attempts import Attempt, Solves, over
+from lin_freq_ocp.methods.attempts import Attempt, Solves, better_of, over
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.polish import polished, without_rounding
-from lin_freq_ocp.problem.arrays import Array
-from lin_freq_ocp.transcription.program import Program, Scaling
-from lin_freq_ocp.transcription.units import own_scaling, plain_scaling, stated_scaling
+from lin_freq_ocp.transcription.program import Scaling
+from lin_freq_ocp.transcription.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
 
 ROUNDING_LEVELS = (1e-12, 1e-9)
 """Parts of a variable's and a dual's unit below which they may be rounding: the judge decides."""
@@ -45,35 +43,39 @@ def further(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candida
     if best.ended:
         return
     yield from _versions(solves, natural, best)
-    for way in _ways(solves, natural, best):
-        if over(solves):
-            return
-        attempt = way()
-        if attempt.ended:
-            if attempt.candidate.interrupted:
-                yield replace(best.candidate, interrupted=True)
-            return
-        if attempt.z is not None or attempt.candidate.status in ("infeasible", "unbounded"):
-            yield attempt.candidate
-        yield from _versions(solves, natural, attempt)
+    for units in _units(solves, natural):
+        for solve in (solves.complete, solves.near):
+            if over(solves):
+                return
+            scaling = units(best)
+            attempt = None if scaling is None else solve(scaling)
+            if attempt is None:
+                continue
+            if attempt.ended:
+                if attempt.candidate.interrupted:
+                    yield replace(best.candidate, interrupted=True)
+                return
+            if attempt.z is not None or attempt.candidate.status in ("infeasible", "unbounded"):
+                yield attempt.candidate
+            yield from _versions(solves, natural, attempt)
+            best = better_of(best, attempt)
 
 
-def _ways(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Callable[[], Attempt]]:
-    """Return further solves: for a point that costs nothing, and in other units, which are computed when needed."""
+def _units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling | None]]:
+    """Return other units, each from the best attempt until then; those that need its point come last."""
     transcription = solves.transcription
-    yield lambda: _without_slope(solves, natural)
-    units = [
-        lambda: plain_scaling(transcription),
-        lambda: stated_scaling(transcription),
-        lambda: natural,
+
+    def own(best: Attempt, per_time: bool) -> Scaling | None:
+        return None if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
+
+    return [
+        lambda _: plain_scaling(transcription),
+        lambda _: stated_scaling(transcription),
+        lambda _: natural,
+        lambda _: bounds_scaling(transcription, natural),
+        lambda best: own(best, per_time=False),
+        lambda best: own(best, per_time=True),
     ]
-    if best.z is not None:
-        z = best.z
-        units += [lambda: own_scaling(transcription, z, natural.columns)]
-        units += [lambda: own_scaling(transcription, z, natural.columns, per_time=True)]
-    for unit in units:
-        yield lambda unit=unit: solves.complete(unit())
-        yield lambda unit=unit: solves.attempt(unit())
 
 
 def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
@@ -106,30 +108,3 @@ def _rounded(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Can
         before = z, y
         scaled = z / natural.columns, y * natural.cost / natural.rows
         yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.words)).candidate
-
-
-def _without_slope(solves: Solves, scaling: Scaling) -> Attempt:
-    """Return a point of slope zero, P z + q = 0: where there is one, its cost is the least, with duals of zero.
-
-    Interior-point methods come near a face of such points only to the root of their tolerance.
-    """
-    program = scaling.apply(solves.transcription.program)
-    curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
-    flat = Program(
-        P=sp.csc_array(program.P.shape),
-        q=np.zeros_like(program.q),
-        constant=0.0,
-        A=sp.csc_array(sp.vstack([program.A, program.P[curved]])),
-        lower=np.concatenate([program.lower, -program.q[curved]]),
-        upper=np.concatenate([program.upper, -program.q[curved]]),
-        rows=program.rows,
-        cones=program.cones,
-    )
-    solution = solves.solver(flat, solves.asked, solves.left)
-    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
-        ended = solution.claim in (Claim.LIMIT, Claim.INTERRUPTED)
-        failed = solution if ended else replace(solution, claim=Claim.FAILED)
-        return solves.measured(scaling, program, replace(failed, z=None, y=None))
-    found = None if program.cones else polished(flat, solution.z, np.zeros_like(solution.y))
-    z: Array = solution.z if found is None else found[0]
-    return solves.measured(scaling, program, replace(solution, z=z, y=np.zeros(len(program.lower))))
