@@ -24,7 +24,8 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods import convex
-from lin_freq_ocp.methods.convex import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE, solve_convex
+from lin_freq_ocp.methods.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
+from lin_freq_ocp.methods.convex import solve_convex
 from lin_freq_ocp.problem.costs import QuadraticCost
 from lin_freq_ocp.problem.dynamics import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

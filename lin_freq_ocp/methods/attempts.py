@@ -98,8 +98,10 @@ class Solves:
         return self._solve(scaling.apply(self.transcription.program), scaling, None)
 
     def near(self, scaling: Scaling) -> Attempt | None:
-        """Solve in the given units without far bounds, and measure with them;
-        None if there are none, or if nothing else bounds the cost."""
+        """Solve in the given units without far bounds, and measure with them.
+
+        None if there are no far bounds, or nothing else bounds the cost.
+        """
         near = scaling.apply(self.transcription.program).without_bounds_beyond(FAR)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
