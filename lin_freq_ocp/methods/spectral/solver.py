@@ -15,8 +15,8 @@ from threadpoolctl import ThreadpoolController
 
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.attempts import SOLVED_TOLERANCE
+from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex import require_convex
 from lin_freq_ocp.methods.ends import contradiction_at_ends
 from lin_freq_ocp.methods.spectral.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
