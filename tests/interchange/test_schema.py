@@ -19,6 +19,7 @@ import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.schemas import DOCS, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
 from lin_freq_ocp.analysis.measures import Measures
+from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
@@ -31,7 +32,6 @@ from lin_freq_ocp.interchange.problem_file import (
 )
 from lin_freq_ocp.interchange.problem_file.template import template
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary, result_summary
-from lin_freq_ocp.solve import ERRORS
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 PARTS = PROBLEM["$defs"]
