@@ -16,9 +16,9 @@ from test_cli import parsed, run
 from test_interchange import assert_same, everything_at_once
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api.rerun import SAME_COST
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
-from lin_freq_ocp.interchange.runs.rerun import SAME_COST
 from lin_freq_ocp.interchange.runs.run_file import dump_run
 from lin_freq_ocp.methods.convex import sparse_program as convex
 
