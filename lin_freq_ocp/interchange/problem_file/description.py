@@ -13,8 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
-from lin_freq_ocp.interchange.problem_file.problem_file import read_tables
-from lin_freq_ocp.interchange.problem_file.problem_tables import OPTIONAL_KEYS
+from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
+from lin_freq_ocp.interchange.problem_file.toml_file import read_tables
 from lin_freq_ocp.interchange.results.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -94,7 +94,7 @@ def parameters_of_file(path: Path, settings: Mapping[str, Any]) -> list[Paramete
     tables, given = read_tables(path), _leaves(settings)
     defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
     absent = [
-        key for key in (*OPTIONAL_KEYS, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
+        key for key in (*PROBLEM.optional, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
     ]
     keys = dict.fromkeys([*defaults, *absent, *given])
     return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]

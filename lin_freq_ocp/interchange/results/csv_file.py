@@ -15,7 +15,7 @@ import numpy as np
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import read_text
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory

@@ -17,7 +17,7 @@ from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import read_bytes, require_modest
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory

@@ -18,7 +18,7 @@ from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_bytes, write_text
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, parsed_json
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.results.csv_file import header
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

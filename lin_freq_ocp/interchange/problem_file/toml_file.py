@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, read_text
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.problem_file.array_references import resolved, stored
-from lin_freq_ocp.interchange.problem_file.problem_tables import problem_from_tables, tables_from_problem
+from lin_freq_ocp.interchange.problem_file.tables import problem_from_tables, tables_from_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 ARRAYS_SUFFIX = ".problem.npz"
@@ -107,12 +107,12 @@ def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str,
     """Return the table with the overrides; one that is None takes its key away."""
     merged = dict(table)
     for key, value in overrides.items():
-        old = merged.get(key)
-        if value is None:
-            merged.pop(key, None)
+        if isinstance(value, Mapping):
+            old = merged.get(key)
+            merged[key] = _merged(old if isinstance(old, Mapping) else {}, value)
         else:
-            merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return merged
+            merged[key] = value
+    return {key: value for key, value in merged.items() if value is not None}
 
 
 def _on_one_line(row: re.Match[str]) -> str:
