@@ -31,7 +31,7 @@ from lin_freq_ocp.interchange.results.summary import (
     result_summary,
     to_json,
 )
-from lin_freq_ocp.solve import ERRORS
+from lin_freq_ocp.api.solve import ERRORS
 
 DOCS = Path(__file__).parents[2] / "docs"
 
