@@ -22,7 +22,8 @@ from lin_freq_ocp.interchange.problem_file.spectrum import SPECTRUM
 from lin_freq_ocp.interchange.problem_file.tables import NORM_COSTS
 from lin_freq_ocp.interchange.problem_file.template import init_problem_file, template
 from lin_freq_ocp.interchange.problem_file.toml_file import read_problem, write_problem
-from lin_freq_ocp.interchange.results.solution_file import load_solution, save_csv, save_solution
+from lin_freq_ocp.interchange.results.csv_file import save_csv
+from lin_freq_ocp.interchange.results.solution_file import load_solution, save_solution
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

@@ -63,13 +63,13 @@ def checked(accepts: Callable[[Any], bool], expected: str, advice: str = "") -> 
 
 
 def nonzero(dimensions: int) -> Value:
-    """Return the codec of an array that is left out if it is zero and has at most so many axes (without time)."""
+    """Return the codec of an array that is left out if it is zero and has at most so many axes: more include time."""
     return Value(write=lambda location, value: value if value.any() or value.ndim > dimensions else None)
 
 
 @dataclass(frozen=True)
 class Tables:
-    """A list of tables; a ``single`` one may stand for itself; it is written as a list."""
+    """A list of tables; if ``single``, one table is read, too."""
 
     item: Codec
     single: bool = True
@@ -99,8 +99,8 @@ class Record:
         Its arguments are keys, too: ``make`` passes them on.
     own : str
         Another name that errors of ``make`` give to the object, beside that of ``make``.
-    of : tuple of classes, optional
-        The classes of the objects; default ``make``.
+    classes : tuple of classes, optional
+        Those of the objects; default ``like`` or ``make``.
     values : function, optional
         Returns what is written, by key; default the attributes named like the arguments, lists of tables last.
     required : sequence of str, optional
@@ -116,27 +116,25 @@ class Record:
         make: Callable[..., Any],
         own: str = "",
         like: Callable[..., Any] | None = None,
-        of: tuple[Any, ...] = (),
+        classes: tuple[Any, ...] = (),
         values: Callable[[Any], Mapping[str, Any]] | None = None,
         required: Sequence[str] = (),
         renamed: Mapping[str, str] | None = None,
         **codecs: Codec,
     ):
-        self._make, self._own, self._of, self._values = (
-            make,
-            (own or make.__name__, make.__name__),
-            of or (make,),
-            values,
-        )
-        parameters = _parameters(make) | ({} if like is None else _parameters(like)) | dict.fromkeys(required, True)
+        like = like or make
+        self._make, self._own, self._values, self._classes = make, (make.__name__, own), values, classes or (like,)
+        own_parameters = _parameters(make)
+        first = {name: True for name, needed in own_parameters.items() if needed}  # the schema is read before all else
+        parameters = first | _parameters(like) | own_parameters | dict.fromkeys(required, True)
         self._arguments = {(renamed or {}).get(name, name): name for name in parameters}
         self._codecs: dict[str, Codec] = {key: codecs.get(name, Value()) for key, name in self._arguments.items()}
         self.required = tuple(key for key, name in self._arguments.items() if parameters[name])
         self.optional = tuple(key for key, name in self._arguments.items() if not parameters[name])
 
     def holds(self, value: Any) -> bool:
-        """Whether an object is stored in this way; of a subclass, which may be another set, nothing is known."""
-        return type(value) in self._of
+        """Whether an object has this class; a subclass may be another set."""
+        return type(value) in self._classes
 
     def read(self, location: str, given: Any) -> Any:
         """Return the object of a table."""

@@ -1,4 +1,4 @@
-"""A problem as it is before it is solved, as plain data: what it says, its signals, and what can be set."""
+"""A problem before it is solved, as plain data: its facts, signals and parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MEANINGS = {
     "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
     "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
 }
-"""What keys stand for that are in no file."""
+"""Keys that are not in a file."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Parameter:
     value : object
         Its value with the settings.
     about : str
-        What it is; empty where nobody says.
+        What it is; empty if not documented.
     """
 
     name: str

@@ -59,7 +59,7 @@ def _from_modes(modes: Any, control_dim: Any, let: Any = None, **labels: Any) ->
 
 
 def _labels(sampling_time: Any = None, state_names: Any = None, control_names: Any = None) -> None:
-    """Have the arguments that dynamics of every kind share."""
+    """Declare the arguments that all dynamics share."""
 
 
 def _dimensions(f: Any, control_dim: Any) -> tuple[int, int]:
@@ -72,7 +72,7 @@ def _known(let: Any, n: int, m: int) -> dict[str, Formula]:
 
 
 def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
-    """Return the mode with formulas for texts; its class refuses other values."""
+    """Return the mode with its texts parsed; its class refuses other values."""
     parsed: dict[str, Any] = {}
     for key in FORMULA_KEYS:
         given = getattr(mode, key)
@@ -113,13 +113,16 @@ SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode)
 LINEAR = Record(
     _linear,
     like=LinearDynamics,
-    of=(LinearDynamics,),
     offset=nonzero(1),
     continuous=checked(lambda given: isinstance(given, bool), "true or false"),
 )
 PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
 SMOOTH_MODES = Record(
-    _from_modes, like=_labels, of=(PiecewiseSmoothDynamics,), values=_smooth, modes=Tables(SMOOTH_MODE, single=False)
+    _from_modes,
+    like=_labels,
+    classes=(PiecewiseSmoothDynamics,),
+    values=_smooth,
+    modes=Tables(SMOOTH_MODE, single=False),
 )
 SMOOTH = Record(_from_formulas, like=_labels)
 
@@ -140,4 +143,4 @@ def _write(location: str, value: Any) -> dict[str, Any]:
 
 
 DYNAMICS = Value(_read, _write)
-"""Dynamics of every kind: a table has ``A`` and ``B``, ``modes``, or formulas ``f``, as its modes may."""
+"""Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, or with ``modes`` of one of the two."""

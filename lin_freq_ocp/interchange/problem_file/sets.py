@@ -14,7 +14,7 @@ from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Intersection, Poly
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
-    "box": Record(Box, of=(Box, Point, Everything)),
+    "box": Record(Box, classes=(Box, Point, Everything)),
     "polyhedron": Record(Polyhedron),
     "ball": Record(Ball),
     "ellipsoid": Record(Ellipsoid),

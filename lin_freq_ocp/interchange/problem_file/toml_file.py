@@ -41,7 +41,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
     Raises
     ------
     ProblemError
-        If it is no such file or describes no problem; the field is the file and the place in it,
+        If it is no such file or describes no problem; the field is the file and the location in it,
         ``"cart.toml: dynamics.A"``.
     """
     path = Path(path)
@@ -58,7 +58,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
 
 
 def read_tables(path: Path) -> dict[str, Any]:
-    """Return what stands in a TOML file, be it a problem or not; ProblemError if it is no such file."""
+    """Return the tables of any TOML file; ProblemError if it is not one."""
     text = read_text(path)
     with naming(path):
         return _parsed(text)
@@ -89,7 +89,7 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
 
 
 def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
-    """Return the contents of what ``write_problem`` writes, by their names; the arrays come before what needs them."""
+    """Return the contents of what ``write_problem`` writes, by their names; the arrays come first."""
     arrays: dict[str, NDArray[Any]] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
     text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(tables_from_problem(problem), beside, arrays)))
@@ -104,7 +104,7 @@ def _parsed(text: str) -> dict[str, Any]:
 
 
 def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with the overrides; one that is None takes its key away."""
+    """Return the table with the overrides; None removes a key."""
     merged = dict(table)
     for key, value in overrides.items():
         if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Trajectories for MATLAB and from it: x, u and t in a .mat file, one row per time, as lsim and ode45 give them."""
+"""Trajectories in .mat files: x, u and t, one row per time, as MATLAB's lsim and ode45 return them."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         variables = loadmat(stream)
     except ProblemError:
         raise
-    except Exception as error:  # whatever it meets in a file that is damaged or of another kind
+    except Exception as error:  # loadmat raises errors of many kinds for damaged files
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
     with naming(path):
