@@ -9,8 +9,8 @@ from typing import ClassVar
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -23,6 +23,9 @@ PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
+
+UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
+"""Statuses of a first candidate after which the further ones are judged."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +54,33 @@ class Convex:
         if excluded is not None:
             return excluded
         backend = PROVER if self.backend == "auto" else self.backend
-        candidate = solve_convex(problem, backend, self.tolerance, _left(end))
-        if candidate.status not in ("optimal", "limit") and backend != PROVER:
-            candidate = _diagnosed(problem, candidate, _left(end))
-        if candidate.status == "unbounded":
-            candidate = _if_feasible(problem, candidate, _left(end))
-        outcome = judged(problem, candidate, "convex", backend, self.tolerance)
-        if outcome.status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) and outcome.trajectory is not None:
-            free = free_of_cost(problem, outcome.trajectory)
-            other = outcome if free is None else judged(problem, free, "convex", backend, self.tolerance)
-            if other.status == Status.OPTIMAL:
-                return replace(other, seconds=outcome.seconds)
-        return outcome
+        candidates = convex_candidates(problem, backend, self.tolerance, _left(end))
+
+        def verified(candidate: Candidate) -> Outcome:
+            if candidate.status == "unbounded":
+                candidate = _if_feasible(problem, candidate, _left(end))
+            return judged(problem, candidate, "convex", backend, self.tolerance)
+
+        first = next(candidates)
+        if first.status not in ("optimal", "limit") and backend != PROVER:
+            first = _diagnosed(problem, first, _left(end))
+        outcome = verified(first)
+        outcome = self._at_no_cost(outcome, backend, end) or outcome
+        if outcome.status not in UNPROVEN or outcome.interrupted:
+            return outcome
+        return next((other for other in map(verified, candidates) if _counts(other)), outcome)
+
+    def _at_no_cost(self, outcome: Outcome, backend: str, end: float) -> Outcome | None:
+        """Return the outcome of a trajectory near this one that costs nothing more than it must, if it is optimal."""
+        problem, near = outcome.problem, outcome.trajectory
+        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+            return None
+        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
+            if candidate is not None:
+                found = judged(problem, candidate, "convex", backend, self.tolerance)
+                if found.status == Status.OPTIMAL:
+                    return replace(found, seconds=outcome.seconds)
+        return None
 
 
 @dataclass(frozen=True)
@@ -162,6 +180,12 @@ def _final(outcome: Outcome) -> bool:
 def _rank(outcome: Outcome) -> int:
     """Return a rank of what is proven by an outcome."""
     return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
+
+
+def _counts(outcome: Outcome) -> bool:
+    """Whether a further candidate ends the search for one: it is worth something, or the user interrupted it."""
+    verified = outcome.status != Status.UNBOUNDED or outcome.direction is not None
+    return outcome.interrupted or (_rank(outcome) > 0 and verified)
 
 
 def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
