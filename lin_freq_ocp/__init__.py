@@ -36,7 +36,7 @@ from lin_freq_ocp.formulas.casadi import from_casadi
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals
 from lin_freq_ocp.interchange.cvxpy.problem import to_cvxpy
-from lin_freq_ocp.interchange.problem_file.problem_file import read_problem, write_problem
+from lin_freq_ocp.interchange.problem_file.toml_file import read_problem, write_problem
 from lin_freq_ocp.interchange.results.csv_file import read_csv
 from lin_freq_ocp.interchange.results.mat_file import read_mat
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution

@@ -10,9 +10,9 @@ from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.html import html_table
+from lin_freq_ocp.interchange.results.csv_file import save_csv
 from lin_freq_ocp.interchange.results.frame import to_frame
 from lin_freq_ocp.interchange.results.mat_file import save_mat
-from lin_freq_ocp.interchange.results.solution_file import save_csv
 from lin_freq_ocp.interchange.results.summary import result_summary, save_json
 from lin_freq_ocp.interchange.results.time_response import to_time_response
 from lin_freq_ocp.interchange.results.trajectory_file import save_trajectory

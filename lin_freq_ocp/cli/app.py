@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | init.
+"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | rerun | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -19,7 +19,9 @@ import numpy as np
 
 from lin_freq_ocp import library
 from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.rerun import rerun, rerun_summary
 from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.runs import load_run
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli.common import (
@@ -213,6 +215,23 @@ def certify_command(
         _print_certificate(description, certificate)
         _print_multipliers(description, trajectory, certificate)
     return certificate_status(certificate)
+
+
+@cli.command("rerun")
+@click.argument("file", metavar="FILE.zip")
+@json_option
+def rerun_command(file: str, as_json: bool) -> int:
+    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    run = load_run(file)
+    with progress(f"solving {run.problem.name or file}"):
+        comparison = rerun(run)
+    if as_json:
+        print_json(rerun_summary(comparison))
+    else:
+        print_lines(str(comparison))
+    if comparison.error is not None:
+        return error_status(comparison.error)
+    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
 
 
 @cli.command("init")

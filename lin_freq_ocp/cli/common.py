@@ -22,9 +22,9 @@ from lin_freq_ocp import library
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line, suggestion
-from lin_freq_ocp.interchange.places import naming
-from lin_freq_ocp.interchange.problem_file.problem_file import read_problem
-from lin_freq_ocp.interchange.problem_file.problem_tables import OPTIONAL_KEYS, REQUIRED_KEYS
+from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
+from lin_freq_ocp.interchange.problem_file.toml_file import read_problem
 from lin_freq_ocp.interchange.results.summary import to_json
 from lin_freq_ocp.interchange.runs.run_file import described
 from lin_freq_ocp.methods.modes.search import SearchProgress
@@ -152,7 +152,7 @@ class ProblemFile:
         return read_problem(self.path, file_tables(tables))
 
 
-FILE_KEYS = (*REQUIRED_KEYS, *OPTIONAL_KEYS, *CUTOFFS)
+FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)
 """What --set and --grid can change in a problem file, at the top; within tables, keys are written with dots."""
 
 SPECTRA = ("control_spectrum", *CUTOFFS)

@@ -1,4 +1,4 @@
-"""Files are opened here; whatever goes wrong on the way is a ProblemError that names the file."""
+"""Reading files: every failure is a ProblemError that names the file."""
 
 from __future__ import annotations
 

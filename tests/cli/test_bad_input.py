@@ -177,12 +177,12 @@ BAD_PARAMETERS = {
 BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
-        "method: got 'magic'; expected 'auto', 'convex', 'spectral', 'enumerate', 'branch_and_bound', 'miqp', "
-        "'nonsmooth' or 'minlp'.",
+        "method: got 'magic'; expected 'auto', 'spectral', 'convex', 'branch_and_bound', 'enumerate', 'miqp' or "
+        "'nonsmooth'.",
     ),
     "backend of a method without": (
         ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),
-        "backend: got 'osqp'; the method 'spectral' needs none",
+        "backend: got 'osqp' for the method 'spectral'",
     ),
     "problem that the method cannot take": (
         ("solve", "elliptic_rendezvous", "--method", "spectral"),

@@ -279,8 +279,8 @@ def test_lost_points_are_given_out_again_but_not_for_ever(losses, status):
 def counted(monkeypatch):
     """Count what is solved in this process."""
     solved = []
-    honest = sweep_point.solve
-    monkeypatch.setattr(sweep_point, "solve", lambda *a, **b: solved.append(1) or honest(*a, **b))
+    honest = sweep_point.solve_judged
+    monkeypatch.setattr(sweep_point, "solve_judged", lambda *a, **b: solved.append(1) or honest(*a, **b))
     return solved
 
 
@@ -319,7 +319,7 @@ def test_nothing_is_solved_twice_and_a_grid_may_grow(written, counted):
 
 def test_points_with_errors_are_tried_again(tmp_path, monkeypatch):
     path = tmp_path / "sweep.jsonl"
-    monkeypatch.setattr(sweep_point, "solve", lambda *a, **b: 1 / 0)
+    monkeypatch.setattr(sweep_point, "solve_judged", lambda *a, **b: 1 / 0)
     assert lfo.sweep(SHORT, {"horizon": [60]}, path=path).column("status") == ["error"]
     monkeypatch.undo()
     assert lfo.sweep(SHORT, {"horizon": [60]}, path=path).column("status") == ["optimal"]
@@ -399,12 +399,12 @@ def test_ctrl_c_keeps_what_is_finished(serial, tmp_path):
 
 
 def test_ctrl_c_within_a_solve_ends_the_sweep_without_that_point(monkeypatch):
-    honest = sweep_point.solve
+    honest = sweep_point.solve_judged
 
     def pressed(problem, **options):
         return replace(honest(problem, **options), interrupted=problem.horizon == 61)
 
-    monkeypatch.setattr(sweep_point, "solve", pressed)
+    monkeypatch.setattr(sweep_point, "solve_judged", pressed)
     found = lfo.sweep(SHORT, {"horizon": [60, 61, 62]})
     assert found.interrupted
     assert found.column("horizon") == [60]
@@ -519,7 +519,7 @@ def test_the_command_says_which_points_are_not_proven():
 
 
 def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
-    honest, pressed = sweep_point.solve, threading.Event()
+    honest, pressed = sweep_point.solve_judged, threading.Event()
 
     def interrupted(*given, **named):
         if pressed.is_set():
@@ -527,7 +527,7 @@ def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
         pressed.set()
         return honest(*given, **named)
 
-    monkeypatch.setattr(sweep_point, "solve", interrupted)
+    monkeypatch.setattr(sweep_point, "solve_judged", interrupted)
     arguments = ("sweep", *WORDS, "--grid", "horizon=60:80:3", "--out", str(tmp_path), "--json")
     status, out, _ = run(*arguments)
     summary = parsed(out)

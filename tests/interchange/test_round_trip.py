@@ -342,7 +342,7 @@ class Huber(lfo.L1Cost):
 def test_what_no_file_can_hold_is_refused_in_words(tmp_path):
     with pytest.raises(lfo.ProblemError, match=r"state_set: got .*expected a set that a problem file can hold"):
         lfo.write_problem(problem_with(state_set=Diamond(1.0)), tmp_path / "problem.toml")
-    with pytest.raises(lfo.ProblemError, match=r"cost: got .*expected a cost that a problem file can hold"):
+    with pytest.raises(lfo.ProblemError, match=r"cost.norms\[0\]: got .*expected a cost that a problem file can hold"):
         lfo.write_problem(problem_with(cost=Huber(u=1.0)), tmp_path / "problem.toml")
     assert not (tmp_path / "problem.toml").exists()
 

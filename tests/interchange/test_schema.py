@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 import tomllib
@@ -23,13 +22,9 @@ from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.interchange.problem_file import (
-    band_tables,
-    dynamics_tables,
-    problem_tables,
-    set_tables,
-    spectrum_tables,
-)
+from lin_freq_ocp.interchange.problem_file import dynamics, spectrum, tables
+from lin_freq_ocp.interchange.problem_file.codec import Record
+from lin_freq_ocp.interchange.problem_file.sets import SETS
 from lin_freq_ocp.interchange.problem_file.template import template
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
@@ -305,21 +300,26 @@ def keys(part: str) -> set[str]:
     return set(PARTS[part]["properties"])
 
 
+def keys_of(record: Record) -> tuple[set[str], set[str]]:
+    """Return all keys of a record but those that it always refuses, and the required ones."""
+    return {*record.required, *record.optional} - {"at_least"}, set(record.required)
+
+
 def test_the_keys_of_tables_are_those_of_the_reader():
-    required, optional = problem_tables.REQUIRED_KEYS, problem_tables.OPTIONAL_KEYS
-    assert (set(PROBLEM["properties"]), set(PROBLEM["required"])) == ({*required, *optional}, set(required))
-    assert PROBLEM["properties"]["schema"]["const"] == problem_tables.SCHEMA
-    for part, needed, others in (
-        ("dynamics", {"A", "B"}, dynamics_tables.DYNAMICS_KEYS),
-        ("piecewise_affine_dynamics", {"modes"}, dynamics_tables.PIECEWISE_KEYS),
-        ("mode", {"A", "B"}, dynamics_tables.MODE_KEYS),
-        ("cost", set(), (*problem_tables.DIMENSIONS_OF_COST, "norms")),
-        ("norm_cost", {"kind"}, problem_tables.NORM_COST_KEYS),
-        ("stage_rows", {"e"}, problem_tables.ROW_KEYS),
-        ("output_spectrum", {"constraints"}, spectrum_tables.OUTPUT_KEYS),
+    assert keys_of(tables.PROBLEM) == (set(PROBLEM["properties"]), set(PROBLEM["required"]))
+    assert PROBLEM["properties"]["schema"]["const"] == tables.SCHEMA
+    for part, record in (
+        ("dynamics", dynamics.LINEAR),
+        ("piecewise_affine_dynamics", dynamics.PIECEWISE_AFFINE),
+        ("mode", dynamics.AFFINE_MODE),
+        ("cost", tables.COST),
+        ("stage_rows", tables.STAGE_ROWS),
+        ("output_spectrum", spectrum.OUTPUTS),
     ):
-        assert (keys(part), set(PARTS[part].get("required", ()))) == ({*needed, *others}, needed)
-    assert PARTS["norm_cost"]["properties"]["kind"]["enum"] == list(problem_tables.NORM_COSTS)
+        assert keys_of(record) == (keys(part), set(PARTS[part].get("required", ()))), part
+    assert PARTS["norm_cost"]["properties"]["kind"]["enum"] == list(tables.NORM_COSTS.records)
+    for record in tables.NORM_COSTS.records.values():
+        assert (keys_of(record)[0], {"kind"}) == (keys("norm_cost") - {"kind"}, set(PARTS["norm_cost"]["required"]))
 
 
 def kinds(part: str) -> list[str]:
@@ -327,46 +327,40 @@ def kinds(part: str) -> list[str]:
 
 
 def test_the_kinds_are_those_of_the_reader():
-    bands = list(band_tables.MAKERS)
-    assert kinds("set") == list(set_tables.SET_KINDS)
-    assert kinds("band") == bands
-    assert kinds("frequency_constraint") == [*bands, *spectrum_tables.BOUNDS]
+    assert kinds("set") == list(SETS.records)
+    assert kinds("band") == list(spectrum.BANDS.records)
+    assert kinds("frequency_constraint") == list(spectrum.SPECTRUM.records)
     assert kinds("output_constraint") == [kind for kind in kinds("frequency_constraint") if kind != "linear_constraint"]
-    for kind in (*set_tables.SET_KINDS, *kinds("frequency_constraint")):
+    for kind, record in (SETS.records | spectrum.SPECTRUM.records).items():
         assert PARTS[kind]["properties"]["kind"]["const"] == kind
+        found, required = keys_of(record)
+        needed = required if kind == "box" else {"kind", *required}
+        assert (found | {"kind"}, needed) == (keys(kind), set(PARTS[kind].get("required", ())))
 
 
-def test_the_keys_of_sets_and_constraints_are_those_of_the_reader():
-    for kind, (_, required, optional) in (*set_tables.PLAIN.items(), *spectrum_tables.BOUNDS.items()):
-        needed = {*required} if kind == "box" else {"kind", *required}
-        assert (keys(kind), set(PARTS[kind].get("required", ()))) == ({"kind", *required, *optional}, needed)
-    for kind, edges in band_tables.EDGES.items():
-        frequencies = {edge + unit for edge in edges for unit in ("", "_hz")}
-        bins = {"bins"} if kind == "stop_band" else set()
-        assert keys(kind) == {"kind", "component", *bins, *frequencies}
-        assert set(PARTS[kind]["required"]) == {"kind", *bins}
+class Slab(lfo.Polyhedron):
+    """A set of a user's own, with the arguments of its constructor as attributes."""
+
+    def __init__(self, normal: Any, width: float = 1.0):
+        super().__init__(np.array([normal, np.negative(normal)]), np.full(2, width))
+        self.__dict__.update(normal=np.asarray(normal), width=width)
 
 
-def arguments(maker: Any) -> set[str]:
-    return set(inspect.signature(maker).parameters)
+def test_a_set_of_a_new_class_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(SETS.records, "slab", Record(Slab))
+    path = tmp_path / "cart.toml"
+    slab = {"kind": "slab", "normal": [1.0, 0.0], "lower": None, "upper": None}
+    lfo.write_problem(lfo.read_problem(written(path), {"state_set": slab}), path)
+    assert tomllib.loads(path.read_text())["state_set"] == {"kind": "slab", "normal": [1.0, 0.0], "width": 1.0}
+    with pytest.raises(
+        lfo.ProblemError, match=r"cart.toml: state_set.norml: got an unknown key.*Did you mean 'normal'"
+    ):
+        lfo.read_problem(path, {"state_set": {"norml": 1.0, "normal": None}})
 
 
-def test_every_argument_of_python_has_a_key():
-    """A new argument of a class needs a key in the file, the schema and these tests."""
-    without = {"magnitude_bound": {"at_least"}}  # refused in Python, too
-    for kind, (maker, required, optional) in (*set_tables.PLAIN.items(), *spectrum_tables.BOUNDS.items()):
-        assert arguments(maker) - without.get(kind, set()) == {*required, *optional}
-    for kind, maker in band_tables.MAKERS.items():
-        assert arguments(maker) == keys(kind) - {"kind"}
-    assert arguments(lfo.LinearDynamics) == keys("dynamics") - {"continuous"}
-    assert arguments(lfo.PiecewiseAffineDynamics) == keys("piecewise_affine_dynamics")
-    assert arguments(lfo.AffineMode) == keys("mode")
-    assert arguments(lfo.QuadraticCost) == keys("cost") - {"norms"}
-    assert arguments(lfo.StageRows) == keys("stage_rows")
-    assert arguments(lfo.OutputSpectrum) == keys("output_spectrum")
-    assert arguments(lfo.OptimalControlProblem) == set(PROBLEM["properties"]) - {"schema"}
-    for cost in problem_tables.NORM_COSTS.values():
-        assert arguments(cost) == keys("norm_cost") - {"kind"}
+def written(path: Path) -> Path:
+    lfo.write_problem(lfo.library.double_integrator(horizon=4, cutoff_hz=None, speed_bound=None), path)
+    return path
 
 
 # --- results --------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.interchange.results.solution_file import save_solution
 from lin_freq_ocp.interchange.results.summary import certificate_summary
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
@@ -145,10 +146,10 @@ def test_uniqueness_counts_the_rows_of_the_sequence():
 
 def test_weights_survive_the_round_trip(tmp_path):
     _, trajectory, multipliers = peak_optimum()
-    lfo.interchange.results.save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
+    save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
     saved = lfo.load(tmp_path / "run.npz").multipliers
     assert (saved.weights == multipliers.weights).all()
-    lfo.interchange.results.save_solution(tmp_path / "none.npz", trajectory, changed(multipliers, weights=None), {})
+    save_solution(tmp_path / "none.npz", trajectory, changed(multipliers, weights=None), {})
     assert lfo.load(tmp_path / "none.npz").multipliers.weights is None
     with np.load(tmp_path / "run.npz") as archive:
         arrays = dict(archive)
@@ -196,7 +197,7 @@ def test_words_tell_what_holds_at_borders():
 
 def invoke(monkeypatch, tmp_path, problem, trajectory, multipliers=None, *options):
     monkeypatch.setitem(library.PROBLEMS, "kink", lambda: problem)
-    lfo.interchange.results.save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
+    save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
     return CliRunner().invoke(cli, ["certify", "kink", str(tmp_path / "run.npz"), *options], standalone_mode=False)
 
 

@@ -44,7 +44,6 @@ PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
     "enumeration": (lfo.library.ball_and_paddle, "enumerate"),
     "mixed-integer solver": (lfo.library.ball_and_paddle, "miqp"),
     "nonsmooth search": (lfo.library.norm_dynamics, "nonsmooth"),
-    "global solver": (lfo.library.norm_dynamics, "minlp"),
 }
 
 

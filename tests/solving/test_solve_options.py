@@ -1,31 +1,127 @@
-"""An option of solve that a method does not know is refused, and one that it knows is not."""
+"""Every pair of a method and an option: one that a method does not know is refused, and one that it knows is not."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from lin_freq_ocp.solving.families import FAMILIES, chosen
 
-REFUSED = [
-    (("pendulum",), ("--node-limit", "3"), "node_limit: got 3", "only a search over affine modes"),
-    (("pendulum", "--method", "convex"), ("--node-limit", "3"), "node_limit: got 3", "'convex' and linear dynamics"),
-    (("norm_dynamics",), ("--node-limit", "3"), "node_limit: got 3", "piecewise-smooth dynamics"),
-    (("norm_dynamics", "--method", "minlp"), ("--node-limit", "3"), "node_limit: got 3", "'minlp'"),
-    (("norm_dynamics", "--method", "nonsmooth"), ("--tolerance", "1e-3"), "tolerance: got 0.001", "'auto' does"),
-    (("absolute_value",), ("--backend", "osqp"), "backend: got 'osqp'", "leave it 'auto'"),
-    (("pendulum", "--method", "spectral"), ("--backend", "osqp"), "backend: got 'osqp'", "leave it 'auto'"),
-]
+PROBLEMS = {
+    "linear": lfo.library.double_integrator(),
+    "piecewise-affine": lfo.library.absolute_value(),
+    "piecewise-smooth": lfo.library.norm_dynamics(),
+}
+
+OPTIONS = {
+    "backend": "osqp",
+    "tolerance": 1e-4,
+    "gap": 1e-4,
+    "node_limit": 3,
+    "executor": ThreadPoolExecutor(1),
+    "start": np.zeros((3, 1)),
+}
+
+TAKEN = {
+    ("linear", "auto"): {"backend", "tolerance"},
+    ("linear", "spectral"): {"tolerance"},
+    ("linear", "convex"): {"backend", "tolerance"},
+    ("piecewise-affine", "auto"): {"tolerance", "gap", "node_limit", "executor", "start"},
+    ("piecewise-affine", "branch_and_bound"): {"tolerance", "gap", "node_limit", "executor", "start"},
+    ("piecewise-affine", "enumerate"): {"tolerance", "gap", "node_limit"},
+    ("piecewise-affine", "miqp"): {"backend", "tolerance", "gap", "node_limit"},
+    ("piecewise-smooth", "auto"): {"tolerance", "gap", "start"},
+    ("piecewise-smooth", "nonsmooth"): {"start"},
+}
+
+METHODS = sorted({method for _, method in TAKEN})
+
+OBJECTS = {
+    "spectral": lfo.Spectral(tolerance=1e-4),
+    "convex": lfo.Convex(backend="osqp", tolerance=1e-4),
+    "branch_and_bound": lfo.BranchAndBound(gap=1e-4, node_limit=3),
+    "enumerate": lfo.Enumeration(gap=1e-4, node_limit=3),
+    "miqp": lfo.MixedInteger(backend="daqp", gap=1e-4, node_limit=3),
+}
 
 
-@pytest.mark.parametrize(("command", "option", "words", "reason"), REFUSED)
-def test_an_option_that_a_method_does_not_know_is_refused(command, option, words, reason):
-    status, out, err = run("solve", *command, *option, "--json")
+def test_the_table_knows_every_method():
+    assert set(TAKEN) == {(family.kind, name) for family in FAMILIES.values() for name in family.shorthands}
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_option_is_taken_or_refused(kind, method, option):
+    given = {option: OPTIONS[option]}
+    if (kind, method) not in TAKEN:
+        with pytest.raises(lfo.UnsupportedError, match=f"method: got '{method}', which is for .* dynamics; expected"):
+            chosen(PROBLEMS[kind], method, given)
+    elif option in TAKEN[kind, method]:
+        found = chosen(PROBLEMS[kind], method, given)
+        fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
+        assert not fields or OPTIONS[option] in {getattr(found, name, None) for name in fields}
+    else:
+        with pytest.raises(lfo.UnsupportedError, match=f"{option}: got .* for the method '{method}' and {kind}"):
+            chosen(PROBLEMS[kind], method, given)
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+@pytest.mark.parametrize("name", OBJECTS)
+def test_an_object_is_its_shorthand_with_keywords(kind, name):
+    if (kind, name) not in TAKEN:
+        with pytest.raises(lfo.UnsupportedError, match=f"method: got '{name}', which is for"):
+            chosen(PROBLEMS[kind], OBJECTS[name], {})
+        return
+    options = {option: getattr(OBJECTS[name], option, None) for option in ("backend", "tolerance", "gap", "node_limit")}
+    assert chosen(PROBLEMS[kind], name, options) == chosen(PROBLEMS[kind], OBJECTS[name], {}) == OBJECTS[name]
+
+
+def test_options_beside_an_object_are_refused():
+    with pytest.raises(lfo.UnsupportedError, match=r"tolerance: got 0.1 beside .* belong to it: lfo.Convex\(...\)"):
+        lfo.solve(PROBLEMS["linear"], lfo.Convex(), tolerance=0.1)
+    with pytest.raises(lfo.UnsupportedError, match=r"gap: got 0.1 without a global bound"):
+        lfo.Nonsmooth(global_bound=False, gap=0.1)
+    with pytest.raises(lfo.UnsupportedError, match=r"gap: got one, and a tolerance"):
+        lfo.solve(PROBLEMS["piecewise-affine"], tolerance=0.1, gap=0.1)
+    with pytest.raises(lfo.UnsupportedError, match=r"method: got 3; expected a text"):
+        lfo.solve(PROBLEMS["linear"], 3)
+    with pytest.raises(lfo.UnsupportedError, match=r"'minlp', which is no method any more: .*verify_nonsmooth"):
+        lfo.solve(PROBLEMS["piecewise-smooth"], "minlp")
+
+
+@pytest.mark.parametrize(
+    ("method", "saved"),
+    [
+        (lfo.Convex(tolerance=1e-7), {"method": "convex", "backend": "auto", "tolerance": 1e-7}),
+        ("spectral", {"method": "spectral", "backend": "auto", "tolerance": None}),
+    ],
+)
+def test_a_result_knows_the_options_that_repeat_it(method, saved):
+    problem = PROBLEMS["linear"]
+    assert lfo.solve(problem, method).options == {**saved, "time_limit": None}
+    searched = lfo.solve(PROBLEMS["piecewise-affine"], replace(lfo.BranchAndBound(), node_limit=500)).options
+    assert searched["node_limit"] == 500
+    assert searched["method"] in ("auto", "branch_and_bound")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("pendulum", "--node-limit", "3"), "only a search over affine modes"),
+        (("norm_dynamics", "--method", "nonsmooth", "--tolerance", "1e-3"), "'auto' does"),
+        (("absolute_value", "--backend", "osqp"), "Leave it out"),
+    ],
+)
+def test_the_command_line_refuses_as_well(arguments, words):
+    status, out, err = run("solve", *arguments, "--json")
     assert (status, out) == (2, "")
     assert words in err
-    assert reason in err
 
 
 @pytest.mark.parametrize(
@@ -39,14 +135,3 @@ def test_an_option_that_a_method_does_not_know_is_refused(command, option, words
 )
 def test_an_option_that_a_method_knows_is_taken(arguments):
     assert run("solve", *arguments)[0] == 0
-
-
-def test_an_executor_is_for_branch_and_bound_only():
-    with ThreadPoolExecutor(1) as executor:
-        for problem, method in (
-            (lfo.library.double_integrator(), "auto"),
-            (lfo.library.norm_dynamics(), "auto"),
-            (lfo.library.absolute_value(), "enumerate"),
-        ):
-            with pytest.raises(lfo.UnsupportedError, match=r"executor: got one .* only 'branch_and_bound'"):
-                lfo.solve(problem, method=method, executor=executor)

@@ -111,8 +111,7 @@ LINEAR = lfo.OptimalControlProblem(
 @pytest.mark.parametrize(
     ("problem", "method"),
     [(LINEAR, method) for method in ("auto", "convex", "spectral")]
-    + [(block(horizon=3), method) for method in ("enumerate", "miqp")]
-    + [(block(smooth=True, horizon=3), "minlp")],
+    + [(block(horizon=3), method) for method in ("enumerate", "miqp")],
 )
 def test_methods_without_a_search_refuse_a_start(problem, method):
     with pytest.raises(lfo.UnsupportedError, match="start: got one"):

@@ -1,4 +1,4 @@
-"""Large arrays live in an .npz beside the problem file; in the file stands ``{npz = "data.npz", key = "A"}``."""
+"""Large arrays are stored in an .npz beside the problem file, which has ``{npz = "data.npz", key = "A"}`` instead."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def resolved(value: Any, folder: Path, field: str = "") -> Any:
 
 
 def stored(value: Any, npz_name: str, arrays: dict[str, NDArray[Any]], field: str = "") -> Any:
-    """Return the tables with arrays as lists; the large ones go to ``arrays``, a reference taking their place."""
+    """Return the tables with arrays as lists; large ones go to ``arrays``, and are replaced by references."""
     if isinstance(value, Mapping):
         return {key: stored(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list):

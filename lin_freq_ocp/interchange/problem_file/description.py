@@ -1,4 +1,4 @@
-"""A problem as it is before it is solved, as plain data: what it says, its signals, and what can be set."""
+"""A problem before it is solved, as plain data: its facts, signals and parameters."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
-from lin_freq_ocp.interchange.problem_file.problem_file import read_tables
-from lin_freq_ocp.interchange.problem_file.problem_tables import OPTIONAL_KEYS
+from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
+from lin_freq_ocp.interchange.problem_file.toml_file import read_tables
 from lin_freq_ocp.interchange.results.summary import finite, head
 from lin_freq_ocp.phrases import split_unit
 from lin_freq_ocp.problem.description import problem_facts
@@ -31,7 +31,7 @@ MEANINGS = {
     "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
     "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
 }
-"""What keys stand for that are in no file."""
+"""Keys that are not in a file."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Parameter:
     value : object
         Its value with the settings.
     about : str
-        What it is; empty where nobody says.
+        What it is; empty if not documented.
     """
 
     name: str
@@ -94,7 +94,7 @@ def parameters_of_file(path: Path, settings: Mapping[str, Any]) -> list[Paramete
     tables, given = read_tables(path), _leaves(settings)
     defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
     absent = [
-        key for key in (*OPTIONAL_KEYS, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
+        key for key in (*PROBLEM.optional, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
     ]
     keys = dict.fromkeys([*defaults, *absent, *given])
     return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]

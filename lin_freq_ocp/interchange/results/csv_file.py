@@ -1,4 +1,4 @@
-"""A trajectory from a table in CSV, as ``result.to_csv`` writes it or as measurements are exported."""
+"""Trajectories as tables in CSV: written with all digits, read from any table with the columns of a problem."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import read_text
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -69,6 +70,27 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         return trajectory_from_signals(problem, x, table.numbers(controls, T))
 
 
+def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
+    """Write a trajectory as a table: one row per time, states and controls under their names, in full precision.
+
+    Columns: t, the time in seconds if the problem has a sampling time, states, controls (empty at t = T).
+
+    Raises
+    ------
+    ProblemError
+        If the trajectory is not of the problem's shape, or the file cannot be written.
+    """
+    problem.require(trajectory)
+    step, text = problem.sampling_time, io.StringIO()
+    clock = [] if step is None else ["time [s]"]
+    no_control = [""] * problem.control_dim
+    table = csv.writer(text)
+    table.writerow(["t", *clock, *map(header, problem.state_names), *map(header, problem.control_names)])
+    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
+        table.writerow([t, *([] if step is None else [t * step]), *x, *u])
+    write_text(path, text.getvalue())
+
+
 def header(name: str) -> str:
     """Return a name as the head of a column: behind an apostrophe, if a spreadsheet would take it for a formula.
 
@@ -108,8 +130,8 @@ class _Table:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            place = f"line {self.lines[row]}, column {self.head[column]!r}"
-            raise ProblemError(place, brief(cell) if cell else "an empty cell", "a finite number")
+            location = f"line {self.lines[row]}, column {self.head[column]!r}"
+            raise ProblemError(location, brief(cell) if cell else "an empty cell", "a finite number")
         return number
 
 

@@ -1,4 +1,4 @@
-"""Trajectories for MATLAB and from it: x, u and t in a .mat file, one row per time, as lsim and ode45 give them."""
+"""Trajectories in .mat files: x, u and t, one row per time, as MATLAB's lsim and ode45 return them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import read_bytes, require_modest
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -80,7 +80,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         variables = loadmat(stream)
     except ProblemError:
         raise
-    except Exception as error:  # whatever it meets in a file that is damaged or of another kind
+    except Exception as error:  # loadmat raises errors of many kinds for damaged files
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
     with naming(path):

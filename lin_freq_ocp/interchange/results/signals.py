@@ -1,7 +1,8 @@
-"""Signals from elsewhere, measured or simulated, one row per time: they become a trajectory of a problem."""
+"""Measured or simulated signals, one row per time, as trajectories of a problem."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,13 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 CLOCK_TOLERANCE = 0.1
-"""How far a clock may be from where its first reading puts it, in periods: readings are rounded, wrong rates add up."""
+"""Largest error of a clock in periods, counted from its first time: times are rounded; a wrong rate adds up."""
 
 
 def trajectory_from_signals(problem: OptimalControlProblem, x: Any, u: Any) -> Trajectory:
     """Return states x (T+1, n) and controls u (T, m) or (T+1, m) as a trajectory; without x, u is replayed.
 
-    A control at time T acts on nothing, and is left out.
+    A control at time T has no effect, and is left out.
 
     Raises
     ------
@@ -34,17 +35,19 @@ def trajectory_from_signals(problem: OptimalControlProblem, x: Any, u: Any) -> T
     return Trajectory(real_array("x", _fitting("x", x, [(T + 1, n)])), controls)
 
 
-def require_clock(field: str, times: Array, period: float, places: Any = None) -> None:
+def require_clock(field: str, times: Array, period: float, locations: Sequence[str] | None = None) -> None:
     """Raise ProblemError unless the times go on by one period each; where they begin does not matter.
 
-    ``places`` says where each time stands, instead of its index.
+    ``locations`` names each time in place of its index.
     """
     off = np.abs(times - times[:1] - period * np.arange(len(times))) > CLOCK_TOLERANCE * period
     if off.any():
         k = int(np.argmax(off))
-        place = f"{field}[{k}]" if places is None else f"{places[k]}, {field}"
+        location = f"{field}[{k}]" if locations is None else f"{locations[k]}, {field}"
         expected = f"{times[0] + k * period:.12g}, {k} periods of {period:.12g} after {times[0]:.12g}"
-        raise ProblemError(place, f"{times[k]:.12g}", expected, "Sample the signals with the problem's sampling time.")
+        raise ProblemError(
+            location, f"{times[k]:.12g}", expected, "Sample the signals with the problem's sampling time."
+        )
 
 
 def _fitting(field: str, given: Any, shapes: list[tuple[int, int]]) -> NDArray[Any]:

@@ -1,9 +1,7 @@
-"""Solutions as files: everything in an .npz, the trajectory as a table in CSV."""
+"""Solutions as .npz files: trajectory, multipliers and summary."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.atomic import write_bytes, write_text
+from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, parsed_json
-from lin_freq_ocp.interchange.places import naming
-from lin_freq_ocp.interchange.results.csv_file import header
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 SCHEMA = 1
@@ -93,7 +89,7 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
 
 
 def load_solution(path: str | PathLike[str]) -> SavedSolution:
-    """Read a solution from an .npz, ours or anybody's that has x (T+1, n) and u (T, m).
+    """Read a solution from an .npz that has at least x (T+1, n) and u (T, m).
 
     Raises
     ------
@@ -110,27 +106,6 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
         if multipliers is not None:
             _require_same_size(trajectory, multipliers)
         return SavedSolution(trajectory, multipliers, _summary(arrays.get("summary")))
-
-
-def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
-    """Write a trajectory as a table: one row per time, states and controls under their names, in full precision.
-
-    Columns: t, the time in seconds if the problem has a sampling time, states, controls (empty at t = T).
-
-    Raises
-    ------
-    ProblemError
-        If the trajectory is not of the problem's shape, or the file cannot be written.
-    """
-    problem.require(trajectory)
-    step, text = problem.sampling_time, io.StringIO()
-    clock = [] if step is None else ["time [s]"]
-    no_control = [""] * problem.control_dim
-    table = csv.writer(text)
-    table.writerow(["t", *clock, *map(header, problem.state_names), *map(header, problem.control_names)])
-    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
-        table.writerow([t, *([] if step is None else [t * step]), *x, *u])
-    write_text(path, text.getvalue())
 
 
 def _require_schema(schema: NDArray[Any] | None) -> None:

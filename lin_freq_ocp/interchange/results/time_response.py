@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, real_array
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.places import placed
+from lin_freq_ocp.interchange.locations import located
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -82,7 +82,7 @@ def from_time_response(response: Any, problem: OptimalControlProblem) -> Traject
         raise _unfit("states, outputs", sources, problem.state_names)
     if controls is None:
         raise _unfit("inputs", [("inputs", response.u, response.input_labels)], problem.control_names)
-    with placed("response"):
+    with located("response"):
         return trajectory_from_signals(problem, found[0].T, controls.T[:T])
 
 

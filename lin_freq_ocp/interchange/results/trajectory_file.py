@@ -1,4 +1,4 @@
-"""A trajectory in any kind of file that can hold one; the end of its name says which kind."""
+"""Trajectories in files of any kind, told by the suffix."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.results.csv_file import read_csv
+from lin_freq_ocp.interchange.results.csv_file import read_csv, save_csv
 from lin_freq_ocp.interchange.results.mat_file import read_mat, save_mat
-from lin_freq_ocp.interchange.results.solution_file import load_solution, save_csv, save_solution
+from lin_freq_ocp.interchange.results.solution_file import load_solution, save_solution
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -18,12 +18,12 @@ TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
 
 def load_trajectory(path: str | PathLike[str], problem: OptimalControlProblem) -> tuple[Trajectory, Multipliers | None]:
-    """Read a .csv, a .mat, or, whatever else it is called, an .npz; only the last can have multipliers.
+    """Read a .csv, a .mat, or, with any other suffix, an .npz; only the last can have multipliers.
 
     Raises
     ------
     ProblemError
-        If it is no such file, or does not fit the problem; the field names file and place.
+        If it is no such file, or does not fit the problem; the field names the file and the location in it.
     """
     suffix = Path(path).suffix.lower()
     if suffix == TABLE:

@@ -20,8 +20,8 @@ from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
 from lin_freq_ocp.interchange.keys import require_keys
-from lin_freq_ocp.interchange.places import naming
-from lin_freq_ocp.interchange.problem_file.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
+from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.environment import environment

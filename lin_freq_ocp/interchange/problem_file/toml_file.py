@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, read_text
-from lin_freq_ocp.interchange.places import naming
+from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.problem_file.array_references import resolved, stored
-from lin_freq_ocp.interchange.problem_file.problem_tables import problem_from_tables, tables_from_problem
+from lin_freq_ocp.interchange.problem_file.tables import problem_from_tables, tables_from_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 ARRAYS_SUFFIX = ".problem.npz"
@@ -41,7 +41,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
     Raises
     ------
     ProblemError
-        If it is no such file or describes no problem; the field is the file and the place in it,
+        If it is no such file or describes no problem; the field is the file and the location in it,
         ``"cart.toml: dynamics.A"``.
     """
     path = Path(path)
@@ -58,7 +58,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
 
 
 def read_tables(path: Path) -> dict[str, Any]:
-    """Return what stands in a TOML file, be it a problem or not; ProblemError if it is no such file."""
+    """Return the tables of any TOML file; ProblemError if it is not one."""
     text = read_text(path)
     with naming(path):
         return _parsed(text)
@@ -89,7 +89,7 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
 
 
 def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
-    """Return the contents of what ``write_problem`` writes, by their names; the arrays come before what needs them."""
+    """Return the contents of what ``write_problem`` writes, by their names; the arrays come first."""
     arrays: dict[str, NDArray[Any]] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
     text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(tables_from_problem(problem), beside, arrays)))
@@ -104,15 +104,15 @@ def _parsed(text: str) -> dict[str, Any]:
 
 
 def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with the overrides; one that is None takes its key away."""
+    """Return the table with the overrides; None removes a key."""
     merged = dict(table)
     for key, value in overrides.items():
-        old = merged.get(key)
-        if value is None:
-            merged.pop(key, None)
+        if isinstance(value, Mapping):
+            old = merged.get(key)
+            merged[key] = _merged(old if isinstance(old, Mapping) else {}, value)
         else:
-            merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return merged
+            merged[key] = value
+    return {key: value for key, value in merged.items() if value is not None}
 
 
 def _on_one_line(row: re.Match[str]) -> str:

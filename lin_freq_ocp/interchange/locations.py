@@ -1,4 +1,4 @@
-"""Where a fault stands: constructors know their argument, the reader knows the table and the file it came from."""
+"""The location of an error: a constructor names its argument; the reader knows the table and the file."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ def naming(path: Path) -> Generator[None]:
 
 
 @contextmanager
-def placed(place: str, *own: str) -> Generator[None]:
-    """Let a ProblemError that names a field of ``own`` ("Box.lower") name the one at ``place`` ("state_set.lower")."""
+def located(location: str, *own: str) -> Generator[None]:
+    """Replace the names ``own`` ("Box.lower") at the beginning of a ProblemError's field ("state_set.lower")."""
     try:
         yield
     except ProblemError as error:
-        raise ProblemError(_field(error.field, place, own), error.got, error.expected, error.advice) from None
+        field = _field(error.field, location, own) if location else error.field
+        raise ProblemError(field, error.got, error.expected, error.advice) from None
 
 
-def _field(field: str, place: str, own: tuple[str, ...]) -> str:
-    for name in (place, *own):
+def _field(field: str, location: str, own: tuple[str, ...]) -> str:
+    for name in (location, *own):
         rest = field.removeprefix(name)
         if rest != field and rest[:1] in ("", ".", "["):
-            return place + rest
-    return f"{place}.{field}"
+            return location + rest
+    return f"{location}.{field}"

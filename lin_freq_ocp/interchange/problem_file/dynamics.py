@@ -1,0 +1,146 @@
+"""Dynamics as tables: A and B of a linear model, one table for each mode of a piecewise model, or formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from lin_freq_ocp.arrays import positive_integer
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.formulas.definitions import defined, with_definitions
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.text import formula_from_text, require_formula
+from lin_freq_ocp.interchange.problem_file.codec import Record, Tables, Value, checked, nonzero
+from lin_freq_ocp.problem.dynamics.affine_mode import MODE, AffineMode
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+
+FORMULA_KEYS = ("f", "region", "domain")
+
+
+def _linear(continuous: bool = False, **arguments: Any) -> LinearDynamics:
+    if not continuous:
+        return LinearDynamics(**arguments)
+    if "sampling_time" not in arguments:
+        raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
+    return LinearDynamics.from_continuous(**arguments)
+
+
+def without_zeros(first: Any, second: Any) -> tuple[Any, Any]:
+    """Return two matrices of the same rows, None for those of zeros; the second stays if both are zero."""
+    left, right = (part if part.any() or part.ndim > 2 else None for part in (first, second))
+    return left, second if left is None else right
+
+
+def _mode(mode: AffineMode) -> dict[str, Any]:
+    linear, region = mode.linear, mode.region
+    table = {"name": mode.name or None, "A": linear.A, "B": linear.B, "offset": linear.offset}
+    G, H = without_zeros(region.C, region.D)
+    if G is None and not H.any() and H.ndim == 2 and mode.everywhere and region.e.shape == (1,):
+        return table
+    return table | {"G": G, "H": H, "h": region.e}
+
+
+def _from_formulas(
+    f: Any, control_dim: Any, let: Any = None, domain: Any = (), **labels: Any
+) -> PiecewiseSmoothDynamics:
+    n, m = _dimensions(f, control_dim)
+    mode = _parsed("dynamics", SmoothMode(f, domain=domain), _known(let, n, m), n, m)
+    return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
+
+
+def _from_modes(modes: Any, control_dim: Any, let: Any = None, **labels: Any) -> PiecewiseSmoothDynamics:
+    n, m = _dimensions(modes[0].f, control_dim)
+    known = _known(let, n, m)
+    parsed = [_parsed(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
+    return PiecewiseSmoothDynamics(parsed, n, m, **labels)
+
+
+def _labels(sampling_time: Any = None, state_names: Any = None, control_names: Any = None) -> None:
+    """Declare the arguments that all dynamics share."""
+
+
+def _dimensions(f: Any, control_dim: Any) -> tuple[int, int]:
+    """Return n, the number of formulas, and m."""
+    return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
+
+
+def _known(let: Any, n: int, m: int) -> dict[str, Formula]:
+    return defined("dynamics.let", {} if let is None else let, (n, m))
+
+
+def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
+    """Return the mode with its texts parsed; its class refuses other values."""
+    parsed: dict[str, Any] = {}
+    for key in FORMULA_KEYS:
+        given = getattr(mode, key)
+        if isinstance(given, (str, list)):
+            parsed[key] = [
+                formula_from_text(f"{location}.{key}[{i}]", one, (n, m), known) if isinstance(one, str) else one
+                for i, one in enumerate([given] if isinstance(given, str) else given)
+            ]
+    return replace(mode, **parsed)
+
+
+def _smooth(dynamics: PiecewiseSmoothDynamics) -> dict[str, Any]:
+    """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
+    formulas: list[Formula] = []
+    for i, mode in enumerate(dynamics.modes):
+        for key in FORMULA_KEYS:
+            for j, one in enumerate(getattr(mode, key)):
+                for node in in_order([one]):
+                    require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
+                formulas.append(one)
+    texts, definitions = with_definitions(formulas)
+    left = iter(texts)
+    modes = [
+        replace(mode, **{key: [next(left) for _ in getattr(mode, key)] for key in FORMULA_KEYS})
+        for mode in dynamics.modes
+    ]
+    names = {key: getattr(dynamics, key) for key in ("control_dim", "sampling_time", "state_names", "control_names")}
+    return names | {"let": definitions or None, "modes": modes}
+
+
+def _smooth_mode(mode: SmoothMode) -> dict[str, Any]:
+    return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
+
+
+AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode, offset=nonzero(1))
+SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode)
+
+LINEAR = Record(
+    _linear,
+    like=LinearDynamics,
+    offset=nonzero(1),
+    continuous=checked(lambda given: isinstance(given, bool), "true or false"),
+)
+PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
+SMOOTH_MODES = Record(
+    _from_modes,
+    like=_labels,
+    classes=(PiecewiseSmoothDynamics,),
+    values=_smooth,
+    modes=Tables(SMOOTH_MODE, single=False),
+)
+SMOOTH = Record(_from_formulas, like=_labels)
+
+
+def _read(location: str, given: Any) -> Any:
+    keys = given if isinstance(given, Mapping) else {}
+    modes = keys.get("modes")
+    if "f" in keys:
+        return SMOOTH.read(location, given)
+    if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):
+        return SMOOTH_MODES.read(location, given)
+    return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
+
+
+def _write(location: str, value: Any) -> dict[str, Any]:
+    record = next(one for one in (LINEAR, PIECEWISE_AFFINE, SMOOTH_MODES) if one.holds(value))
+    return record.write(location, value)
+
+
+DYNAMICS = Value(_read, _write)
+"""Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, or with ``modes`` of one of the two."""
