@@ -156,7 +156,7 @@ def problems(draw) -> OptimalControlProblem:
 @given(problem=problems())
 @settings(
     derandomize=True,
-    max_examples=30,
+    max_examples=15,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -64,7 +64,7 @@ def test_enumeration_finds_and_proves_the_reference_values(name, given, cost):
     assert abs(result.gap) < 1e-6
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_search_agrees_with_brute_force(seed):
     band = lfo.stop_band(bins=[2]) if seed % 2 else None
     kinks, horizon = (2, 2) if seed == 1 else (1, 4)
