@@ -14,7 +14,8 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, assign, brief, positive_integer
 from lin_freq_ocp.errors import MissingExtraError, ProblemError, first_line
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.formulas.nodes import LARGEST_POWER, MAXIMUM, MINIMUM, POWER, SUM, Formula, extreme, norm, signals
+from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip

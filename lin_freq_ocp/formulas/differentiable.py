@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.derivative_check import Derivative, require_derivative
-from lin_freq_ocp.formulas.nodes import EXTERNAL, Formula
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.operations import EXTERNAL
 
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 """Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
