@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from minlp_program import ModeFormulas, SmoothProgram, enclosures
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.arrays import Array, Mask
@@ -24,7 +25,6 @@ from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
-from lin_freq_ocp.transcription.smooth import ModeFormulas, SmoothProgram, enclosures
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
 
