@@ -26,7 +26,7 @@ from lin_freq_ocp.formulas.operations import (
     QUOTIENT,
     SUM,
     VARIABLE,
-    External,
+    Node,
     Notation,
     scalar_functions,
 )
@@ -42,30 +42,10 @@ FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Formula:
-    """One node of a formula; made by ``signals`` and operators.
+class Formula(Node):
+    """A node of a formula with operators; made by ``signals`` and operators, attributes as of ``Node``."""
 
-    Attributes
-    ----------
-    dimensions : (n, m)
-    kind : str
-        The key of its operation in ``OPERATIONS``.
-    arguments : tuple of Formula
-    data : tuple of float
-        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
-        external function the number of the output, and how many of the arguments are its x.
-    names : tuple of str
-        Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
-    function : External, optional
-        The external function that the node calls.
-    """
-
-    dimensions: tuple[int, int]
-    kind: str
     arguments: tuple[Formula, ...] = ()
-    data: tuple[float, ...] = ()
-    names: tuple[str, ...] = ()
-    function: External | None = None
 
     @property
     def constant(self) -> float | None:

@@ -39,33 +39,31 @@ class External(Protocol):
         ...
 
 
-class Node(Protocol):
-    """A node of a formula, as its operation sees it; see ``Formula``."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Node:
+    """A node of a formula.
 
-    @property
-    def dimensions(self) -> tuple[int, int]:
-        """Return n and m."""
-        ...
+    Attributes
+    ----------
+    dimensions : (n, m)
+    kind : str
+        The key of its operation in ``OPERATIONS``.
+    arguments : tuple of nodes
+    data : tuple of float
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
+        external function the number of the output, and how many of the arguments are its x.
+    names : tuple of str
+        Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
+    function : External, optional
+        The external function that the node calls.
+    """
 
-    @property
-    def kind(self) -> str:
-        """Return the key of its operation."""
-        ...
-
-    @property
-    def arguments(self) -> Sequence[Node]:
-        """Return what the operation is applied to."""
-        ...
-
-    @property
-    def data(self) -> tuple[float, ...]:
-        """Return the numbers of the operation."""
-        ...
-
-    @property
-    def function(self) -> External | None:
-        """Return the external function that it calls."""
-        ...
+    dimensions: tuple[int, int]
+    kind: str
+    arguments: tuple[Node, ...] = ()
+    data: tuple[float, ...] = ()
+    names: tuple[str, ...] = ()
+    function: External | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,7 +336,7 @@ class ScalarFunction(Operation):
 def _call(node: Node) -> tuple[External, Hashable]:
     """Return an external function, and what its outputs of the same arguments share."""
     assert node.function is not None  # nodes of this kind have one
-    return node.function, (node.function, tuple(node.arguments))
+    return node.function, (node.function, node.arguments)
 
 
 def _factor(node: Node, parts: Sequence[str], i: int, whole: Set[int]) -> str:
