@@ -47,14 +47,14 @@ def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str,
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
     for name, text in given.items():
-        place = f"{field}.{name}"
+        entry = f"{field}.{name}"
         if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
             raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
         if name in known or name in function_names():
-            raise ProblemError(place, "the name of a signal or a function", "another name")
+            raise ProblemError(entry, "the name of a signal or a function", "another name")
         if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-            raise ProblemError(place, brief(text), "a formula in quotes, or a number")
-        known[name] = formula_from_text(place, str(text), dimensions, known)
+            raise ProblemError(entry, brief(text), "a formula in quotes, or a number")
+        known[name] = formula_from_text(entry, str(text), dimensions, known)
     return known
 
 
@@ -62,7 +62,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
     """Return the texts of formulas, and the named formulas that they use, each after those that it uses.
 
     Formulas of up to ``LONGEST_TEXT`` characters are written as they stand; as soon as one is longer, what stands in
-    several places of all of them is written once. So the length of all texts grows with the number of nodes.
+    several of them is written once. So the length of all texts grows with the number of nodes.
 
     Formulas are those of ``signals``, without other functions.
     """

@@ -187,11 +187,11 @@ def _with_extrema(odd: Callable[[Interval], Interval], a: Interval, extremum: fl
         finite = np.where(known, end, 0.0)
         ends.append(odd((finite, finite)))  # of 0 it is 0, as in the limit
     lower, upper = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
-    place = 1 / np.sqrt(3.0)
+    extreme = 1 / np.sqrt(3.0)
     lowest, highest = outward(np.full_like(lower, -extremum), np.full_like(upper, extremum))
     return (
-        np.where((a[0] <= place) & (a[1] >= place), lowest, lower),
-        np.where((a[0] <= -place) & (a[1] >= -place), highest, upper),
+        np.where((a[0] <= extreme) & (a[1] >= extreme), lowest, lower),
+        np.where((a[0] <= -extreme) & (a[1] >= -extreme), highest, upper),
     )
 
 
@@ -202,8 +202,8 @@ def _wave(function: np.ufunc, a: Interval, peak: float) -> Interval:
     near = TURN * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
     lower, upper = outward(np.minimum(function(low), function(high)), np.maximum(function(low), function(high)))
 
-    def within(place: float) -> Mask:
-        return np.floor((high + near - place) / (2 * np.pi)) > np.floor((low - near - place) / (2 * np.pi))
+    def within(turn: float) -> Mask:
+        return np.floor((high + near - turn) / (2 * np.pi)) > np.floor((low - near - turn) / (2 * np.pi))
 
     upper = np.where(~known | within(peak), 1.0, np.minimum(upper, 1.0))
     lower = np.where(~known | within(peak + np.pi), -1.0, np.maximum(lower, -1.0))
