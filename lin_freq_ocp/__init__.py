@@ -46,7 +46,6 @@ from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.expressions import Expression, affine_signals
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
@@ -87,7 +86,6 @@ __all__ = [
     "Enumeration",
     "Everything",
     "Explanation",
-    "Expression",
     "Formula",
     "InfeasibleError",
     "Intersection",
@@ -129,7 +127,6 @@ __all__ = [
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",
-    "affine_signals",
     "band_pass",
     "certify",
     "compare",
