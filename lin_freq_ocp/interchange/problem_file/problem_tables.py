@@ -19,8 +19,8 @@ from lin_freq_ocp.interchange.problem_file.spectrum_tables import (
     table_from_outputs,
     table_from_spectrum,
 )
-from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, Point
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -118,12 +118,10 @@ def _norm_cost(place: str, table: Any) -> Any:
         return NORM_COSTS[kind](**{key: value for key, value in table.items() if key != "kind"})
 
 
-def _table_of_cost(cost: QuadraticCost | CostSum) -> dict[str, Any]:
-    quadratic = cost.quadratic if isinstance(cost, CostSum) else cost
-    terms = {field: getattr(quadratic, field) for field in DIMENSIONS_OF_COST}
+def _table_of_cost(cost: Cost) -> dict[str, Any]:
+    terms = {field: getattr(cost.quadratic, field) for field in DIMENSIONS_OF_COST}
     table = {field: term for field, term in terms.items() if term.any() or term.ndim > DIMENSIONS_OF_COST[field]}
-    norms = cost.norms if isinstance(cost, CostSum) else ()
-    return table | ({"norms": [_table_of_norm_cost(one) for one in norms]} if norms else {})
+    return table | ({"norms": [_table_of_norm_cost(one) for one in cost.norms]} if cost.norms else {})
 
 
 def _table_of_norm_cost(cost: Any) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
+from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, stacked
-from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 
 PLAIN: dict[str, tuple[Any, tuple[str, ...], tuple[str, ...]]] = {
     "box": (Box, (), ("lower", "upper")),

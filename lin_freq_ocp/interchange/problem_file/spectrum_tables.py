@@ -12,9 +12,9 @@ from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.keys import require_keys
 from lin_freq_ocp.interchange.places import placed
 from lin_freq_ocp.interchange.problem_file.band_tables import MAKERS, band_from_table, table_from_band
-from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 
 WHERE = ("bins", "band", "component", "penalty", "window", "oversampling")
 """Arguments that magnitude and energy bounds share."""
