@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Protocol
 
 from lin_freq_ocp.arrays import Array, Mask
@@ -45,11 +46,11 @@ class ProblemData(Protocol):
     def initial_box(self) -> Box: ...
     @property
     def terminal_box(self) -> Box: ...
-    @property
+    @cached_property
     def state_boxes(self) -> Box: ...
-    @property
+    @cached_property
     def control_tube(self) -> Box: ...
-    @property
+    @cached_property
     def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]: ...
     @property
     def fixed_ends(self) -> dict[int, Array]: ...
