@@ -22,7 +22,7 @@ from lin_freq_ocp.interchange.problem_file.spectrum_tables import (
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, Point
+from lin_freq_ocp.problem.sets.box import Point
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 SCHEMA = 1
@@ -140,9 +140,9 @@ def _end(field: str, tables: Mapping[str, Any]) -> Any:
 
 
 def _table_of_end(field: str, end: Any) -> Any:
-    if isinstance(end, Box) and end.fixed.all():
+    if not end.members and end.fixed.all():
         return end.lower
-    free = isinstance(end, Box) and np.isinf(end.lower).all() and np.isinf(end.upper).all()
+    free = not end.members and np.isinf(end.lower).all() and np.isinf(end.upper).all()
     return None if free else table_from_set(field, end)
 
 

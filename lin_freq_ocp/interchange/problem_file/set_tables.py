@@ -54,7 +54,7 @@ def set_from_table(place: str, table: Any) -> Any:
 
 def table_from_set(place: str, one: Any) -> dict[str, Any]:
     """Return the table from which ``set_from_table`` makes the same set; ``place`` is where it stands."""
-    if isinstance(one, Box):
+    if not one.members:
         return {"lower": one.lower, "upper": one.upper}
     if isinstance(one, Intersection):
         return {"kind": "intersection", "sets": [table_from_set(place, member) for member in one.sets]}
@@ -81,6 +81,6 @@ def tables_from_sets(field: str, given: Any, dimension: int, times: int) -> Any:
         return None
     if not isinstance(given, (list, tuple)):
         return table_from_set(field, given)
-    if all(isinstance(one, Box) for one in given):
+    if not any(one.members for one in given):
         return table_from_set(field, stacked(field, given, dimension, times))
     return [table_from_set(f"{field}[{i}]", one) for i, one in enumerate(given)]

@@ -4,7 +4,7 @@ A set is bounds on the components and parts {v : F v + c in the set of a penalty
 and the CVXPY export need nothing else of it.
 
 A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
-takes any penalty of ``problem/terms``. To be written to problem files it is listed in ``SETS`` of
+takes any penalty of ``problem/terms``. To be written to problem files it is listed in ``PLAIN`` of
 ``interchange/problem_file/set_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
 """
 
