@@ -291,6 +291,8 @@ class Exchange:
         new, content = nonnegative_qp(S, d, guess, unconstrained, self.stop)
         asked = (ask or not content) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
+        if ray is None and asked:
+            ray = stiffened_ray(self.structure, self.data, working, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:

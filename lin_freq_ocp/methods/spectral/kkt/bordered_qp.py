@@ -26,6 +26,9 @@ STEPS = 60
 SOLVED = 1e-12
 """Defects and complementarity, of a problem scaled to order 1, at which it stops."""
 
+COMPLEMENTARY = 1e-16
+"""Complementarity of the same problem at which it stops: a cost may be far below the products of that scale."""
+
 CONTENT = 1e-7
 """Error up to which the answer is good."""
 
@@ -115,7 +118,7 @@ def _interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Arr
         error = max(float(np.abs(r1).max()), float(np.abs(r2).max()), mu) / (1 + float(weights.max()))
         if error < best[0]:
             best = error, p, weights, z
-        if error < SOLVED or not np.isfinite(error) or stop():
+        if (error < SOLVED and mu < COMPLEMENTARY) or not np.isfinite(error) or stop():
             break
         matrix[b:, b:] = -qp.S
         matrix[diagonal, diagonal] -= z / weights + RIDGE
