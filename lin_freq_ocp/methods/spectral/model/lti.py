@@ -1,4 +1,4 @@
-"""A linear time-invariant problem in units of order 1, with time as the last axis (SPECTRAL.md, section 1.1).
+"""A linear time-invariant problem in units of order 1, with time as the last axis (docs/spectral.md, 1).
 
     minimise    sum_{t<T} 1/2 y'M y + h_t'y  +  1/2 x_T'P x_T + p'x_T,    y_t = (x_t, u_t),  M = [[Q, S], [S', R]]
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
