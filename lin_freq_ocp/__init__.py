@@ -13,9 +13,12 @@ leave_silently()  # before what follows, which takes a second
 # isort: split
 from lin_freq_ocp import library
 from lin_freq_ocp.analysis.sensitivities import Sensitivities
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.runs import SavedRun, load_run
+from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.api.sweep import Sweep, load_sweep, sweep
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison, compare
-from lin_freq_ocp.comparison.sweep.sweep import Sweep, sweep
 from lin_freq_ocp.errors import (
     BandWarning,
     InfeasibleError,
@@ -28,7 +31,7 @@ from lin_freq_ocp.errors import (
     UnboundedError,
     UnsupportedError,
 )
-from lin_freq_ocp.explain import Cure, Explanation, explain
+from lin_freq_ocp.explain.explanation import explain
 from lin_freq_ocp.formulas.casadi import from_casadi
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals
@@ -39,8 +42,6 @@ from lin_freq_ocp.interchange.results.mat_file import read_mat
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution
 from lin_freq_ocp.interchange.results.solution_file import load_solution as load
 from lin_freq_ocp.interchange.results.time_response import from_time_response, to_time_response
-from lin_freq_ocp.interchange.runs.run_file import SavedRun, load_run
-from lin_freq_ocp.interchange.runs.sweep_file import load_sweep
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -60,8 +61,12 @@ from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, 
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import certify, solve
+from lin_freq_ocp.solving.certify import certify
+from lin_freq_ocp.solving.explanation import Cure, Explanation
+from lin_freq_ocp.solving.linear import Convex, Spectral
+from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
+from lin_freq_ocp.solving.smooth import Nonsmooth
+from lin_freq_ocp.status import Status
 
 __version__ = "0.1.0"
 
@@ -70,13 +75,16 @@ __all__ = [
     "Ball",
     "BandWarning",
     "Box",
+    "BranchAndBound",
     "Certificate",
     "Comparison",
+    "Convex",
     "CostSum",
     "Cure",
     "DifferentiableFunction",
     "Ellipsoid",
     "EnergyBound",
+    "Enumeration",
     "Everything",
     "Explanation",
     "Expression",
@@ -91,7 +99,9 @@ __all__ = [
     "LinearDynamics",
     "MagnitudeBound",
     "MissingExtraError",
+    "MixedInteger",
     "Multipliers",
+    "Nonsmooth",
     "NumericalError",
     "OptimalControlProblem",
     "OutputSpectrum",
@@ -110,9 +120,11 @@ __all__ = [
     "SmoothPiece",
     "Soft",
     "SolveError",
+    "Spectral",
     "SpectralSolution",
     "SpectralSolver",
     "StageRows",
+    "Status",
     "Sweep",
     "Trajectory",
     "UnboundedError",

@@ -50,7 +50,18 @@ class SolveError(LinFreqOCPError):
 
 
 class InfeasibleError(SolveError):
-    """No trajectory satisfies all constraints; proven by a ray that the judge has verified."""
+    """No trajectory satisfies all constraints.
+
+    Attributes
+    ----------
+    proven : bool
+        Whether the judge has verified a proof; otherwise a solver only says so.
+    """
+
+    @property
+    def proven(self) -> bool:
+        """Whether the judge has verified a proof."""
+        return getattr(self.result, "status", None) == "infeasible"
 
 
 class UnboundedError(SolveError):

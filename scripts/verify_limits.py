@@ -56,7 +56,6 @@ CASES: tuple[tuple[str, Callable[[], lfo.OptimalControlProblem], str], ...] = (
     ("ball and paddle", lfo.library.ball_and_paddle, "miqp"),
     ("dynamics with a norm", lfo.library.norm_dynamics, "nonsmooth"),
     ("dynamics with a norm", lfo.library.norm_dynamics, "auto"),
-    ("dynamics with a norm", lfo.library.norm_dynamics, "minlp"),
 )
 
 
@@ -83,7 +82,7 @@ def run(problem: lfo.OptimalControlProblem, method: str, limit: float) -> Run:
     except lfo.SolveError as error:
         result = error.result
     seconds = time.perf_counter() - started
-    modes = result.tree is not None or result.method in ("nonsmooth", "minlp")
+    modes = result.tree is not None or result.method == "nonsmooth"
     judged = 0.0 if modes else result.seconds["certify"]  # over modes, that is the time of the proof
     return Run(limit, result.status, seconds, judged)
 

@@ -13,7 +13,6 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
-from lin_freq_ocp.transcription.smooth import SmoothProgram
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +45,6 @@ EXCLUDED = 1e-6
 MixedSolver = Callable[[Program, Indices, float | None, float], MixedSolution]
 """(program, indices of binaries, time limit in seconds or None, relative gap) -> MixedSolution."""
 
-NonlinearSolver = Callable[[SmoothProgram, float | None, float], MixedSolution]
-"""(program, time limit in seconds or None, relative gap) -> MixedSolution, whose z ends with all delta_{t,i}."""
-
 _MODULES = {"scip": ("scip_", "pyscipopt"), "daqp": ("daqp_", "daqp")}
 
 
@@ -64,25 +60,7 @@ def mixed_backend(name: str) -> MixedSolver:
     """
     if name not in _MODULES:
         raise UnsupportedError(f"backend: got {name!r}; expected 'scip' or 'daqp' for a mixed-integer program.")
-    return _solver(name, *_MODULES[name])
-
-
-def nonlinear_backend(name: str) -> NonlinearSolver:
-    """Return the solver of that name for programs with formulas.
-
-    Raises
-    ------
-    UnsupportedError
-        If there is none of that name.
-    MissingExtraError
-        If its package is not installed.
-    """
-    if name != "scip":
-        raise UnsupportedError(f"backend: got {name!r}; expected 'scip' for a program with nonlinear constraints.")
-    return _solver(name, "scip_nonlinear", "pyscipopt")
-
-
-def _solver(name: str, module: str, package: str) -> Callable[..., MixedSolution]:
+    module, package = _MODULES[name]
     try:
         import_module(package)
     except ImportError:

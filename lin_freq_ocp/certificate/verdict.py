@@ -22,6 +22,7 @@ from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynami
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.status import Status
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
 
@@ -115,15 +116,16 @@ class Certificate:
         pmp = self.pmp if self.pmp == "not_applicable" else _principle(conditions)
         return replace(self, conditions=conditions, pmp=pmp)
 
-    def status_within(self, gap: float) -> str:
-        """Return "optimal", as ``proven_within`` says, else "locally_optimal" or "numerical_error".
+    def status_within(self, gap: float) -> Status:
+        """Return OPTIMAL, as ``proven_within`` says, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
 
         Locally optimal means that the maximum principle is satisfied with normal multipliers: where the dynamics are
         linear, no feasible direction lowers the cost to first order; where they have modes, it is necessary only.
         """
         if self.proven_within(gap):
-            return "optimal"
-        return "locally_optimal" if self.pmp == "satisfied" and self.normal else "numerical_error"
+            return Status.OPTIMAL
+        extremal = self.pmp == "satisfied" and self.normal
+        return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
 
     @property
     def failed(self) -> tuple[Condition, ...]:

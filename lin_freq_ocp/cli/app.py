@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | rerun | init.
+"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -18,6 +18,9 @@ import click
 import numpy as np
 
 from lin_freq_ocp import library
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli.common import (
     BAD_INPUT,
@@ -51,7 +54,6 @@ from lin_freq_ocp.cli.common import (
 from lin_freq_ocp.cli.outputs import Outputs, output_options
 from lin_freq_ocp.cli.show import show_command
 from lin_freq_ocp.cli.sweep import sweep_command
-from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import BandWarning, SolveError, UnsupportedError
 from lin_freq_ocp.interchange.problem_file.template import init_problem_file
 from lin_freq_ocp.interchange.results.summary import (
@@ -61,15 +63,14 @@ from lin_freq_ocp.interchange.results.summary import (
     result_summary,
 )
 from lin_freq_ocp.interchange.results.trajectory_file import load_trajectory
-from lin_freq_ocp.interchange.runs.rerun import rerun, rerun_summary
-from lin_freq_ocp.interchange.runs.run_file import dumping_errors, load_run
+from lin_freq_ocp.interchange.runs.run_file import dumping_errors
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import EXPLAIN_SECONDS, certify, explained, solve
-from lin_freq_ocp.solving.starts import start_of
+from lin_freq_ocp.solving.certify import certify
 from lin_freq_ocp.starting import INTERRUPTED, leave_silently, let_commands_decide
+from lin_freq_ocp.status import Status
 
 
 class Commands(click.Group):
@@ -140,7 +141,7 @@ def solve_command(
     with dumping_errors(outputs.dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
-        if result.status == "infeasible":
+        if result.status == Status.INFEASIBLE:
             with progress("looking for what would help"):
                 result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
     if as_json:
@@ -214,23 +215,6 @@ def certify_command(
     return certificate_status(certificate)
 
 
-@cli.command("rerun")
-@click.argument("file", metavar="FILE.zip")
-@json_option
-def rerun_command(file: str, as_json: bool) -> int:
-    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
-    run = load_run(file)
-    with progress(f"solving {run.problem.name or file}"):
-        comparison = rerun(run)
-    if as_json:
-        print_json(rerun_summary(comparison))
-    else:
-        print_lines(str(comparison))
-    if comparison.error is not None:
-        return error_status(comparison.error)
-    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
-
-
 @cli.command("init")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
@@ -244,10 +228,10 @@ def exit_status(result: Result) -> int:
     """Return the exit status of a result."""
     if result.interrupted:
         return INTERRUPTED
-    if result.status in ("infeasible", "unbounded"):
+    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
         return NO_SOLUTION
     if result.tree is not None:  # extremal is not optimal where there are modes: what counts is the gap
-        return PROVEN if result.status == "optimal" else NOT_PROVEN
+        return PROVEN if result.status == Status.OPTIMAL else NOT_PROVEN
     return NOT_PROVEN if result.certificate is None else certificate_status(result.certificate)
 
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import click
 
+from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.atomic import replacing
 from lin_freq_ocp.cli.common import complain, require_writable
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.results.trajectory_file import kind_of_file
-from lin_freq_ocp.result import Result
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",

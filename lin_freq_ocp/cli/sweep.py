@@ -16,6 +16,7 @@ from typing import Any
 import click
 import numpy as np
 
+from lin_freq_ocp.api.sweep import Sweep, sweep
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli.common import (
@@ -41,7 +42,6 @@ from lin_freq_ocp.cli.common import (
     written,
 )
 from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS
-from lin_freq_ocp.comparison.sweep.sweep import Sweep, sweep
 from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lin_freq_ocp.analysis.measures import Measures, measure
 from lin_freq_ocp.comparison.filters import FILTERS, filtered, require_filters
 from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving.outcome import Outcome
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+Solve = Callable[..., Outcome]
+"""``lfo.solve``: a problem, and the keywords method, backend, time_limit and throw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,32 +27,25 @@ class Filtered:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ComparisonOutcome:
     """Filtering afterwards against solving with the frequency constraint.
 
     Attributes
     ----------
     problem : OptimalControlProblem
-    classical : Result
+    classical : Outcome
         Solved without any frequency constraint.
-    constrained : Result
+    constrained : Outcome
         Solved with it; may be infeasible, which is then the finding.
     classical_measures, constrained_measures : Measures or None
         All measured on the problem with its frequency constraints.
     filtered : tuple of Filtered
         In the order asked for.
-
-    Methods
-    -------
-    plot()
-        The four panels of the comparison.
-    save(folder)
-        Write the HTML report.
     """
 
     problem: OptimalControlProblem
-    classical: Result
-    constrained: Result
+    classical: Outcome
+    constrained: Outcome
     classical_measures: Measures
     constrained_measures: Measures | None
     filtered: tuple[Filtered, ...]
@@ -67,7 +56,7 @@ class Comparison:
         return all(one.replay.meaningful for one in self.filtered)
 
     @property
-    def _rows(self) -> list[tuple[str, str, Measures | None]]:
+    def rows(self) -> list[tuple[str, str, Measures | None]]:
         """Return of every trajectory its name, where it is from, and what was measured."""
         return [
             ("classical", self.classical.status, self.classical_measures),
@@ -76,38 +65,22 @@ class Comparison:
         ]
 
     def __str__(self) -> str:
-        rows = self._rows
+        rows = self.rows
         width = max(len(name) for name, _, _ in rows)
         return "\n".join(
-            [str(self.problem), *(f"{name:{width}}  {', '.join([how, *_figures(found)])}" for name, how, found in rows)]
+            [
+                str(self.problem),
+                *(f"{name:{width}}  {', '.join([how, *figures_of(found)])}" for name, how, found in rows),
+            ]
         )
-
-    def __repr__(self) -> str:
-        filters = ", ".join(one.name for one in self.filtered) or "none"
-        return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
-
-    def _repr_html_(self) -> str:
-        rows = [(name, ", ".join([how, *_figures(found)])) for name, how, found in self._rows]
-        return html_table(str(self.problem), rows)
-
-    def plot(self) -> Figure:
-        """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
-        from lin_freq_ocp.report.figures.figures import comparison_figure
-
-        return comparison_figure(self)
-
-    def save(self, folder: str | Path) -> Path:
-        """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.report.page import save_report
-
-        return save_report(self, folder)
 
 
 def _replayed(made: Replay) -> str:
     return "replayed" if made.meaningful else made.stopped or "not replayed: that would amplify rounding errors"
 
 
-def _figures(found: Measures | None) -> list[str]:
+def figures_of(found: Measures | None) -> list[str]:
+    """Return the measures of a trajectory in words, one text for each."""
     if found is None:
         return []
     figures = {
@@ -121,35 +94,15 @@ def _figures(found: Measures | None) -> list[str]:
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
-def compare(
-    problem: OptimalControlProblem,
-    filters: Sequence[str] | None = None,
-    backend: str = "auto",
-    time_limit: float | None = None,
-) -> Comparison:
-    """Compare filtering a classical optimal control with solving under the frequency constraint.
-
-    Parameters
-    ----------
-    problem : OptimalControlProblem
-        With its frequency constraints.
-    filters : sequence of str, optional
-        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; default all.
-    backend, time_limit
-        As for ``solve``.
-
-    Raises
-    ------
-    ProblemError
-        If there is no filter of a name.
-    SolveError
-        If the problem has no solution even without its frequency constraints.
-    """
+def compared(
+    problem: OptimalControlProblem, solve: Solve, filters: Sequence[str] | None, backend: str, time_limit: float | None
+) -> ComparisonOutcome:
+    """Return the parts of a comparison, whose two problems ``solve`` solves; see ``lfo.compare``."""
     require_problem(problem)
     names = list(FILTERS) if filters is None else list(filters)
     require_filters(names)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
-    classical = solve(free, _method_without_bound(free), backend, time_limit)
+    classical = solve(free, method=_method_without_bound(free), backend=backend, time_limit=time_limit)
     constrained = solve(problem, backend=backend, time_limit=time_limit, throw=False)
     plan = classical.trajectory
     if plan is None:
@@ -158,7 +111,7 @@ def compare(
     for name in names:
         control = filtered(name, problem, plan.u)
         entries.append(Filtered(name, control.description, replay(problem, control.u, plan)))
-    return Comparison(
+    return ComparisonOutcome(
         problem=problem,
         classical=classical,
         constrained=constrained,

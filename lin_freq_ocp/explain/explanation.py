@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,44 +12,21 @@ from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explain.blocks import Block, blocks, without
-from lin_freq_ocp.explain.relaxation import Cure, least_cure
+from lin_freq_ocp.explain.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving.explanation import Cure, Explanation
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.status import Status
 
-DECIDED = {"optimal": True, "locally_optimal": True, "infeasible": False}
+DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
 """Whether a problem has a solution, by the words that say so."""
 
 LEAST_TIME = 1e-3
 """Seconds left to a solver when the time is over: it then says so."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Why a problem has no solution.
-
-    Attributes
-    ----------
-    family : tuple of str
-        Blocks of constraints that, with the dynamics, cannot hold together.
-    irreducible : bool
-        Whether each was taken away in turn, and the others could then hold together; False only where a solver was
-        unsure or the time was over.
-    cures : tuple of Cure
-        For each block of the family that cures the whole problem by giving way alone: the least by which it must.
-    """
-
-    family: tuple[str, ...]
-    irreducible: bool
-    cures: tuple[Cure, ...]
-
-    def __str__(self) -> str:
-        lines = [f"together  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
-        lines += [f"cure      {cure}" for cure in self.cures]
-        return "\n".join(lines)
 
 
 def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> Explanation:
@@ -83,7 +60,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
         positive_number("time_limit", time_limit)
     search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)
     result = search.solved(problem)
-    if result.status != "infeasible":
+    if result.status != Status.INFEASIBLE:
         raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
     family = search.family(result)
     cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
@@ -98,15 +75,15 @@ class _Search:
         self.problem, self.end, self.sure = replace(problem, cost=cost), end, True
         self.blocks = blocks(problem)
 
-    def solved(self, problem: OptimalControlProblem) -> Result:
+    def solved(self, problem: OptimalControlProblem) -> Outcome:
         """Return how a variant ends; its cost is a plain one, or none, as only feasibility matters."""
-        result = solve(replace(problem, cost=self.problem.quadratic), time_limit=self._left(), throw=False)
+        result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._left())
         if result.interrupted:
             self.end = -np.inf
         linear = isinstance(problem.dynamics, LinearDynamics)  # others have one method
         if result.interrupted or result.status in DECIDED or not linear:
             return result
-        return solve(replace(problem, cost=QuadraticCost()), method="convex", time_limit=self._left(), throw=False)
+        return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._left())
 
     def _left(self) -> float | None:
         return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
@@ -117,7 +94,7 @@ class _Search:
             return None
         return DECIDED.get(self.solved(problem).status)
 
-    def family(self, result: Result) -> list[Block]:
+    def family(self, result: Outcome) -> list[Block]:
         """Return blocks none of which can be spared: each is taken away in turn, for good if the others still clash."""
         named = {one.block: one.share for one in result.conflict or ()}
         some = [block for block in self.blocks if block.name in named]

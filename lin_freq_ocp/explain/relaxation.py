@@ -8,7 +8,7 @@ For a stop band it is a search over its bins, passed one after the other from it
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving.explanation import Cure
+from lin_freq_ocp.solving.solve import solve_judged
 
 MARGINS = (1e-6, 1e-4, 1e-2)
 """Parts of the least amount by which more is given: the first that cures counts, so that rounding does not decide."""
@@ -42,30 +43,6 @@ LARGEST = 1e6
 """An amount beyond this many times the sizes in the data is no cure."""
 
 
-@dataclass(frozen=True)
-class Cure:
-    """The least change of one block, all others as they are, after which there is a solution.
-
-    Attributes
-    ----------
-    block : str
-        In words, as in a Conflict.
-    amount : float
-        By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
-        relative to its size; for a stop band, how many of its bins are passed on each edge; for an energy bound, of the
-        root of its limit.
-    words : str
-        From what to what.
-    """
-
-    block: str
-    amount: float
-    words: str
-
-    def __str__(self) -> str:
-        return f"{self.block}: {self.words}"
-
-
 def least_cure(
     problem: OptimalControlProblem,
     block: Block,
@@ -77,7 +54,7 @@ def least_cure(
         return _least_narrowing(problem, block, feasible)
     if block.kind == "term":
         return _least_widening(problem, block, feasible)
-    result = solve(_elastic(problem, block), method="convex", throw=False, time_limit=time_limit)
+    result = solve_judged(_elastic(problem, block), "convex", time_limit=time_limit)
     if result.trajectory is None:  # however inaccurate: what it says is tried
         return None
     least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)

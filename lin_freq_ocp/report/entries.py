@@ -9,14 +9,14 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import Measures, one_step_residual, stated_sizes
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
-from lin_freq_ocp.comparison.compare import Comparison, Filtered
+from lin_freq_ocp.comparison.compare import ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import filter_stop
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, stacked
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 CLASSICAL, CONSTRAINED = "classical", "constrained"
 PREFERRED_FILTER = "brickwall"
@@ -119,7 +119,7 @@ class Entry:
         return SCALE_FLOOR * x, SCALE_FLOOR * u
 
 
-def entries(comparison: Comparison) -> tuple[Entry, ...]:
+def entries(comparison: ComparisonOutcome) -> tuple[Entry, ...]:
     """Return the classical trajectory, what every filter makes of it, and the constrained one, which is the last.
 
     Without any frequency constraint all of these are one trajectory, which is returned alone.
@@ -140,7 +140,7 @@ def filtered_entry(problem: OptimalControlProblem, one: Filtered) -> Entry:
     return Entry(one.name.replace("_", " "), problem, one.replay.trajectory, one.replay.measures, one.replay.meaningful)
 
 
-def shown_filter(comparison: Comparison, name: str | None = None) -> Filtered | None:
+def shown_filter(comparison: ComparisonOutcome, name: str | None = None) -> Filtered | None:
     """Return the filter of that name; by default the brick wall, or the first; None if there is nothing to filter.
 
     Raises
@@ -169,7 +169,7 @@ def can_be_filtered(problem: OptimalControlProblem) -> bool:
     return bool(filter_stop(problem).any())
 
 
-def solution_label(result: Result) -> str:
+def solution_label(result: Outcome) -> str:
     """Return what the solution of a problem is called where it stands alone."""
     return {"optimal": "optimal", "locally_optimal": "locally optimal"}.get(result.status, "best point")
 

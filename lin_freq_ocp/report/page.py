@@ -18,7 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
-from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits
 from lin_freq_ocp.phrases import number
 from lin_freq_ocp.problem.description import problem_facts
@@ -32,7 +32,7 @@ from lin_freq_ocp.report.modes.spans import kinks, mode_names
 from lin_freq_ocp.report.modes.words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.numbers import rough
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 SVG_SETTINGS: dict[Any, str] = {"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}
 """Names of shapes that do not change from run to run, and text that looks the same on every machine."""
@@ -56,7 +56,7 @@ class Drawing:
         return inline_svg(self.svg, self.name, self.title)
 
 
-def save_report(comparison: Comparison, folder: str | Path) -> Path:
+def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path.
 
     Raises
@@ -76,12 +76,12 @@ def save_report(comparison: Comparison, folder: str | Path) -> Path:
     return path
 
 
-def draw(comparison: Comparison) -> tuple[Drawing, ...]:
+def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
     """Return all figures that the comparison has something to show in."""
     return tuple(_drawing(name, title, caption, figure) for name, title, caption, figure in _figures(comparison))
 
 
-def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
+def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     environment = Environment(
@@ -117,7 +117,7 @@ def render(comparison: Comparison, drawings: tuple[Drawing, ...]) -> str:
     )
 
 
-def tiles(comparison: Comparison) -> list[tuple[str, str, str]]:
+def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
     """Return the figures of the headline: what, the number, and a word on it."""
     result, certificate = comparison.constrained, comparison.constrained.certificate
     shown = [("cost without frequency constraint", number(comparison.classical.cost), "")]
@@ -151,7 +151,7 @@ def inline_svg(svg: str, name: str, title: str) -> Markup:
     return opening + Markup(content)
 
 
-def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
+def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
     """Yield name, title, caption and figure."""
     scene, result = figures.comparison_scene(comparison), comparison.constrained
     one = shown_filter(comparison)
@@ -184,7 +184,7 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, str, str, Figure]]:
             yield "price", "Price of each bin", text, figures.price_figure(scene, result.multipliers)
 
 
-def _adjoint(scene: Scene, result: Result) -> Iterator[tuple[str, str, str, Figure]]:
+def _adjoint(scene: Scene, result: Outcome) -> Iterator[tuple[str, str, str, Figure]]:
     """Yield the adjoint of a solution of a problem with modes, if it was judged."""
     certificate, multipliers, trajectory = result.certificate, result.multipliers, result.trajectory
     if certificate is None or certificate.borders is None or multipliers is None or trajectory is None:
@@ -204,13 +204,13 @@ def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
 
 
-def _solves(comparison: Comparison) -> list[tuple[str, Result]]:
+def _solves(comparison: ComparisonOutcome) -> list[tuple[str, Outcome]]:
     if not has_frequency_constraint(comparison.problem):
         return [("the problem", comparison.constrained)]
     return [("without the frequency constraint", comparison.classical), ("with the constraint", comparison.constrained)]
 
 
-def _how(what: str, result: Result) -> tuple[str, str, str, str, str]:
+def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:
     times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
     status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
     return what, status, result.method, result.backend or "none needed", times

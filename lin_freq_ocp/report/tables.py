@@ -13,8 +13,8 @@ from rich.text import Text
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison
-from lin_freq_ocp.comparison.sweep.sweep import Sweep
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
 from lin_freq_ocp.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, entries
@@ -96,7 +96,7 @@ class ConditionRow:
         return "holds" if self.passed else "fails"
 
 
-def comparison_rows(comparison: Comparison) -> ComparisonRows:
+def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     """Return what was measured of every trajectory, where it applies to the problem."""
     problem, columns = comparison.problem, entries(comparison)
     groups = [
@@ -131,7 +131,7 @@ def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -
     )
 
 
-def comparison_table(comparison: Comparison) -> Table:
+def comparison_table(comparison: ComparisonOutcome) -> Table:
     """Return the comparison as a table for a terminal."""
     rows = comparison_rows(comparison)
     table = Table(title=Text(comparison.problem.name or "Comparison"), caption=Text(KEY))
@@ -165,7 +165,7 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     return table
 
 
-def sweep_table(sweep: Sweep) -> Table:
+def sweep_table(sweep: SweepOutcome) -> Table:
     """Return the points of a sweep as a table for a terminal."""
     table = Table(title=Text(f"{sweep.problem}: {len(sweep.rows)} of {plural(sweep.size, 'point')}"))
     for name in sweep.names:

@@ -10,7 +10,7 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import stopped_runs
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits
 from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
@@ -20,7 +20,7 @@ from lin_freq_ocp.report.figures.scales import frequency_scale
 from lin_freq_ocp.report.modes.spans import STOPPED
 from lin_freq_ocp.report.modes.words import border_sentences
 from lin_freq_ocp.report.numbers import quantity, rough
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 NAMED = 2
 """How many components a sentence names before it only counts the others."""
@@ -61,7 +61,7 @@ class Finding:
         return f"{filtering}{self.setting}: {self.solution}."
 
 
-def finding(comparison: Comparison) -> Finding:
+def finding(comparison: ComparisonOutcome) -> Finding:
     """Return what filtering afterwards does, and what the constraint in the problem does."""
     result, one = comparison.constrained, shown_filter(comparison)
     if not has_frequency_constraint(comparison.problem):
@@ -82,7 +82,7 @@ def finding(comparison: Comparison) -> Finding:
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
-def faults(entry: Entry, comparison: Comparison) -> list[str]:
+def faults(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
     """Return in words everything that a filtered control does and should not."""
     problem, words = entry.problem, list[str]()
     if entry.trajectory is None or entry.measures is None:
@@ -150,7 +150,7 @@ def parts_of_the_gap(certificate: Certificate) -> str:
     )
 
 
-def stop_band_meaning(comparison: Comparison) -> list[str]:
+def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
     """Say what is removed where, and what remains between the bins."""
     problem, sentences = comparison.problem, list[str]()
     for of_states, stopped, names in (
@@ -179,7 +179,7 @@ def removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str
     return f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(places)}."
 
 
-def conflict_in_words(result: Result) -> list[str]:
+def conflict_in_words(result: Outcome) -> list[str]:
     """Return the blocks of constraints that an infeasibility proof rests on."""
     return [str(one) for one in result.conflict or ()]
 
@@ -234,7 +234,7 @@ def _others(count: int, noun: str) -> str:
     return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
 
 
-def _dearer(entry: Entry, comparison: Comparison) -> list[str]:
+def _dearer(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
     """Say if a filtered control costs more than the constrained one, which is never its purpose."""
     own = None if entry.measures is None else entry.measures.cost
     best = comparison.constrained.cost
@@ -243,7 +243,7 @@ def _dearer(entry: Entry, comparison: Comparison) -> list[str]:
     return [f"costs {number(own, 4)}, more than the {number(best, 4)} of the constrained solution"]
 
 
-def _with_constraint(comparison: Comparison) -> str:
+def _with_constraint(comparison: ComparisonOutcome) -> str:
     result = comparison.constrained
     if result.status == "infeasible":
         return (
@@ -255,7 +255,7 @@ def _with_constraint(comparison: Comparison) -> str:
     return f"{_holds(comparison)}, {_extra_cost(comparison.classical.cost, result.cost)}, {_proven(result)}"
 
 
-def _holds(comparison: Comparison) -> str:
+def _holds(comparison: ComparisonOutcome) -> str:
     """Say whether every constraint holds, and if the spectrum between the bins of a band is none the better for it."""
     result = comparison.constrained
     if not result.primal:
@@ -269,7 +269,7 @@ def _holds(comparison: Comparison) -> str:
     return f"every constraint holds at the bins, but {listed(worse)}" if worse else "everything holds"
 
 
-def _peaks(comparison: Comparison) -> list[tuple[str, float | None, float | None]]:
+def _peaks(comparison: ComparisonOutcome) -> list[tuple[str, float | None, float | None]]:
     """Return of controls and states the peak between the bins of their bands, without and with the constraint."""
     free, own = comparison.classical_measures, comparison.constrained_measures
     if own is None:
@@ -280,7 +280,7 @@ def _peaks(comparison: Comparison) -> list[tuple[str, float | None, float | None
     ]
 
 
-def _without_constraint(result: Result) -> str:
+def _without_constraint(result: Outcome) -> str:
     if result.cost is None:
         return f"no solution ({result.status.replace('_', ' ')}: {result.message})"
     return f"the cost is {number(result.cost)}, {_proven(result)}"
@@ -293,7 +293,7 @@ def _extra_cost(before: float | None, after: float) -> str:
     return f"for {percent:.{1 if percent >= NOTABLE else 2}f} % more cost"
 
 
-def _proven(result: Result) -> str:
+def _proven(result: Outcome) -> str:
     """Say what is proven of a solution, in the words of its status."""
     certificate = result.certificate
     if proven_optimal(result) and certificate is not None and certificate.gap is not None:
@@ -310,7 +310,7 @@ def _proven(result: Result) -> str:
     return gap
 
 
-def proven_optimal(result: Result) -> bool:
+def proven_optimal(result: Outcome) -> bool:
     """Whether status and certificate both say that no other trajectory is cheaper."""
     return result.status == "optimal" and result.certificate is not None and result.certificate.globally_optimal
 
@@ -334,7 +334,7 @@ def _global_bound(certificate: Certificate) -> list[str]:
     return [sentence]
 
 
-def _between_the_bins(comparison: Comparison, of_states: bool) -> str:
+def _between_the_bins(comparison: ComparisonOutcome, of_states: bool) -> str:
     field = "state_stopband_peak" if of_states else "stopband_peak"
     free = number(getattr(comparison.classical_measures, field), 3)
     if comparison.constrained_measures is None:

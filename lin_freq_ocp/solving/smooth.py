@@ -1,10 +1,10 @@
-"""solve() for piecewise-smooth dynamics: search local optima, polish the best by Newton's method, judge, and bound."""
+"""The method for piecewise-smooth dynamics: search, polish by Newton's method, judge, and bound."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,17 +17,15 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.nonsmooth.minlp import DEFAULT_GAP as CLAIMED_GAP
-from lin_freq_ocp.methods.nonsmooth.minlp import GlobalClaim, polished, solve_minlp
 from lin_freq_ocp.methods.nonsmooth.newton import newton
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.result import Result
 from lin_freq_ocp.solving.certify_modes import best_multipliers
-from lin_freq_ocp.solving.starts import Start
-
-SMOOTH_METHODS = ("nonsmooth", "minlp")
+from lin_freq_ocp.solving.method import Request
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
 
 LOCAL = "no global bound was asked for"
 """The message of a result without a bound."""
@@ -50,125 +48,71 @@ SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0
 """Of each step, where no cost is known and only the existence of a trajectory is asked for."""
 
-LEAST_TIME = 0.25
-"""Seconds that are left for the trajectory of a solver that has used them all."""
-
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
-Report = Callable[[SmoothProgress], None]
 
+@dataclass(frozen=True)
+class Nonsmooth:
+    """Local optima of mode sequences, the best refined by a semismooth Newton method (docs/nonsmooth.md).
 
-def solve_smooth(
-    problem: OptimalControlProblem,
-    method: str,
-    backend: str,
-    seconds: float,
-    gap: float | None = None,
-    progress: Report | None = None,
-    start: Start | None = None,
-) -> Result:
-    """Return the best local optimum that is found, judged; with the method "auto", and a global bound.
-
-    Raises
-    ------
-    UnsupportedError
-        If the method or backend is not for piecewise-smooth dynamics, or the cost is not convex.
+    Attributes
+    ----------
+    global_bound : bool
+        Whether a global lower bound is computed, by dynamic programming with intervals; up to three states.
+    gap : float, optional
+        Relative gap (J - D)/S at which the bound is good enough, 1e-4 by default.
     """
-    require_convex(problem)
-    if method not in ("auto", *SMOOTH_METHODS):
-        known = ", ".join(map(repr, SMOOTH_METHODS))
-        raise UnsupportedError(f"method: got {method!r}; with piecewise-smooth dynamics, expected 'auto' or {known}.")
-    if start is not None and method == "minlp":
-        raise UnsupportedError("start: got one for the method 'minlp'; only 'nonsmooth' and 'auto' begin with one.")
-    if method == "minlp":
-        return _through_solver(problem, "scip" if backend == "auto" else backend, seconds, gap)
-    if backend != "auto":
-        raise UnsupportedError(f"backend: got {backend!r}; the method 'nonsmooth' needs none: leave it 'auto'.")
-    started = time.perf_counter()
-    search = LocalSearch(problem, seconds, progress, start).run()
-    solved = time.perf_counter()
-    best = search.best
-    found = None if best is None or not best.feasible else _polished(problem, best)
-    found = found if start is None else _not_above(problem, start, found)
-    status, message = _status(search, found)
-    if status == "locally_optimal" and method == "auto" and found is not None:
-        left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
-        bounding = _Bounding(search, found, gap or GLOBAL_GAP, time.perf_counter() + left)
-        message = bounding.run() if left > 0 else UNBOUNDED
-        found = bounding.found
-        status = found[2].status_within(bounding.gap)
-    elif found is None and method == "auto" and not search.words:
-        left = GLOBAL_SECONDS if seconds == float("inf") else seconds - (time.perf_counter() - started)
-        if left > 0 and _excluded(problem, left):
-            status, message = "infeasible", EXCLUDED
-    trajectory, multipliers, certificate = (None, None, None) if found is None else found
-    return Result(
-        problem=problem,
-        status=status,
-        method="nonsmooth",
-        backend=None,
-        seconds={"setup": 0.0, "solve": solved - started, "certify": time.perf_counter() - solved},
-        trajectory=trajectory,
-        multipliers=multipliers,
-        certificate=certificate,
-        message=message,
-        interrupted=search.interrupted,
-        sequence=None if trajectory is None else _modes(problem, trajectory),
-    )
 
+    global_bound: bool = True
+    gap: float | None = None
 
-def _through_solver(problem: OptimalControlProblem, backend: str, seconds: float, gap: float | None) -> Result:
-    """Return the trajectory that a global solver's point leads to, judged by us, and what the solver claims."""
-    limit = None if seconds == float("inf") else seconds
-    started = time.perf_counter()
-    claim = solve_minlp(problem, backend, limit, gap or CLAIMED_GAP)
-    clock = time.perf_counter()
-    local = polished(problem, claim, max(started + seconds, clock + LEAST_TIME))
-    found = None if local is None or not local.feasible else _polished(problem, local)
-    left = GLOBAL_SECONDS if limit is None else min(GLOBAL_SECONDS, limit - sum(claim.seconds.values()))
-    status, message, bound = _weighed(problem, claim, found, backend, left)
-    trajectory, multipliers, certificate = (None, None, None) if found is None else found
-    return Result(
-        problem=problem,
-        status=status,
-        method="minlp",
-        backend=backend,
-        seconds={**claim.seconds, "certify": time.perf_counter() - clock},
-        trajectory=trajectory,
-        multipliers=multipliers,
-        certificate=certificate,
-        message=message,
-        interrupted=claim.status == "interrupted",
-        sequence=None if trajectory is None else _modes(problem, trajectory),
-        claimed_bound=bound,
-    )
+    shorthand: ClassVar[str] = "nonsmooth"
+    takes_start: ClassVar[bool] = True
 
+    def __post_init__(self):
+        if self.gap is not None and not self.global_bound:
+            raise UnsupportedError(f"gap: got {self.gap!r} without a global bound; leave it out, or ask for the bound.")
 
-def _weighed(
-    problem: OptimalControlProblem, claim: GlobalClaim, found: Judged | None, backend: str, left: float
-) -> tuple[str, str, float | None]:
-    """Return the status of the result, in words what the claim is worth, and the bound that is claimed."""
-    word = f"by the word of {backend} ('{claim.words}')"
-    if claim.excluded:
-        return "infeasible", "proven by intervals: the dynamics cannot lead from one end to the other", None
-    if claim.status == "infeasible":
-        if _excluded(problem, left):
-            return "infeasible", EXCLUDED, None
-        return "infeasible", f"{word}; not proven", float("inf")
-    if claim.status == "unbounded":
-        return "unbounded", f"{word}; not proven", -float("inf")
-    bound = claim.bound
-    told = "no lower bound" if bound is None else f"the lower bound {bound:.9g}"
-    words = f"{told} {word}; not proven"
-    if claim.status in ("limit", "interrupted"):
-        return "limit", words, bound
-    if found is None or claim.status == "failed":
-        return "numerical_error", f"no trajectory was found from the point it found, {word}", bound
-    certificate = found[2]
-    if certificate.status_within(CLAIMED_GAP) == "numerical_error":
-        worst = certificate.worst.name
-        return "numerical_error", f"the point found does not satisfy the maximum principle: {worst}; {words}", bound
-    return "locally_optimal", "; ".join([words, *claim.mismatches(certificate.cost, certificate.cost_scale)]), bound
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Search for local optima, and judge the best; bound the cost if that was asked for."""
+        require_convex(problem)
+        started = time.perf_counter()
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
+        solved = time.perf_counter()
+        best = search.best
+        found = None if best is None or not best.feasible else _polished(problem, best)
+        found = found if request.start is None else _not_above(problem, request.start, found)
+        status, message = _status(search, found)
+        if self.global_bound:
+            limited = request.time_limit < np.inf
+            left = request.time_limit - (time.perf_counter() - started) if limited else GLOBAL_SECONDS
+            found, status, message = self._bounded(search, found, left, status, message)
+        trajectory, multipliers, certificate = (None, None, None) if found is None else found
+        return Outcome(
+            problem=problem,
+            status=status,
+            method="nonsmooth",
+            backend=None,
+            seconds={"setup": 0.0, "solve": solved - started, "certify": time.perf_counter() - solved},
+            trajectory=trajectory,
+            multipliers=multipliers,
+            certificate=certificate,
+            message=message,
+            interrupted=search.interrupted,
+            sequence=None if trajectory is None else _modes(problem, trajectory),
+        )
+
+    def _bounded(
+        self, search: LocalSearch, found: Judged | None, left: float, status: Status, message: str
+    ) -> tuple[Judged | None, Status, str]:
+        """Return what was found, or better that the bound leads to, with its status and message."""
+        if status == Status.LOCALLY_OPTIMAL and found is not None:
+            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, time.perf_counter() + left)
+            message = bounding.run() if left > 0 else UNBOUNDED
+            return bounding.found, bounding.found[2].status_within(bounding.gap), message
+        if found is None and not search.words and left > 0 and _excluded(search.problem, left):
+            return None, Status.INFEASIBLE, EXCLUDED
+        return found, status, message
 
 
 def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
@@ -295,14 +239,14 @@ def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     return problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u)
 
 
-def _status(search: LocalSearch, found: Judged | None) -> tuple[str, str]:
+def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
     """Return the status of the result, and in words what is missing."""
     if search.words and (found is None or search.interrupted):
-        return "limit", search.words
+        return Status.LIMIT, search.words
     if found is None:
         nearest = "" if search.best is None else f"; the nearest violates dynamics by {search.best.violation:.1e}"
-        return "numerical_error", f"no trajectory was found from {search.tried} starts{nearest}"
+        return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
     status = found[2].status_within(0.0)
-    if status == "numerical_error":
+    if status == Status.NUMERICAL_ERROR:
         return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
     return status, LOCAL

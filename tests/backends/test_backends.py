@@ -24,7 +24,8 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.convex.sparse_program import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE, solve_convex
+from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

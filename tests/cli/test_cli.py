@@ -21,13 +21,13 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import solver
 from lin_freq_ocp.methods.spectral.algorithm.exchange import deadline
-from lin_freq_ocp.solve import ERRORS
 
 COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
 HARMLESS = ("--set", f"cutoff={np.pi!r}")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.explain import explanation as explanation_module
 from lin_freq_ocp.explain.blocks import blocks, widened, without
 from lin_freq_ocp.explain.relaxation import least_cure
-from lin_freq_ocp.solve import solve
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2

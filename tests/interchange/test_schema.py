@@ -19,6 +19,7 @@ from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import Measures
+from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
@@ -36,7 +37,6 @@ from lin_freq_ocp.interchange.results.summary import (
     result_summary,
     to_json,
 )
-from lin_freq_ocp.solve import ERRORS
 
 DOCS = Path(__file__).parents[2] / "docs"
 

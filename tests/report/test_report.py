@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from lin_freq_ocp.analysis.measures import padded_spectrum
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.errors import ProblemError, SolveError
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.phrases import NOTHING, listed, number, runs_in_words, split_unit
@@ -56,7 +57,6 @@ from lin_freq_ocp.report.tables import (
     comparison_rows,
     comparison_table,
 )
-from lin_freq_ocp.solve import solve
 
 STATES = ["position <p> [m]", "speed & co [m/s]"]
 

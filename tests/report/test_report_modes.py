@@ -19,8 +19,10 @@ from test_report import double_integrator, parsed
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.analysis.measures import measure
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.comparison.compare import Comparison, compare
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -32,8 +34,6 @@ from lin_freq_ocp.report.modes.spans import NO_MODE, Span, kinks, mode_sequence,
 from lin_freq_ocp.report.modes.words import adjoint_caption, border_sentences, modes_caption, search_sentences
 from lin_freq_ocp.report.page import draw, render, tiles
 from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import solve
 from lin_freq_ocp.solving import smooth as solve_smooth
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 import verify_linear
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex.polish import polished
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods.convex.polish import polished, without_rounding
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
@@ -39,6 +40,56 @@ def test_problems_whose_answers_were_wrong(seed):
     outcome = verify_linear.check(seed)
     assert not outcome.unanswered, outcome
     assert not outcome.wrong, outcome
+
+
+@pytest.mark.parametrize("seed", [409, 1139, 2212, 2275, 2348, 2858, 3175, 3757, 4045, 4366, 4575])
+def test_problems_that_need_a_further_answer(seed):
+    """Zeros that were rounding, bounds far away that alone bound the cost, points without a slope."""
+    outcome = verify_linear.check(seed)
+    assert outcome.theirs == "Solved"
+    assert not outcome.unanswered, outcome
+    assert not outcome.wrong, outcome
+
+
+def test_rounding_becomes_zero_in_its_units():
+    values, units = np.array([1e-15, -1e-3, 0.0, 2e-9]), np.array([1.0, 1e-3, 1.0, 1e4])
+    np.testing.assert_array_equal(without_rounding(values, units, 1e-12), [0.0, -1e-3, 0.0, 0.0])
+
+
+def test_further_answers_end_with_the_time_limit():
+    candidates = convex_candidates(BRAKING, "clarabel", None, 1e-6)
+    assert next(candidates).status == "limit"
+    assert list(candidates) == []
+
+
+def test_further_answers_to_a_solved_problem_are_the_same_optimum():
+    first, *others = convex_candidates(BRAKING, "clarabel", None, None)
+    assert first.status == "optimal"
+    assert others
+    for one in others:
+        assert BRAKING.value(one.trajectory.x, one.trajectory.u) == pytest.approx(LOWEST, rel=1e-6)
+
+
+def test_the_first_answer_that_is_proven_counts_and_no_more_are_asked_for(monkeypatch):
+    """One that is off the dynamics is not; a result of Ctrl-C says so."""
+    exact = solve_convex(BRAKING, "clarabel", None, None)
+    wrong = replace(exact, trajectory=lfo.Trajectory(exact.trajectory.x + 1.0, exact.trajectory.u))
+    asked = []
+
+    def given(*candidates):
+        def all_of_them(*_):
+            for one in candidates:
+                asked.append(one)
+                yield one
+
+        return all_of_them
+
+    module = import_module("lin_freq_ocp.solving.linear")
+    monkeypatch.setattr(module, "convex_candidates", given(wrong, wrong, exact, wrong))
+    assert lfo.solve(BRAKING, method="convex").status == "optimal"
+    assert len(asked) == 3
+    monkeypatch.setattr(module, "convex_candidates", given(wrong, replace(wrong, interrupted=True), exact))
+    assert lfo.solve(BRAKING, method="convex", throw=False).interrupted
 
 
 @pytest.mark.parametrize("method", ["auto", "convex"])

@@ -323,10 +323,10 @@ class TestChoiceOfMethod:
 
         def noting(problem, backend, tolerance, time_limit):
             given.append(time_limit)
-            return convex.solve_convex(problem, backend, tolerance, time_limit)
+            return convex.convex_candidates(problem, backend, tolerance, time_limit)
 
         monkeypatch.setattr(SpectralSolver, "solve", claiming(slow))
-        monkeypatch.setattr(import_module("lin_freq_ocp.solve"), "solve_convex", noting)
+        monkeypatch.setattr(import_module("lin_freq_ocp.solving.linear"), "convex_candidates", noting)
         lfo.solve(lfo.library.pendulum(), time_limit=limit, throw=False)
         assert len(given) == 1
         assert given[0] is None if limit is None else least < given[0] < most

@@ -13,8 +13,9 @@ from typing import Any, TypedDict
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.comparison.sweep.grid import Parameters, Source, plain_parameters, problem_at
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.status import Status
 
 ERROR = "error"
 """Status of a point that was not solved: its description is bad, or what should have solved it died."""
@@ -71,7 +72,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         with one_blas_thread():  # linear algebra does not depend on how many work beside it
             with _band_warnings(bands):
                 problem = problem_at(source, parameters)
-            result = solve(problem, **options, throw=False)
+            result = solve_judged(problem, **options)
     except LinFreqOCPError as error:
         return failed_point(parameters, str(error), time.perf_counter() - started)
     except Exception as error:  # whatever a function that builds problems raises: the others are solved
@@ -113,8 +114,8 @@ def failed_point(parameters: Parameters, words: str, seconds: float | None = Non
     }
 
 
-def _proven(result: Result) -> bool:
-    if result.status in ("infeasible", "unbounded"):
+def _proven(result: Outcome) -> bool:
+    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
         return result.dual
     one = result.certificate
     return one is not None and ((one.pmp == "satisfied" and one.normal is True) or one.globally_optimal)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field
 from functools import partial
-from os import PathLike
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, Protocol, get_type_hints
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
@@ -16,12 +15,7 @@ from lin_freq_ocp.comparison.sweep.grid import Source, grid_points, grid_values,
 from lin_freq_ocp.comparison.sweep.point import Row, solve_point
 from lin_freq_ocp.comparison.sweep.tasks import finished
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.solve import require_options
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from lin_freq_ocp.interchange.runs.sweep_file import SweepFile
+from lin_freq_ocp.solving.solve import require_options
 
 MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")
 """Columns beside the parameters: status, proven, cost, ..."""
@@ -38,7 +32,7 @@ class SweepHead:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class SweepOutcome:
     """The points of a grid that are finished.
 
     Attributes
@@ -55,17 +49,6 @@ class Sweep:
         What solve was given.
     interrupted : bool
         Whether Ctrl-C ended it before all points were finished.
-
-    Methods
-    -------
-    column(name)
-        The values of one figure at every point.
-    table()
-        All points as flat rows, for pandas.DataFrame.
-    plot()
-        A figure of the costs.
-    to_csv(path)
-        Write the points as a table.
     """
 
     problem: str
@@ -114,72 +97,37 @@ class Sweep:
             raise ProblemError("column", repr(name), f"one of {', '.join(known)}", suggestion(name, known))
         return [row[name] for row in self.table()]
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the table, one line per row; what is absent is empty."""
-        from lin_freq_ocp.interchange.runs.sweep_file import save_sweep_csv
 
-        save_sweep_csv(path, self)
+class Record(Protocol):
+    """Where finished points are kept while a sweep runs: those of an earlier run, and one after the other."""
 
-    def plot(self) -> Figure:
-        """Return the cost and what is infeasible against the first parameter that is a number."""
-        from lin_freq_ocp.report.figures.sweep import sweep_figure
+    rows: list[Row]
 
-        return sweep_figure(self)
+    def append(self, row: Row) -> None:
+        """Keep one more point."""
+        ...
 
 
-def sweep(
+OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[Any]]], AbstractContextManager[Record | None]]
+"""Opens the record of a sweep, from what makes it the same and its grid; None keeps nothing."""
+
+
+def swept(
     problem: Source,
     grid: Mapping[str, Sequence[Any]],
-    executor: Executor | None = None,
-    path: str | PathLike[str] | None = None,
-    method: str = "auto",
-    backend: str = "auto",
-    time_limit: float | None = None,
-    tolerance: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Sweep:
-    """Solve a problem at every point of a grid, and judge every answer.
-
-    Parameters
-    ----------
-    problem : OptimalControlProblem or callable
-        A function that builds one from keywords, such as ``lfo.library.pendulum`` or a ``functools.partial`` of it, is
-        quicker to send to other machines than a large problem.
-    grid : mapping of str to sequence
-        Values of each parameter. Of a function: its keywords. Of a problem: its fields, and "cutoff" (rad/sample) or
-        "cutoff_hz" for a low pass in place of its ``control_spectrum``; a cut-off of None is no frequency constraint.
-    executor : concurrent.futures.Executor, optional
-        Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
-        Default: one after another, in this process. It is not shut down. Points lost with a worker are given out again.
-    path : path, optional
-        A file that gets a line per point as soon as it is finished. If it is there already, its points are not solved
-        again, except those with the status "error"; the grid may have other values than before.
-    method, backend, time_limit, tolerance
-        As for ``solve``, for each point.
-    progress : callable, optional
-        Called with the number of finished points and that of all of them, at first and after each point.
-
-    Returns
-    -------
-    Sweep
-        After Ctrl-C: with what is finished until then, and ``interrupted``.
-
-    Raises
-    ------
-    ProblemError
-        If the grid has a name that the problem does not know, something cannot be sent to other processes, or the file
-        belongs to another sweep. A single point that is no problem is a row with the status "error" instead.
-    UnsupportedError
-        If the method or backend does not exist.
-    """
-    require_options(method, backend, time_limit, tolerance)
-    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options: Mapping[str, Any],
+    executor: Executor | None,
+    open_record: OpenRecord,
+    progress: Callable[[int, int], None] | None,
+) -> SweepOutcome:
+    """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
+    require_options(**options)
     values = grid_values(problem, grid)
     _require_executor(executor, problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
     head = SweepHead(_name(problem), fingerprint(problem), tuple(values), options)
     rows, interrupted = dict[str, Row](), False
-    with _recorded(path, head, shown) as record:
+    with open_record(head, shown) as record:
         known = {} if record is None else {point_key(row["parameters"]): row for row in record.rows}
         rows.update({key: known[key] for key in points if key in known})
         missing = {key: point for key, point in points.items() if key not in rows}
@@ -193,17 +141,8 @@ def sweep(
                     _tell(progress, len(rows), len(points))
         except KeyboardInterrupt:
             interrupted = True
-    return Sweep(head.problem, shown, tuple(rows[key] for key in points if key in rows), options, interrupted)
-
-
-def _recorded(
-    path: str | PathLike[str] | None, head: SweepHead, grid: Mapping[str, Sequence[Any]]
-) -> AbstractContextManager[SweepFile | None]:
-    if path is None:
-        return nullcontext()
-    from lin_freq_ocp.interchange.runs.sweep_file import SweepFile
-
-    return SweepFile(path, head, grid)
+    kept = tuple(rows[key] for key in points if key in rows)
+    return SweepOutcome(head.problem, shown, kept, options, interrupted)
 
 
 def _require_executor(executor: Any, problem: Source, grid: Mapping[str, Any]) -> None:

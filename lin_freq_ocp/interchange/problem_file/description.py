@@ -16,10 +16,10 @@ from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
 from lin_freq_ocp.interchange.problem_file.problem_file import read_tables
 from lin_freq_ocp.interchange.problem_file.problem_tables import OPTIONAL_KEYS
 from lin_freq_ocp.interchange.results.summary import finite, head
+from lin_freq_ocp.phrases import split_unit
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.report.numbers import split_unit
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
 """A heading of a numpydoc docstring."""

@@ -15,14 +15,14 @@ from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 SCHEMA = 1
 
 
-def result_summary(result: Result, with_trajectory: bool = False) -> dict[str, Any]:
+def result_summary(result: Outcome, with_trajectory: bool = False) -> dict[str, Any]:
     """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
     conflict = None
     if result.conflict is not None:
@@ -54,7 +54,7 @@ def certificate_summary(problem: OptimalControlProblem, certificate: Certificate
     return finite({**head(problem), **_values(certificate), "certificate": _certificate(certificate)})
 
 
-def comparison_summary(comparison: Comparison) -> dict[str, Any]:
+def comparison_summary(comparison: ComparisonOutcome) -> dict[str, Any]:
     """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
     filtered = {
         one.name: {
@@ -76,7 +76,7 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
     )
 
 
-def failed_comparison_summary(result: Result) -> dict[str, Any]:
+def failed_comparison_summary(result: Outcome) -> dict[str, Any]:
     """Return the same object for a problem that has no solution even without its frequency constraints."""
     return {**result_summary(result), "classical": None, "constrained": None, "filtered": {}}
 
@@ -163,7 +163,7 @@ def _direction(direction: Direction | None) -> dict[str, Any] | None:
     return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
 
 
-def _trajectory(result: Result) -> dict[str, Any] | None:
+def _trajectory(result: Outcome) -> dict[str, Any] | None:
     """Return times, states and controls, one row per time; the times in seconds if there is a sampling time."""
     if result.trajectory is None:
         return None
@@ -178,7 +178,7 @@ def _trajectory(result: Result) -> dict[str, Any] | None:
     }
 
 
-def _tree(result: Result) -> dict[str, Any] | None:
+def _tree(result: Outcome) -> dict[str, Any] | None:
     if result.tree is None or result.tree_bound is None:
         return None
     proof = result.tree_bound

@@ -26,8 +26,7 @@ from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_s
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.environment import environment
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.result import Result
-from lin_freq_ocp.solve import solve
+from lin_freq_ocp.solving.outcome import Outcome
 
 SCHEMA = 1
 """Version of the layout; a file with another one is refused."""
@@ -44,7 +43,7 @@ OPTIONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class SavedRun:
+class RunRecord:
     """A run, as it was dumped.
 
     Attributes
@@ -70,16 +69,12 @@ class SavedRun:
     error: dict[str, Any] | None
     environment: dict[str, Any]
 
-    def solve(self, throw: bool = False) -> Result:
-        """Solve the same problem with the same options, here and now; ``throw`` as for ``lfo.solve``."""
-        return solve(self.problem, **self.options, throw=throw)
-
 
 def dump_run(
     path: str | PathLike[str],
     problem: OptimalControlProblem,
     options: Mapping[str, Any],
-    result: Result | None = None,
+    result: Outcome | None = None,
     error: Exception | None = None,
 ) -> None:
     """Write a run to one file, a zip archive that ``load_run`` reads; one of this name is replaced.
@@ -134,7 +129,7 @@ def dumping_errors(
         raise
 
 
-def load_run(path: str | PathLike[str]) -> SavedRun:
+def read_run(path: str | PathLike[str]) -> RunRecord:
     """Read what ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
 
     Raises
@@ -153,7 +148,7 @@ def load_run(path: str | PathLike[str]) -> SavedRun:
             if solution is not None:
                 with naming(folder / SOLUTION):
                     problem.require(solution.trajectory)
-    return SavedRun(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
+    return RunRecord(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
 
 
 def described(error: Exception) -> dict[str, Any]:

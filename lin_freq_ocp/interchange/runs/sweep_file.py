@@ -21,7 +21,7 @@ from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_text, writing
 from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep.point import ERROR, Row
-from lin_freq_ocp.comparison.sweep.sweep import MEASURED, Sweep, SweepHead
+from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import parsed_json, read_text
 from lin_freq_ocp.interchange.keys import require_keys
@@ -109,7 +109,7 @@ class SweepFile:
         self._stream.close()
 
 
-def load_sweep(path: str | PathLike[str]) -> Sweep:
+def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
     """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
 
     Raises
@@ -124,10 +124,10 @@ def load_sweep(path: str | PathLike[str]) -> Sweep:
     grid = {name: tuple(values) for name, values in _grid(lines).items()}
     rows = {point_key(row["parameters"]): row for row in _rows(path, lines)}
     kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
-    return Sweep(lines[0]["problem"], grid, kept, lines[0]["options"])
+    return SweepOutcome(lines[0]["problem"], grid, kept, lines[0]["options"])
 
 
-def save_sweep_csv(path: str | PathLike[str], sweep: Sweep) -> None:
+def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
     """Write a line per row, parameters first; numbers to the last bit, nothing where nothing is known."""
     text = io.StringIO()
     writer = csv.writer(text)
@@ -141,7 +141,7 @@ def _cell(value: Any) -> Any:
     return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
 
 
-def sweep_summary(sweep: Sweep) -> dict[str, Any]:
+def sweep_summary(sweep: SweepOutcome) -> dict[str, Any]:
     """Return a sweep as the JSON object of ``lin-freq-ocp sweep --json``."""
     return {
         "schema": SCHEMA,

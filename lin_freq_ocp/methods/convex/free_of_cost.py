@@ -1,14 +1,24 @@
-"""The trajectory that costs nothing, where there is one: solvers come near it only to the root of their tolerance."""
+"""Trajectories that cost as little as the cost can be: solvers come near them only to the root of their tolerance."""
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
+from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.polish import polished
+from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transcription.program import Program
+
+FLAT = 1e-4
+"""Slope of the cost, relative to that at a trajectory of this size, below which there may be one without a slope."""
 
 
 def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
@@ -27,3 +37,43 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
     rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)
     none = Multipliers(1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), rho_u, rho_x)
     return Candidate("optimal", trajectory, none, None, None, "controls at their references")
+
+
+def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: float | None) -> Candidate | None:
+    """Return a trajectory at which the quadratic cost has no slope, with multipliers of zero; None if there is none.
+
+    It is looked for where the slope at ``near`` is small, as a point with P z + q = 0 that satisfies all constraints.
+    """
+    if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT:
+        return None
+    transcription, scaling, program = scaled_program(problem)
+    curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
+    flat = Program(
+        P=sp.csc_array(program.P.shape),
+        q=np.zeros_like(program.q),
+        constant=0.0,
+        A=sp.csc_array(sp.vstack([program.A, program.P[curved]])),
+        lower=np.concatenate([program.lower, -program.q[curved]]),
+        upper=np.concatenate([program.upper, -program.q[curved]]),
+        rows=program.rows,
+        cones=program.cones,
+    )
+    solution = backend("clarabel")(flat, DEFAULT_TOLERANCE, time_limit)
+    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
+        return None
+    better = None if program.cones else polished(flat, solution.z, np.zeros_like(solution.y))
+    z: Array = scaling.primal(solution.z if better is None else better[0])
+    none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
+    return Candidate("optimal", transcription.trajectory(z), none, None, None, "a point where the cost has no slope")
+
+
+def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
+    """Return the largest slope of the cost in the sizes of a trajectory, relative to what terms of that size have."""
+    steady = [
+        np.broadcast_to(size, signal.shape)
+        for size, signal in zip(trajectory_sizes(problem, at), (at.x, at.u), strict=True)
+    ]
+    slopes = zip(problem.quadratic.gradient(at.x, at.u), steady, strict=True)
+    usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)
+    most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
+    return least / most if most > 0 else np.inf

@@ -47,6 +47,11 @@ def polished(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None
     return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
 
 
+def without_rounding(values: Array, units: Array, level: float) -> Array:
+    """Return values with exact zeros for those that are below this part of their units."""
+    return np.where(np.abs(values) <= level * units, 0.0, values)
+
+
 def _held(program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask) -> tuple[Array, Array] | None:
     """Return the optimum with some rows as equations, and its multipliers."""
     rows = np.flatnonzero(equal | above | below)

@@ -17,8 +17,8 @@ from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flip
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.starts import Start
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
 """Constant controls to start from, as parts of the way from the lower bound to the upper one."""

@@ -15,8 +15,9 @@ from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.sparse_program import SOLVED_TOLERANCE, require_convex
+from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals

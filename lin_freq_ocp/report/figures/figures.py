@@ -19,7 +19,7 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.analysis.sizes import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.phrases import NO_BOUND, number, short_name, split_unit
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -58,7 +58,7 @@ from lin_freq_ocp.report.figures.style import (
 )
 from lin_freq_ocp.report.modes.panels import mode_legend
 from lin_freq_ocp.report.modes.spans import mode_sequence, sequence_of
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 LEGEND_HEIGHT = 0.5
 """Inches for the legend above the panels."""
@@ -75,7 +75,7 @@ ROUNDING = 1e-12
 """Fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller."""
 
 
-def result_figure(result: Result) -> Figure:
+def result_figure(result: Outcome) -> Figure:
     """Return controls, their spectra, two phase portraits and all states in time of one solution.
 
     Raises
@@ -86,12 +86,12 @@ def result_figure(result: Result) -> Figure:
     return four_panels(result_scene(result), with_states=True)
 
 
-def comparison_figure(comparison: Comparison, filter_name: str | None = None) -> Figure:
+def comparison_figure(comparison: ComparisonOutcome, filter_name: str | None = None) -> Figure:
     """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ComparisonOutcome
     filter_name : str, optional
         The filter to show; default the brick wall, if it was asked for, else the first.
 
@@ -103,14 +103,14 @@ def comparison_figure(comparison: Comparison, filter_name: str | None = None) ->
     return four_panels(comparison_scene(comparison, filter_name))
 
 
-def result_scene(result: Result) -> Scene:
+def result_scene(result: Outcome) -> Scene:
     """Return the solution as a scene; SolveError if it has no trajectory."""
     if result.trajectory is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
     return Scene(result.problem, (_solved(solution_label(result), result),))
 
 
-def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> Scene:
+def comparison_scene(comparison: ComparisonOutcome, filter_name: str | None = None) -> Scene:
     """Return what there is of the classical, the filtered and the constrained trajectory."""
     problem, constrained = comparison.problem, comparison.constrained
     one = shown_filter(comparison, filter_name)
@@ -129,7 +129,7 @@ def comparison_scene(comparison: Comparison, filter_name: str | None = None) -> 
     return Scene(problem, tuple(traces))
 
 
-def _solved(label: str, result: Result) -> Trace:
+def _solved(label: str, result: Outcome) -> Trace:
     """Return a solution, which has a trajectory, as a trace."""
     assert result.trajectory is not None
     style = STYLES["classical" if label == "classical" else "constrained"]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.comparison.sweep.point import Row
-from lin_freq_ocp.comparison.sweep.sweep import Sweep
+from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import number
 from lin_freq_ocp.report.figures.style import (
@@ -66,7 +66,7 @@ class Line:
     rows: tuple[Row, ...]
 
 
-def sweep_figure(sweep: Sweep) -> Figure:
+def sweep_figure(sweep: SweepOutcome) -> Figure:
     """Return the cost against the first parameter whose values are numbers, one line for each choice of the others.
 
     Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what
@@ -107,7 +107,7 @@ def sweep_figure(sweep: Sweep) -> Figure:
     return figure
 
 
-def _numeric(sweep: Sweep) -> str:
+def _numeric(sweep: SweepOutcome) -> str:
     for name, values in sweep.grid.items():
         numbers = [value for value in values if value is not None]
         if numbers and all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in numbers):
@@ -115,7 +115,7 @@ def _numeric(sweep: Sweep) -> str:
     raise ProblemError("grid", f"no parameter with numbers in {', '.join(sweep.names)}", "one to draw costs against")
 
 
-def _lines(sweep: Sweep, name: str) -> list[Line]:
+def _lines(sweep: SweepOutcome, name: str) -> list[Line]:
     groups = dict[str, list[Row]]()
     for row in sweep.rows:
         others = {other: value for other, value in row["parameters"].items() if other != name}

@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import Comparison
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.phrases import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.entries import CLASSICAL, entries
 from lin_freq_ocp.report.figures.scene import MARGIN, Scene
@@ -135,7 +135,7 @@ def _legend_of(scene: Scene, modes: set[int], whose: str) -> ModeLegend:
     return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
 
 
-def strip_rows(comparison: Comparison) -> list[tuple[str, Indices | None]]:
+def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]]:
     """Return label and mode sequence of every trajectory of a comparison; None where its states mean nothing."""
     rows = list[tuple[str, Indices | None]]()
     shown = entries(comparison)

@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 STOPPED = "leave the regions of all modes"
 """What the states of a replay do that came to no end."""
@@ -76,7 +76,7 @@ def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Ind
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
 
 
-def sequence_of(result: Result) -> Indices | None:
+def sequence_of(result: Outcome) -> Indices | None:
     """Return the mode at every time of a solution: the one that was solved for, if there is one."""
     if result.trajectory is None or len(mode_names(result.problem)) < 2:
         return None

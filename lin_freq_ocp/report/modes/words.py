@@ -10,7 +10,7 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, Flip
 from lin_freq_ocp.phrases import listed, number, plural
 from lin_freq_ocp.report.modes.spans import NO_MODE
-from lin_freq_ocp.result import Result
+from lin_freq_ocp.solving.outcome import Outcome
 
 NAMED_TIMES = 4
 """Times of which a text names what is special to each before it only counts the others."""
@@ -37,7 +37,7 @@ def border_sentences(borders: BorderFacts) -> list[str]:
     return sentences
 
 
-def search_sentences(result: Result) -> list[str]:
+def search_sentences(result: Outcome) -> list[str]:
     """Return what a search over mode sequences proves; nothing where there was none."""
     proof = result.tree_bound
     if result.tree is None or proof is None:

@@ -111,6 +111,20 @@ def plain_scaling(transcription: LinearTranscription) -> Scaling:
     return Scaling(np.ones(program.A.shape[1]), np.ones(program.A.shape[0]), 1.0)
 
 
+def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scaling:
+    """Return the natural units, enlarged until the farthest bound on a state or control is of order 1.
+
+    They are for answers that nothing but far bounds holds.
+    """
+    tubes = transcription.problem.state_tube, transcription.problem.control_tube
+    sides = [
+        np.maximum(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (t.lower, t.upper))) for t in tubes
+    ]
+    units = natural.columns[: transcription.signals]
+    far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
+    return _scaling(transcription, far * natural.columns, far * natural.columns)
+
+
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
     revised = own_scaling(transcription, z, scaling.columns)

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lin_freq_ocp.result import Result
+
 from lin_freq_ocp.interchange.results.summary import finite, result_summary
 from lin_freq_ocp.interchange.runs.environment import environment
 from lin_freq_ocp.interchange.runs.run_file import SavedRun, described
-from lin_freq_ocp.result import Result
 
 SAME_COST = 1e-6
 """Costs that differ by less, relative to the larger of 1 and the cost, are the same answer."""

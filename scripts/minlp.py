@@ -5,15 +5,16 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+import minlp_scip
 import numpy as np
+from minlp_program import SmoothProgram, smooth_program
 
-from lin_freq_ocp.backends.mixed import MixedSolution, nonlinear_backend
+from lin_freq_ocp.backends.mixed import MixedSolution
 from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.linear.units import COST_LEVEL
-from lin_freq_ocp.transcription.smooth import SmoothProgram, smooth_program
 
 POINT_TOLERANCE = 1e-5
 """Violation of a row of order 1 that a claimed point may have: a solver's 1e-6, through a few nodes of a formula."""
@@ -38,7 +39,7 @@ class GlobalClaim(SolverClaim):
 
 
 def solve_minlp(
-    problem: OptimalControlProblem, backend: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
+    problem: OptimalControlProblem, time_limit: float | None = None, gap: float = DEFAULT_GAP
 ) -> GlobalClaim:
     """Ask a global solver of mixed-integer nonlinear programs for the best trajectory of piecewise-smooth dynamics.
 
@@ -46,7 +47,6 @@ def solve_minlp(
     ----------
     problem : OptimalControlProblem
         With a convex cost. Without bounds on states and controls, expect little of the claimed bound.
-    backend : {"scip"}
     time_limit : float, optional
         Seconds for the solver.
     gap : float
@@ -55,11 +55,8 @@ def solve_minlp(
     Raises
     ------
     UnsupportedError
-        If the dynamics are not piecewise smooth, the cost is not convex, or there is no such backend.
-    MissingExtraError
-        If the backend's package is not installed.
+        If the dynamics are not piecewise smooth, or the cost is not convex.
     """
-    solver = nonlinear_backend(backend)
     require_convex(problem)
     started = time.perf_counter()
     program = smooth_program(problem)
@@ -69,7 +66,7 @@ def solve_minlp(
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         slope = program.cost(COST_LEVEL) * problem.horizon
         return GlobalClaim("limit", None, None, None, None, slope, words, {"setup": ready - started, "solve": 0.0})
-    solution = solver(program, left, gap)
+    solution = minlp_scip.solve(program, left, gap)
     return _claim(program, solution, {"setup": ready - started, "solve": time.perf_counter() - ready})
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from minlp_program import ModeFormulas, SmoothProgram, enclosures
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.arrays import Array, Mask
@@ -23,7 +24,6 @@ from lin_freq_ocp.backends.mixed import NOTHING, MixedSolution, bounded
 from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
-from lin_freq_ocp.transcription.smooth import ModeFormulas, SmoothProgram, enclosures
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
 

@@ -1,0 +1,1 @@
+"""The public functions and the classes that they return, with everything users call on these."""

@@ -1,0 +1,87 @@
+"""compare() as users call it, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared, figures_of
+from lin_freq_ocp.html import html_table
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Comparison(ComparisonOutcome):
+    """Filtering afterwards against solving with the frequency constraint.
+
+    Attributes
+    ----------
+    classical, constrained : Result
+        Without and with the frequency constraints; the rest as in ``ComparisonOutcome``.
+
+    Methods
+    -------
+    plot()
+        The four panels of the comparison.
+    save(folder)
+        Write the HTML report.
+    """
+
+    classical: Result
+    constrained: Result
+
+    def __repr__(self) -> str:
+        filters = ", ".join(one.name for one in self.filtered) or "none"
+        return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
+
+    def _repr_html_(self) -> str:
+        rows = [(name, ", ".join([how, *figures_of(found)])) for name, how, found in self.rows]
+        return html_table(str(self.problem), rows)
+
+    def plot(self) -> Figure:
+        """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
+        from lin_freq_ocp.report.figures.figures import comparison_figure  # Matplotlib is slow to import
+
+        return comparison_figure(self)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write a self-contained HTML page and its figures into a folder; return the page's path."""
+        from lin_freq_ocp.report.page import save_report  # Matplotlib is slow to import
+
+        return save_report(self, folder)
+
+
+def compare(
+    problem: OptimalControlProblem,
+    filters: Sequence[str] | None = None,
+    backend: str = "auto",
+    time_limit: float | None = None,
+) -> Comparison:
+    """Compare filtering a classical optimal control with solving under the frequency constraint.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        With its frequency constraints.
+    filters : sequence of str, optional
+        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; default all.
+    backend, time_limit
+        As for ``solve``.
+
+    Raises
+    ------
+    ProblemError
+        If there is no filter of a name.
+    SolveError
+        If the problem has no solution even without its frequency constraints.
+    """
+    outcome = compared(problem, solve, filters, backend, time_limit)
+    return Comparison(**{one.name: getattr(outcome, one.name) for one in fields(ComparisonOutcome)})

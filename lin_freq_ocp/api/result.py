@@ -1,0 +1,127 @@
+"""The result of a solve: its outcome, with everything that users ask of it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.html import html_table
+from lin_freq_ocp.interchange.results.frame import to_frame
+from lin_freq_ocp.interchange.results.mat_file import save_mat
+from lin_freq_ocp.interchange.results.solution_file import save_csv
+from lin_freq_ocp.interchange.results.summary import result_summary, save_json
+from lin_freq_ocp.interchange.results.time_response import to_time_response
+from lin_freq_ocp.interchange.results.trajectory_file import save_trajectory
+from lin_freq_ocp.interchange.runs.run_file import dump_run
+from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+@final
+class Result(Outcome):
+    """What a solve ended with: the fields of ``Outcome``, and what can be done with them.
+
+    Methods
+    -------
+    plot()
+        A figure of the answer.
+    save(path)
+        Write .npz with the multipliers, or .csv or .mat, by the end of the name.
+    to_csv(path), to_mat(path), to_json(path), to_frame(), to_time_response()
+        The trajectory for other tools.
+    dump(path)
+        Write the whole run, to be repeated anywhere.
+    """
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> Result:
+        """Return the result that shows an outcome."""
+        return cls(**{one.name: getattr(outcome, one.name) for one in fields(Outcome)})
+
+    @property
+    def sensitivities(self) -> Sensitivities:
+        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
+        if not self.status.solved or self.multipliers is None:
+            raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
+        return sensitivities(self.problem, self.multipliers)
+
+    @property
+    def uniqueness(self) -> Uniqueness:
+        """Return whether the multipliers are the only ones; SolveError if the solve ended without a trajectory."""
+        return uniqueness(self.problem, self._require_trajectory())
+
+    def __repr__(self) -> str:
+        figures = "no trajectory" if self.certificate is None else self.certificate.figures
+        return f"Result({self.status} by {self.solver}, {figures})"
+
+    def _repr_html_(self) -> str:
+        head, *lines = str(self).splitlines()
+        rows = [(term, text.strip()) for term, text in (line.partition(" ")[::2] for line in lines)]
+        return html_table(head, rows)
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
+        return self.problem.times
+
+    def plot(self) -> Figure:
+        """Return a figure of controls, their spectra, phase portraits and all states over time.
+
+        A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
+        window.
+        """
+        from lin_freq_ocp.report.figures.figures import result_figure  # Matplotlib is slow to import
+
+        return result_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write trajectory and multipliers to an .npz file, or the trajectory to a .csv or a .mat file."""
+        save_trajectory(path, self.problem, self._require_trajectory(), self.multipliers, result_summary(self))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the trajectory as a table, one row per time."""
+        save_csv(path, self.problem, self._require_trajectory())
+
+    def to_mat(self, path: str | Path) -> None:
+        """Write the trajectory for MATLAB: x (T+1, n), u (T, m), t (T+1, 1), one row per time, and the names."""
+        save_mat(path, self.problem, self._require_trajectory())
+
+    def to_frame(self) -> DataFrame:
+        """Return the trajectory as a ``pandas.DataFrame``: a row per time, states and controls under their names.
+
+        Its index is the time, in seconds or in steps; controls at T, where there is none, are not a number.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        SolveError
+            If there is no trajectory.
+        """
+        return to_frame(self.problem, self._require_trajectory())
+
+    def to_time_response(self) -> Any:
+        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
+        return to_time_response(self.problem, self._require_trajectory())
+
+    def dump(self, path: str | Path) -> None:
+        """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
+        dump_run(path, self.problem, self.options, self)
+
+    def to_json(self, path: str | Path) -> None:
+        """Write the object that ``lin-freq-ocp solve --json`` prints."""
+        save_json(path, result_summary(self))
+
+    def _require_trajectory(self) -> Trajectory:
+        if self.trajectory is None:
+            raise SolveError(f"The solve ended without a trajectory ({self.status}).", self)
+        return self.trajectory

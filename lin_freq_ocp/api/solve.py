@@ -1,0 +1,163 @@
+"""solve(), certify() and explain() as users call them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from typing import Any
+
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
+from lin_freq_ocp.explain.explanation import explain
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.method import Method, Report
+from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.status import Status
+
+EXPLAIN_SECONDS = 5.0
+"""Time for saying why a problem has no solution, unless a time limit leaves less."""
+
+ERRORS: dict[Status, type[SolveError]] = {
+    Status.INFEASIBLE: InfeasibleError,
+    Status.INFEASIBLE_CLAIMED: InfeasibleError,
+    Status.UNBOUNDED: UnboundedError,
+    Status.LIMIT: LimitError,
+    Status.NUMERICAL_ERROR: NumericalError,
+}
+"""What ``solve`` raises, by status; the others are answers."""
+
+
+def solve(
+    problem: OptimalControlProblem,
+    method: str | Method = "auto",
+    backend: str = "auto",
+    time_limit: float | None = None,
+    tolerance: float | None = None,
+    throw: bool = True,
+    node_limit: int | None = None,
+    progress: Report | None = None,
+    executor: Executor | None = None,
+    start: Any = None,
+    gap: float | None = None,
+) -> Result:
+    """Solve a problem, and judge the answer.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    method : str or Method
+        An object with its options: ``Spectral``, ``Convex`` (linear dynamics); ``BranchAndBound``, ``Enumeration``,
+        ``MixedInteger`` (piecewise-affine); ``Nonsmooth`` (piecewise-smooth). Or its shorthand, "spectral", "convex",
+        "branch_and_bound", "enumerate", "miqp" or "nonsmooth", whose options are the keywords below. "auto": linear
+        dynamics, spectral where it applies and its answer is proven, else convex; piecewise-affine, branch and bound;
+        piecewise-smooth, nonsmooth with a global bound (up to three states), on which it spends 10 s or what the time
+        limit leaves.
+    backend : str
+        Of "convex" (and "auto" with linear dynamics, which then is "convex"): "auto" (Clarabel), "clarabel", "osqp" or
+        "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or "daqp".
+    time_limit : float, optional
+        Seconds, set-up included, to which the judge's certificate is added. What is estimated not to end within it is
+        not begun.
+    tolerance : float, optional
+        Linear dynamics: relative residuals asked of the solver; above 1e-6 the judge allows as much, up to 1e-2. Over
+        modes: the same as ``gap``.
+    throw : bool
+        Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
+    node_limit : int, optional
+        Over affine modes: relaxations to solve at most.
+    progress : callable, optional
+        Over affine modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
+        Over smooth pieces: with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at every start of a local
+        search and every step of the bound.
+    executor : concurrent.futures.Executor, optional
+        Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
+    start : Trajectory, (T, m) or (T,) integers, optional
+        Of piecewise-affine and piecewise-smooth dynamics: a trajectory (or a result), controls to be replayed from the
+        initial state, or the mode at every time. Branch and bound begins with the best trajectory of these modes, the
+        local search with this one: what they end with is not worse.
+    gap : float, optional
+        Over modes: relative gap (J - D)/S to prove, 1e-6 by default; 1e-4 over smooth pieces.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InfeasibleError, UnboundedError, LimitError, NumericalError
+        With ``throw``; a subclass of SolveError, with ``.result``.
+    UnsupportedError
+        If the method or backend does not exist or cannot take this problem, or does not know an option.
+    ProblemError
+        If the start does not fit the problem.
+
+    References
+    ----------
+    Kotpalliwar, Paruchuri, Chatterjee and Banavar, "Discrete time optimal control with frequency constraints for
+    non-smooth systems", 2019: Theorem 4.1 and its corollaries are what an answer is judged by.
+
+    Examples
+    --------
+    >>> import lin_freq_ocp as lfo
+    >>> result = lfo.solve(lfo.library.pendulum())
+    >>> result.status, result.certificate.globally_optimal
+    ('optimal', True)
+    """
+    started = time.perf_counter()
+    options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor}
+    result = Result.of(solve_judged(problem, method, time_limit, progress, start, backend=backend, **options))
+    if throw and result.status == Status.INFEASIBLE:
+        left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
+        result = explained(result, min(left, EXPLAIN_SECONDS))
+    if throw and result.status in ERRORS:
+        raise ERRORS[result.status](_complaint(result), result)
+    return result
+
+
+def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
+    """Return an infeasible result with its explanation, if one was found in that time."""
+    try:
+        return replace(result, explanation=explain(result.problem, seconds) if seconds > 0 else None)
+    except LinFreqOCPError:  # the proof stands without it
+        return result
+
+
+def _complaint(result: Result) -> str:
+    name = result.problem.name or "the problem"
+    if result.status == Status.INFEASIBLE:
+        if result.conflict is None:
+            return f"No trajectory of {name} satisfies all constraints ({result.message})."
+        blocks = "; ".join(map(str, result.conflict))
+        cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
+        return f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. " + (
+            f"Least change that helps: {cures}." if cures else "Relax one of these."
+        )
+    if result.status == Status.INFEASIBLE_CLAIMED:
+        return (
+            f"{name}: {result.solver} says that no trajectory satisfies all constraints, which is not proven "
+            f"({result.message}). Try another backend or method, or rescale the data."
+        )
+    if result.status == Status.UNBOUNDED:
+        return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
+    if result.status == Status.LIMIT:
+        return f"{name}: stopped before the answer was accurate ({result.message}); {_reached(result)}."
+    return (
+        f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
+        "solution; what it found is in .result. Try another backend or method."
+    )
+
+
+def _reached(result: Result) -> str:
+    """Return cost, bound and gap of the best point that a limit left, in words."""
+    if result.trajectory is None:
+        bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
+        return f"no point was found{bound}"
+    figures: Sequence[tuple[str, float | None]] = (
+        ("cost", result.cost),
+        ("lower bound", result.lower_bound),
+        ("gap", result.gap),
+    )
+    told = ", ".join(f"{what} {'unknown' if value is None else format(value, '.6g')}" for what, value in figures)
+    return f"the best point is in .result: {told}"

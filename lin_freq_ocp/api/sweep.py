@@ -1,0 +1,111 @@
+"""sweep() as users call it, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import fields
+from functools import partial
+from os import PathLike
+from typing import TYPE_CHECKING, Any, final
+
+from lin_freq_ocp.comparison.sweep.grid import Source
+from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome, swept
+from lin_freq_ocp.interchange.runs.sweep_file import SweepFile, read_sweep, save_sweep_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@final
+class Sweep(SweepOutcome):
+    """The points of a grid that are finished: the fields of ``SweepOutcome``, and what can be done with them.
+
+    Methods
+    -------
+    column(name)
+        The values of one figure at every point.
+    table()
+        All points as flat rows, for pandas.DataFrame.
+    plot()
+        A figure of the costs.
+    to_csv(path)
+        Write the points as a table.
+    """
+
+    @classmethod
+    def of(cls, outcome: SweepOutcome) -> Sweep:
+        """Return the sweep that shows an outcome."""
+        return cls(**{one.name: getattr(outcome, one.name) for one in fields(SweepOutcome)})
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write the table, one line per row; what is absent is empty."""
+        save_sweep_csv(path, self)
+
+    def plot(self) -> Figure:
+        """Return the cost and what is infeasible against the first parameter that is a number."""
+        from lin_freq_ocp.report.figures.sweep import sweep_figure  # Matplotlib is slow to import
+
+        return sweep_figure(self)
+
+
+def sweep(
+    problem: Source,
+    grid: Mapping[str, Sequence[Any]],
+    executor: Executor | None = None,
+    path: str | PathLike[str] | None = None,
+    method: str = "auto",
+    backend: str = "auto",
+    time_limit: float | None = None,
+    tolerance: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sweep:
+    """Solve a problem at every point of a grid, and judge every answer.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem or callable
+        A function that builds one from keywords, such as ``lfo.library.pendulum`` or a ``functools.partial`` of it, is
+        quicker to send to other machines than a large problem.
+    grid : mapping of str to sequence
+        Values of each parameter. Of a function: its keywords. Of a problem: its fields, and "cutoff" (rad/sample) or
+        "cutoff_hz" for a low pass in place of its ``control_spectrum``; a cut-off of None is no frequency constraint.
+    executor : concurrent.futures.Executor, optional
+        Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
+        Default: one after another, in this process. It is not shut down. Points lost with a worker are given out again.
+    path : path, optional
+        A file that gets a line per point as soon as it is finished. If it is there already, its points are not solved
+        again, except those with the status "error"; the grid may have other values than before.
+    method, backend, time_limit, tolerance
+        As for ``solve``, for each point.
+    progress : callable, optional
+        Called with the number of finished points and that of all of them, at first and after each point.
+
+    Returns
+    -------
+    Sweep
+        After Ctrl-C: with what is finished until then, and ``interrupted``.
+
+    Raises
+    ------
+    ProblemError
+        If the grid has a name that the problem does not know, something cannot be sent to other processes, or the file
+        belongs to another sweep. A single point that is no problem is a row with the status "error" instead.
+    UnsupportedError
+        If the method or backend does not exist.
+    """
+    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
+    return Sweep.of(swept(problem, grid, options, executor, record, progress))
+
+
+def load_sweep(path: str | PathLike[str]) -> Sweep:
+    """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file, or damaged.
+    """
+    return Sweep.of(read_sweep(path))

@@ -1,0 +1,227 @@
+"""One solve of a convex program in some units: what a backend returned, measured in the units of its own answer."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.polish import polished
+from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
+from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
+
+SOLVED_TOLERANCE = 1e-6
+"""Relative residuals up to which a backend's "solved" is accepted, in units in which the answer is of order 1."""
+
+ACCURATE = 1e-8
+"""Relative residuals from which an answer of Clarabel is not improved by other units."""
+
+ENDLESS = 1e100
+"""A point beyond so many units is no point."""
+
+FAR = 1e4
+"""Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
+where the answer does not keep them, they come back."""
+
+LEAST_TIME = 1e-3
+"""Seconds that are left to a solver when the time is over: it makes a step, and ends."""
+
+UNBOUNDED_TOLERANCE = 1e-6
+"""Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What one solve in some units ended with.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    scaling : Scaling
+        The units.
+    z, y : (variables,), (rows,) or None
+        The point and its duals, in the program's own units.
+    error : float
+        How far it is from an answer: its residuals, in its own units if it is a point.
+    """
+
+    candidate: Candidate
+    scaling: Scaling
+    z: Array | None
+    y: Array | None
+    error: float
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is to be tried."""
+        return self.candidate.interrupted or (
+            self.candidate.status == "limit" and "time" in self.candidate.words.lower()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solves:
+    """One program, a solver, and what is asked of it."""
+
+    transcription: LinearTranscription
+    solver: Solver
+    tolerance: float | None
+    asked: float
+    end: float
+    enough: float
+
+    @property
+    def left(self) -> float | None:
+        """Return the seconds that are left, or None for no limit."""
+        return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
+
+    def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
+        """Solve in the given units, and measure."""
+        program = scaling.apply(self.transcription.program)
+        near = program.without_bounds_beyond(FAR)
+        if near is None:
+            return self._solve(program, scaling, tolerance)
+        attempt = self._solve(near, scaling, tolerance)
+        if attempt.ended or attempt.candidate.status in ("optimal", "infeasible") or over(self):
+            return attempt
+        complete = self._solve(program, scaling, tolerance)
+        return complete if attempt.candidate.status == "unbounded" else better_of(attempt, complete)
+
+    def complete(self, scaling: Scaling) -> Attempt:
+        """Solve in the given units with all bounds, however far, and measure."""
+        return self._solve(scaling.apply(self.transcription.program), scaling, None)
+
+    def near(self, scaling: Scaling) -> Attempt | None:
+        """Solve in the given units without far bounds, and measure with them.
+
+        None if there are no far bounds, or nothing else bounds the cost.
+        """
+        near = scaling.apply(self.transcription.program).without_bounds_beyond(FAR)
+        attempt = None if near is None else self._solve(near, scaling, None)
+        return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
+
+    def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
+        """Measure what was found for the program, which is in the given units."""
+        return measured(self.transcription, scaling, program, solution, self.tolerance)
+
+    def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
+        solution = self.solver(program, tolerance or self.asked, self.left)
+        attempt = self.measured(scaling, program, solution)
+        if attempt.z is None or attempt.ended or attempt.error <= self.enough or program.cones or over(self):
+            return attempt
+        assert solution.z is not None
+        assert solution.y is not None
+        better = polished(program, solution.z, solution.y)
+        if better is None:
+            return attempt
+        claimed = replace(solution, claim=Claim.SOLVED, z=better[0], y=better[1])
+        return better_of(attempt, self.measured(scaling, program, claimed))
+
+
+def better_of(one: Attempt, other: Attempt) -> Attempt:
+    """Return the better of two attempts, the other one later; a point is kept where the later solve was cut short."""
+    if other.ended:
+        return replace(one, candidate=replace(one.candidate, interrupted=other.candidate.interrupted))
+    return other if other.error < one.error else one
+
+
+def over(solves: Solves) -> bool:
+    """Whether there is no time left."""
+    return time.perf_counter() >= solves.end
+
+
+def nearest_recession(program: Program, z: Array) -> Array:
+    """Return the point nearest to z that recedes from no constraint, P z = 0; z itself if it was not found.
+
+    A ray ends where its slope is steep enough, however inaccurate: equations are met to the root of a tolerance where
+    they stand in a cone. Here s_0 >= |(s_1, ...)| with a constant s_0, as of a mask, says s = 0.
+    """
+    fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
+    kept, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
+    constant = abs(program.A).sum(1) == 0
+    for cone in program.cones:
+        if constant[cone.start]:
+            fixed[cone] = True
+        else:
+            curved += range(cone.start, cone.stop)
+    alone = np.setdiff1d(np.flatnonzero(kept & ~constant), curved)
+    first, size = len(alone) + len(z), float(np.abs(z).max())
+    lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
+    upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
+    sizes = [cone.stop - cone.start for cone in program.cones if not constant[cone.start]]
+    starts = first + np.cumsum([0, *sizes])
+    nearest = Program(
+        P=sp.csc_array(sp.eye_array(len(z))),
+        q=-z / size,
+        constant=0.0,
+        A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
+        lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
+        upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
+        rows={},
+        cones=tuple(slice(int(start), int(start) + count) for start, count in zip(starts, sizes, strict=False)),
+    )
+    solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
+    return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
+
+
+def measured(
+    transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution, tolerance: float | None
+) -> Attempt:
+    """Return an attempt from what a solver said of a program in some units."""
+    z, y, claim = solution.z, solution.y, solution.claim
+    if claim is Claim.INFEASIBLE:
+        ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
+        error = np.inf if y is None else program.infeasibility_residual(y)
+        return Attempt(Candidate("infeasible", None, None, ray, None, solution.words), scaling, None, None, error)
+    if claim is Claim.UNBOUNDED:
+        ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
+        error = np.inf if ray is None else program.descent_ray_residual(ray)
+        if ray is None or error > UNBOUNDED_TOLERANCE:
+            return Attempt(_failed(solution.words), scaling, None, None, np.inf)
+        along = transcription.direction(scaling.primal(ray))
+        return Attempt(
+            Candidate("unbounded", None, None, None, None, solution.words, descent=along), scaling, None, None, error
+        )
+    if z is None or y is None:
+        return Attempt(
+            replace(_failed(solution.words), interrupted=claim is Claim.INTERRUPTED), scaling, None, None, np.inf
+        )
+    if not program.P.nnz and not program.q.any():
+        y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
+    point, duals = scaling.primal(z), scaling.dual(y)
+    residuals = _residuals(transcription, scaling, point, duals)
+    if claim in (Claim.LIMIT, Claim.INTERRUPTED):
+        status = "limit"
+    else:
+        status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, tolerance or 0.0) else "numerical_error"
+    candidate = Candidate(
+        status,
+        transcription.trajectory(point),
+        transcription.multipliers(duals, 1.0),
+        None,
+        residuals,
+        solution.words,
+        interrupted=claim is Claim.INTERRUPTED,
+    )
+    if not np.isfinite(residuals.worst):
+        point, duals = None, None
+    return Attempt(candidate, scaling, point, duals, residuals.worst)
+
+
+def _failed(words: str) -> Candidate:
+    return Candidate("numerical_error", None, None, None, None, words)
+
+
+def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
+    """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
+    if not (np.abs(z) < ENDLESS * scaling.columns).all():  # it has diverged
+        return Residuals(np.inf, np.inf, np.inf)
+    own = own_scaling(transcription, z, scaling.columns)
+    sizes = own_sizes(transcription, z) / own.columns
+    return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows, sizes)

@@ -1,0 +1,110 @@
+"""Further answers to a convex program, for where the judge proves nothing of the best one.
+
+Small residuals of a program are not always enough: a component that should be zero holds rounding and is judged by its
+own size, or a bound that nothing reaches has spoilt the solve. So there are versions of an answer (polished, and with
+exact zeros for what is rounding), and solves in other units, each with and without far bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.attempts import Attempt, Solves, better_of, over
+from lin_freq_ocp.methods.convex.polish import polished, without_rounding
+from lin_freq_ocp.transcription.linear.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
+from lin_freq_ocp.transcription.program import Scaling
+
+ROUNDING_LEVELS = (1e-12, 1e-9)
+"""Parts of a variable's and a dual's unit below which they may be rounding: the judge decides."""
+
+HOPELESS = 1e-3
+"""Relative residuals from which versions of a point are not worth a judgement."""
+
+POLISHED = "polished"
+"""Words for a point that no solver has returned as it is."""
+
+
+def further(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
+    """Return other candidates than the best attempt, one after the other, until the time is over or Ctrl-C.
+
+    Parameters
+    ----------
+    solves : Solves
+    natural : Scaling
+        The units in which the program is expected to be of order 1.
+    best : Attempt
+        What is known already.
+    """
+    if best.ended:
+        return
+    yield from _versions(solves, natural, best)
+    for units in _units(solves, natural):
+        for solve in (solves.complete, solves.near):
+            if over(solves):
+                return
+            scaling = units(best)
+            attempt = None if scaling is None else solve(scaling)
+            if attempt is None:
+                continue
+            if attempt.ended:
+                if attempt.candidate.interrupted:
+                    yield replace(best.candidate, interrupted=True)
+                return
+            if attempt.z is not None or attempt.candidate.status in ("infeasible", "unbounded"):
+                yield attempt.candidate
+            yield from _versions(solves, natural, attempt)
+            best = better_of(best, attempt)
+
+
+def _units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling | None]]:
+    """Return other units, each from the best attempt until then; those that need its point come last."""
+    transcription = solves.transcription
+
+    def own(best: Attempt, per_time: bool) -> Scaling | None:
+        return None if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
+
+    return [
+        lambda _: plain_scaling(transcription),
+        lambda _: stated_scaling(transcription),
+        lambda _: natural,
+        lambda _: bounds_scaling(transcription, natural),
+        lambda best: own(best, per_time=False),
+        lambda best: own(best, per_time=True),
+    ]
+
+
+def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+    """Return a point with exact zeros for rounding, polished, and both."""
+    if attempt.z is None or attempt.y is None or attempt.error > HOPELESS:
+        return
+    yield from _rounded(solves, natural, attempt)
+    program = attempt.scaling.apply(solves.transcription.program)
+    if program.cones or over(solves):
+        return
+    scaling = attempt.scaling
+    found = polished(program, attempt.z / scaling.columns, attempt.y * scaling.cost / scaling.rows)
+    if found is not None:
+        better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, POLISHED))
+        if better.z is not None and better.error <= HOPELESS:
+            yield better.candidate
+            yield from _rounded(solves, natural, better)
+
+
+def _rounded(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+    """Return a point with exact zeros for what is rounding in the natural units, if that changes it."""
+    assert attempt.z is not None
+    assert attempt.y is not None
+    program, before = natural.apply(solves.transcription.program), (attempt.z, attempt.y)
+    for level in ROUNDING_LEVELS:
+        z = without_rounding(attempt.z, natural.columns, level)
+        y = without_rounding(attempt.y, natural.rows / natural.cost, level)
+        if np.array_equal(z, before[0]) and np.array_equal(y, before[1]):
+            continue
+        before = z, y
+        scaled = z / natural.columns, y * natural.cost / natural.rows
+        yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.words)).candidate

@@ -1,0 +1,188 @@
+"""Which methods solve which dynamics, and which options of ``solve`` each of them takes: one table.
+
+A new kind of dynamics is a class with the operations of ``LinearDynamics``, and one entry here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lin_freq_ocp.errors import UnsupportedError, suggestion
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral
+from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
+from lin_freq_ocp.solving.smooth import Nonsmooth
+
+
+@dataclass(frozen=True)
+class Shorthand:
+    """What a text for ``method`` stands for.
+
+    Attributes
+    ----------
+    method : Method
+        With default options.
+    options : mapping of str to str
+        Keywords of ``solve`` that it takes, and the fields of the method that they set.
+    """
+
+    method: Method
+    options: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def describes(self, method: Method) -> bool:
+        """Whether a method differs from this one in options only that can be given as keywords."""
+        if type(method) is not type(self.method):
+            return False
+        other = set(method.__dataclass_fields__) - set(self.options.values())
+        return all(getattr(method, name) == getattr(self.method, name) for name in other)
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of dynamics and its methods, by their shorthands."""
+
+    kind: str
+    shorthands: Mapping[str, Shorthand]
+
+    @property
+    def methods(self) -> tuple[type, ...]:
+        """Return the classes of the methods."""
+        return tuple({type(one.method): None for one in self.shorthands.values()})
+
+
+RESIDUALS = {"tolerance": "tolerance"}
+GAPS = {"tolerance": "gap", "gap": "gap"}
+SEARCH = {**GAPS, "node_limit": "node_limit"}
+PARALLEL = {**SEARCH, "executor": "executor"}
+SOLVER = {"backend": "backend"}
+
+FAMILIES: dict[type, Family] = {
+    LinearDynamics: Family(
+        "linear",
+        {
+            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
+            "spectral": Shorthand(Spectral(), RESIDUALS),
+            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
+        },
+    ),
+    PiecewiseAffineDynamics: Family(
+        "piecewise-affine",
+        {
+            "auto": Shorthand(BranchAndBound(), PARALLEL),
+            "branch_and_bound": Shorthand(BranchAndBound(), PARALLEL),
+            "enumerate": Shorthand(Enumeration(), SEARCH),
+            "miqp": Shorthand(MixedInteger(), {**SEARCH, **SOLVER}),
+        },
+    ),
+    PiecewiseSmoothDynamics: Family(
+        "piecewise-smooth",
+        {"auto": Shorthand(Nonsmooth(), GAPS), "nonsmooth": Shorthand(Nonsmooth(global_bound=False))},
+    ),
+}
+
+SHORTHANDS = tuple(dict.fromkeys(name for family in FAMILIES.values() for name in family.shorthands))
+
+REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify_nonsmooth.py now; use 'auto'"}
+"""Methods of earlier versions, and what to do instead."""
+
+ONLY = {
+    "backend": "only 'convex' and 'miqp' call another solver",
+    "tolerance": "the method 'nonsmooth' has no gap to prove; 'auto' does",
+    "gap": "linear dynamics have a 'tolerance'; searches over modes, and 'auto', have a gap to prove",
+    "node_limit": "only a search over affine modes has nodes",
+    "executor": "only 'branch_and_bound' has parts for it",
+    "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
+}
+"""Why other methods do not take an option."""
+
+
+def family_of(problem: OptimalControlProblem) -> Family:
+    """Return the family of a problem's dynamics."""
+    return next(family for kind, family in FAMILIES.items() if isinstance(problem.dynamics, kind))
+
+
+def require_shorthand(name: str) -> None:
+    """Raise UnsupportedError unless a method of some family has this name."""
+    if name in REMOVED:
+        raise UnsupportedError(f"method: got {name!r}, which is no method any more: {REMOVED[name]}.")
+    if name not in SHORTHANDS:
+        known = ", ".join(map(repr, SHORTHANDS[:-1]))
+        hint = suggestion(name, SHORTHANDS)
+        raise UnsupportedError(
+            f"method: got {name!r}; expected {known} or {SHORTHANDS[-1]!r}." + (f" {hint}" if hint else "")
+        )
+
+
+def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, Any]) -> Method:
+    """Return the method for a problem, with its options.
+
+    Parameters
+    ----------
+    method : str or Method
+    given : mapping
+        Keywords of ``solve``: "backend", "tolerance", "gap", "node_limit", "executor" and "start"; None: not given.
+
+    Raises
+    ------
+    UnsupportedError
+        If there is no such method, it is not for these dynamics, or it does not know an option.
+    """
+    family, options = family_of(problem), {name: value for name, value in given.items() if value is not None}
+    start = options.pop("start", None)
+    if isinstance(method, str):
+        require_shorthand(method)
+        if method not in family.shorthands:
+            raise UnsupportedError(_for_others(method, family))
+        shorthand = family.shorthands[method]
+        for option, value in options.items():
+            if option not in shorthand.options:
+                raise UnsupportedError(_unknown(option, value, method, family))
+        fields = [shorthand.options[option] for option in options]
+        if len(set(fields)) < len(fields):
+            raise UnsupportedError("gap: got one, and a tolerance, which is the same here; give one of them.")
+        found = replace(shorthand.method, **dict(zip(fields, options.values(), strict=True)))
+    else:
+        if not isinstance(method, family.methods):
+            if not hasattr(method, "shorthand"):
+                raise UnsupportedError(f"method: got {method!r}; expected a text such as 'auto', or a method.")
+            raise UnsupportedError(_for_others(method.shorthand, family))
+        if options:
+            name, value = next(iter(options.items()))
+            advice = f"Options of a method belong to it: lfo.{type(method).__name__}(...)."
+            raise UnsupportedError(f"{name}: got {value!r} beside {method!r}. {advice}")
+        found = method
+    if start is not None and not found.takes_start:
+        raise UnsupportedError(_unknown("start", start, found.shorthand, family))
+    return found
+
+
+def saved_options(problem: OptimalControlProblem, name: str | Method, method: Method) -> dict[str, Any]:
+    """Return the shorthand and keywords of ``solve`` that mean the same, as a file can hold them."""
+    if not isinstance(name, str):
+        shorthands = family_of(problem).shorthands
+        name = next(one for one, shorthand in shorthands.items() if shorthand.describes(method))
+    saved = {option: getattr(method, option, None) for option in ("backend", "tolerance", "node_limit")}
+    gap = getattr(method, "gap", None)
+    tolerance = gap if gap != getattr(type(method), "gap", None) else saved["tolerance"]
+    limit = {} if saved["node_limit"] is None else {"node_limit": saved["node_limit"]}
+    return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **limit}
+
+
+def _for_others(name: str, family: Family) -> str:
+    kinds = " and ".join(one.kind for one in FAMILIES.values() if name in one.shorthands)
+    known = ", ".join(map(repr, family.shorthands))
+    return f"method: got {name!r}, which is for {kinds} dynamics; expected one of {known} for {family.kind} dynamics."
+
+
+def _unknown(option: str, value: Any, method: str, family: Family) -> str:
+    got = f"{value!r}" if isinstance(value, (int, float, str)) else "one"
+    return (
+        f"{option}: got {got} for the method {method!r} and {family.kind} dynamics, which do not use it: "
+        f"{ONLY[option]}. Leave it out."
+    )

@@ -1,0 +1,121 @@
+"""From a candidate of a method for linear dynamics to a judged outcome: every claim is proven, or called a claim."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
+
+DIVERGED = 1e6
+"""Multipliers of a failed solve that are larger than this may be a Farkas ray: the judge decides."""
+
+LARGEST_TOLERANCE = 1e-2
+"""A tolerance of solve loosens the judge's up to this value: with more, its verdict would mean nothing."""
+
+
+def judged(
+    problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
+) -> Outcome:
+    """Return what a candidate is worth: its point, ray or direction is judged, and its status follows from that."""
+    clock = time.perf_counter()
+    status, message, certificate = Status(candidate.status), candidate.words, None
+    if candidate.trajectory is not None and candidate.multipliers is not None:
+        allowed = min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
+        certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
+        if not candidate.interrupted:
+            status, message = _verified(status, message, certificate, allowed)
+    direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
+    if status == Status.UNBOUNDED:
+        message = _descent(problem, direction) if direction else f"{message}, without a verified direction"
+    ray = candidate.ray if status == Status.INFEASIBLE else _diverged(candidate)
+    proof = None if ray is None else prove_infeasible(problem, ray)
+    seconds = {**candidate.seconds, "certify": time.perf_counter() - clock}
+    if proof is not None:
+        message = f"proven by a {proof.bound.kind} ray"
+        return Outcome(
+            problem,
+            Status.INFEASIBLE,
+            method,
+            backend,
+            seconds,
+            conflict=proof.conflict,
+            ray=proof.multipliers,
+            message=message,
+            interrupted=candidate.interrupted,
+        )
+    if status == Status.INFEASIBLE:
+        status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray proves nothing"
+    return Outcome(
+        problem=problem,
+        status=status,
+        method=method,
+        backend=backend,
+        seconds=seconds,
+        trajectory=candidate.trajectory,
+        multipliers=candidate.multipliers,
+        certificate=certificate,
+        message="" if status == Status.OPTIMAL else message,
+        interrupted=candidate.interrupted,
+        direction=direction,
+    )
+
+
+def _verified(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
+    """Return the status of a judged point, and why.
+
+    A point that is proven within ``gap`` is optimal, whatever its solver says; one that a solver calls optimal is what
+    the certificate says of it. Points that satisfy the maximum principle only are locally optimal.
+    """
+    found = certificate.status_within(gap)
+    if found == Status.OPTIMAL:
+        return found, ""
+    if status not in (Status.OPTIMAL, Status.NUMERICAL_ERROR):
+        return status, message
+    if found == Status.LOCALLY_OPTIMAL:
+        return found, f"the maximum principle is satisfied; {_missing(certificate)}"
+    if status == Status.OPTIMAL:
+        message = f"residuals of the program are small, but not those of: {certificate.worst.name}"
+    return found, message
+
+
+def _missing(certificate: Certificate) -> str:
+    """Return why a certificate without failed conditions proves no global optimum."""
+    if certificate.bound is None or certificate.gap is None:
+        return "there is no bound"
+    if certificate.bound.kind != "rigorous":
+        return "the bound holds near the trajectory only, as something is not bounded"
+    worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
+    return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
+
+
+def _descent(problem: OptimalControlProblem, direction: Direction) -> str:
+    t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
+    return (
+        f"the cost decreases without bound along a verified direction, most with {problem.control_names[j]} "
+        f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"
+    )
+
+
+def _diverged(candidate: Candidate) -> Multipliers | None:
+    """Return the multipliers of a solve that failed, divided by their size: near infeasibility they grow into a ray."""
+    if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
+        return None
+    given = candidate.multipliers
+    parts = (given.eta, given.mu, given.nu, np.abs(given.rho_u), np.abs(given.rho_x), *given.stage.values())
+    size = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    if size < DIVERGED:
+        return None
+    stage = {name: part / size for name, part in given.stage.items()}
+    return Multipliers(
+        0.0, given.eta / size, given.mu / size, given.nu / size, given.rho_u / size, given.rho_x / size, stage
+    )

@@ -1,0 +1,200 @@
+"""The methods for linear dynamics: the Fourier-domain method, one sparse convex program, and both in turn."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
+from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.judging import judged
+from lin_freq_ocp.solving.method import Request, seconds_left
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
+
+PROVER = "clarabel"
+"""The backend that proves infeasibility and unboundedness, whichever backend met it."""
+
+PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
+
+UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
+"""Statuses of a first candidate after which the further ones are judged."""
+
+
+@dataclass(frozen=True)
+class Convex:
+    """One sparse convex program for a solver (linear dynamics).
+
+    Attributes
+    ----------
+    backend : str
+        "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME".
+    tolerance : float, optional
+        Relative residuals asked of the solver, on a program scaled to order 1. Above 1e-6, the judge allows as much,
+        up to 1e-2.
+    """
+
+    backend: str = "auto"
+    tolerance: float | None = None
+
+    shorthand: ClassVar[str] = "convex"
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve the program, and judge the answer."""
+        end = time.perf_counter() + request.time_limit
+        excluded = _excluded_at_ends(problem, "convex", self.tolerance)
+        if excluded is not None:
+            return excluded
+        backend = PROVER if self.backend == "auto" else self.backend
+        candidates = convex_candidates(problem, backend, self.tolerance, _left(end))
+
+        def verified(candidate: Candidate) -> Outcome:
+            if candidate.status == "unbounded":
+                candidate = _if_feasible(problem, candidate, _left(end))
+            return judged(problem, candidate, "convex", backend, self.tolerance)
+
+        first = next(candidates)
+        if first.status not in ("optimal", "limit") and backend != PROVER:
+            first = _diagnosed(problem, first, _left(end))
+        outcome = verified(first)
+        outcome = self._at_no_cost(outcome, backend, end) or outcome
+        if outcome.status not in UNPROVEN or outcome.interrupted:
+            return outcome
+        return next((other for other in map(verified, candidates) if _counts(other)), outcome)
+
+    def _at_no_cost(self, outcome: Outcome, backend: str, end: float) -> Outcome | None:
+        """Return the outcome of a trajectory near this one that costs nothing more than it must, if it is optimal."""
+        problem, near = outcome.problem, outcome.trajectory
+        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+            return None
+        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
+            if candidate is not None:
+                found = judged(problem, candidate, "convex", backend, self.tolerance)
+                if found.status == Status.OPTIMAL:
+                    return replace(found, seconds=outcome.seconds)
+        return None
+
+
+@dataclass(frozen=True)
+class Spectral:
+    """The Fourier-domain method (linear time-invariant dynamics; docs/spectral.md).
+
+    Attributes
+    ----------
+    tolerance : float, optional
+        Relative violation of bounds to stop at. Above 1e-6, the judge allows as much, up to 1e-2.
+    """
+
+    tolerance: float | None = None
+
+    shorthand: ClassVar[str] = "spectral"
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve in the Fourier domain, and judge the answer."""
+        end = time.perf_counter() + request.time_limit
+        excluded = _excluded_at_ends(problem, "spectral", self.tolerance)
+        if excluded is not None:
+            return excluded
+        rows = row_form(problem)
+        solver = SpectralSolver(rows.problem)
+        candidate: Candidate = solver.solve(tolerance=self.tolerance, time_limit=_left(end))
+        if rows.polyhedra:
+            found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
+            candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
+        if candidate.status == "unbounded":
+            candidate = _if_feasible(problem, candidate, _left(end))
+        return judged(problem, candidate, "spectral", None, self.tolerance)
+
+
+@dataclass(frozen=True)
+class LinearAuto:
+    """The Fourier-domain method where it applies and its answer is proven, else the sparse program.
+
+    Attributes
+    ----------
+    tolerance : float, optional
+        As for ``Spectral`` and ``Convex``.
+    backend : str
+        If not "auto": the sparse program with this solver.
+    """
+
+    tolerance: float | None = None
+    backend: str = "auto"
+
+    shorthand: ClassVar[str] = "auto"
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve with one method, or with two in turn, and judge the answers."""
+        convex = Convex(self.backend, self.tolerance)
+        if self.backend != "auto":
+            return convex.solve(problem, request)
+        end, first, refused = time.perf_counter() + request.time_limit, None, ""
+        try:
+            first = Spectral(self.tolerance).solve(problem, request)
+        except UnsupportedError as error:
+            refused = str(error)
+        if first is not None and _final(first):
+            return first
+        left = _left(end)
+        try:
+            second = convex.solve(problem, request if left is None else replace(request, time_limit=left))
+        except UnsupportedError as error:
+            if not refused or str(error) in refused:
+                raise
+            raise UnsupportedError(f"{error} Before that: {refused}") from None
+        return first if first is not None and _rank(first) > _rank(second) else second
+
+
+def _left(end: float) -> float | None:
+    return seconds_left(end, time.perf_counter())
+
+
+def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: float | None) -> Outcome | None:
+    """Return the proof that an end lies outside its set, which needs no solver, if it does."""
+    ray = contradiction_at_ends(problem)
+    if ray is None:
+        return None
+    claim = Candidate("infeasible", None, None, ray, None, "an end lies outside the state set")
+    outcome = judged(problem, claim, method, None, tolerance)
+    return outcome if outcome.status == Status.INFEASIBLE else None
+
+
+def _final(outcome: Outcome) -> bool:
+    """Whether the Fourier-domain method's answer is proven, or the time is over: no other method is asked."""
+    certificate = outcome.certificate
+    proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
+    excluded = outcome.status == Status.INFEASIBLE and "numerical" not in outcome.message
+    return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
+
+
+def _rank(outcome: Outcome) -> int:
+    """Return a rank of what is proven by an outcome."""
+    return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
+
+
+def _counts(outcome: Outcome) -> bool:
+    """Whether a further candidate ends the search for one: it is worth something, or the user interrupted it."""
+    verified = outcome.status != Status.UNBOUNDED or outcome.direction is not None
+    return outcome.interrupted or (_rank(outcome) > 0 and verified)
+
+
+def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
+    """Return the prover's diagnosis of a problem that another backend did not solve, if it has one."""
+    diagnosis = solve_convex(problem, PROVER, None, time_limit)
+    return diagnosis if diagnosis.status in ("infeasible", "unbounded") else candidate
+
+
+def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
+    """Return the unbounded candidate, or a proof that there is no trajectory along which the cost could decrease."""
+    feasibility = solve_convex(replace(problem, cost=QuadraticCost()), PROVER, None, time_limit)
+    return feasibility if feasibility.status == "infeasible" else candidate

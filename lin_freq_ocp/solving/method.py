@@ -1,0 +1,66 @@
+"""What a method of solution is: an object that holds its own options, and solves problems of its kind of dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from lin_freq_ocp.methods.modes.search import SearchProgress
+from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import Start
+from lin_freq_ocp.solving.outcome import Outcome
+
+LEAST_SECONDS = 1e-3
+"""Time that is left to a second method when the first has used it all: it ends at once, and says so."""
+
+Progress = SearchProgress | SmoothProgress
+
+Report = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked of any method.
+
+    Attributes
+    ----------
+    time_limit : float
+        Seconds; infinite without a limit.
+    progress : callable or None
+        Called as a search proceeds.
+    start : Start or None
+        What the search begins with.
+    """
+
+    time_limit: float = np.inf
+    progress: Report | None = None
+    start: Start | None = None
+
+
+class Method(Protocol):
+    """A method of solution, with its options as fields.
+
+    Attributes
+    ----------
+    shorthand : str
+        The text that stands for the method in ``solve(problem, method)``.
+    takes_start : bool
+        Whether the method begins with a given trajectory, control or mode sequence.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+    shorthand: ClassVar[str]
+    takes_start: ClassVar[bool]
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve a problem, and judge the answer."""
+        ...
+
+
+def seconds_left(end: float, now: float) -> float | None:
+    """Return the seconds from now to the end, never zero; None without an end."""
+    return None if end == np.inf else max(end - now, LEAST_SECONDS)

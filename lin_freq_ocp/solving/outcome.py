@@ -1,0 +1,125 @@
+"""The outcome of a solve as plain data: why it stopped, the best point, and everything that is proven of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.certificate.conflict import Conflict
+from lin_freq_ocp.certificate.directions import Direction
+from lin_freq_ocp.certificate.modes.bound import TreeBound
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.explanation import Explanation
+from lin_freq_ocp.status import Status
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a solve ended with; everything that does not exist is None.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+    status : Status
+        How it ended; equal to its text, such as "optimal".
+    method : str
+        What was used.
+    backend : str or None
+        The solver of the methods "convex" and "miqp"; others need none.
+    seconds : dict
+        Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
+    trajectory, multipliers, certificate : or None
+        The best point found, whatever the status, and what is proven of it.
+    conflict : tuple of Conflict or None
+        If infeasible: the blocks of constraints that the proof rests on.
+    ray : Multipliers or None
+        If infeasible: the verified multipliers with eta_C = 0.
+    message : str
+        In words, how it ended.
+    interrupted : bool
+        Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
+    direction : Direction or None
+        If unbounded: the verified direction along which every constraint holds and the cost decreases without bound.
+    options : dict
+        What solve was given: "method", "backend", "time_limit", "tolerance", and "node_limit" if it was.
+    sequence : (T,) integers or None
+        With modes: the mode at every time.
+    tree : ModeTree or None
+        With modes: what the search split and left out, with the multipliers that prove it.
+    tree_bound : TreeBound or None
+        What the judge finds proven by the tree.
+    explanation : Explanation or None
+        If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the least change that helps.
+    """
+
+    problem: OptimalControlProblem
+    status: Status
+    method: str
+    backend: str | None
+    seconds: dict[str, float]
+    trajectory: Trajectory | None = None
+    multipliers: Multipliers | None = None
+    certificate: Certificate | None = None
+    conflict: tuple[Conflict, ...] | None = None
+    ray: Multipliers | None = None
+    message: str = ""
+    interrupted: bool = False
+    direction: Direction | None = None
+    options: dict[str, Any] = field(default_factory=dict[str, Any])
+    sequence: Indices | None = None
+    tree: ModeTree | None = None
+    tree_bound: TreeBound | None = None
+    explanation: Explanation | None = None
+
+    @property
+    def primal(self) -> bool:
+        """Whether there is a point that satisfies every constraint, within the judge's tolerance."""
+        return self.certificate is not None and self.certificate.feasible
+
+    @property
+    def dual(self) -> bool:
+        """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
+        infeasible = self.status == Status.INFEASIBLE
+        return infeasible or self.direction is not None or self.lower_bound is not None
+
+    @property
+    def cost(self) -> float | None:
+        """Return J of the trajectory."""
+        return None if self.certificate is None else self.certificate.cost
+
+    @property
+    def lower_bound(self) -> float | None:
+        """Return the judge's bound on the optimal cost."""
+        if self.certificate is None and self.tree_bound is not None and np.isfinite(self.tree_bound.value):
+            return self.tree_bound.value
+        return None if self.certificate is None else self.certificate.lower_bound
+
+    @property
+    def gap(self) -> float | None:
+        """Return (cost - lower_bound) / S, S what the terms of the cost add up to."""
+        return None if self.certificate is None else self.certificate.gap
+
+    @property
+    def solver(self) -> str:
+        """Return the method, with its backend if it has one."""
+        return self.method if self.backend is None else f"{self.method}, {self.backend}"
+
+    @property
+    def control(self) -> Array | None:
+        """Return u, shape (T, m)."""
+        return None if self.trajectory is None else self.trajectory.u
+
+    def __str__(self) -> str:
+        lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
+        lines += [] if self.certificate is None else [str(self.certificate)]
+        if self.tree is not None and self.tree_bound is not None:
+            lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
+        lines.append(f"method    {self.solver}")
+        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
+        return "\n".join([str(self.problem), *lines])

@@ -1,0 +1,59 @@
+"""From a problem to a judged outcome: the method is chosen, its options are checked, its answer is judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.backends.base import backend as solver_named
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
+from lin_freq_ocp.solving.method import Method, Report, Request
+from lin_freq_ocp.solving.outcome import Outcome
+
+MIXED = ("scip", "daqp")
+"""Backends of the method "miqp", which looks for them itself."""
+
+
+def solve_judged(
+    problem: OptimalControlProblem,
+    method: str | Method = "auto",
+    time_limit: float | None = None,
+    progress: Report | None = None,
+    start: Any = None,
+    **options: Any,
+) -> Outcome:
+    """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``, which adds no more."""
+    require_problem(problem)
+    require_options(method, time_limit, **{name: value for name, value in options.items() if name != "executor"})
+    backend = options.get("backend")
+    given = {**options, "backend": None if backend == "auto" else backend, "start": start}
+    found = chosen(problem, method, given)
+    begin = None if start is None else start_of(problem, start)
+    outcome = found.solve(problem, Request(np.inf if time_limit is None else time_limit, progress, begin))
+    saved = {**saved_options(problem, method, found), "time_limit": time_limit}
+    saved |= {} if begin is None else {"start": begin.saved}
+    return replace(outcome, options=saved)
+
+
+def require_options(
+    method: str | Method,
+    time_limit: float | None = None,
+    backend: str = "auto",
+    tolerance: float | None = None,
+    gap: float | None = None,
+    node_limit: int | None = None,
+) -> None:
+    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
+    if isinstance(method, str):
+        require_shorthand(method)
+    if backend not in ("auto", *MIXED):
+        solver_named(backend)
+    limits = {"time_limit": time_limit, "tolerance": tolerance, "gap": gap, "node_limit": node_limit}
+    for name, value in limits.items():
+        if value is not None and not value > 0:
+            raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
