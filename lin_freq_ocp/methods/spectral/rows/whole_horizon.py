@@ -1,7 +1,7 @@
 """Rounds on a model of all bounded values, short horizons only: a round then costs little but its FFTs.
 
-With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu (docs/spectral.md, 5), with S for
-all of them and mu their multipliers, positive at upper and negative at lower bounds.
+With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu (docs/spectral.md, 5), with
+S for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
 """
 
 from __future__ import annotations
