@@ -27,8 +27,9 @@ STEPS = 60
 SOLVED = 1e-12
 """Defects and complementarity, of a problem scaled to order 1, at which it stops."""
 
-COMPLEMENTARY = 1e-16
-"""Complementarity of the same problem at which it stops: a cost may be far below the products of that scale."""
+COMPLEMENTARY = 1e-14
+"""Complementarity of the same problem at which it stops: the cost may be small at that scale. Further steps lose digits
+of the equations: at 1e-16, one of 900 random problems ends with residuals of 1e-6."""
 
 ACCURATE_ERROR = 1e-7
 """Error up to which the answer is good."""
