@@ -7,8 +7,9 @@ First, the problems whose optimal values are known are solved by Clarabel, PIQP 
 and of Clarabel's answer the worst condition of the certificate and the gap.
 
 Then random problems: every one is solved by lin_freq_ocp and by CVXPY on a program written by `to_cvxpy`, and the two
-costs are compared; every optimum must satisfy every condition of the maximum principle and be proven by its gap, unless
-the bound is numerical, and every infeasible problem by a verified ray.
+costs are compared: a difference is explained only where CVXPY's point is less feasible than ours, by residuals that are
+worth the difference. Every optimum must satisfy every condition of the maximum principle and be proven by its gap,
+unless the bound is numerical, and every infeasible problem by a verified ray.
 
 Then random linear problems of every shape, in units of 1e-9 to 1e9, against plain Clarabel (verify_linear.py).
 
@@ -89,6 +90,7 @@ class Outcome:
     bound: str | None
     extremal: bool
     passed: bool
+    explained: bool = False
 
 
 def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
@@ -190,18 +192,35 @@ def check(seed: int) -> Outcome:
     certificate = result.certificate
     if certificate is None or result.cost is None:
         return Outcome(seed, kind, result.status, status, None, None, None, None, False, False)
-    difference = None
+    difference, agrees, explained = None, True, False
     if status == "optimal":
         difference = abs(result.cost - float(oracle.value)) / max(1.0, abs(result.cost))
+        agrees = difference <= COST_AGREEMENT
+        explained = not agrees and oracle_is_infeasible(problem, result, oracle)
     extremal = certificate.pmp == "satisfied"
     numerical = certificate.bound is not None and certificate.bound.kind == "numerical"
     proven = extremal and (certificate.globally_optimal or (numerical and result.status == "locally_optimal"))
-    agrees = difference is None or difference <= COST_AGREEMENT
     bound = None if certificate.bound is None else certificate.bound.kind
-    worst = certificate.worst.relative
+    worst, passed = certificate.worst.relative, proven and (agrees or explained)
     return Outcome(
-        seed, kind, result.status, status, difference, certificate.gap, worst, bound, extremal, proven and agrees
+        seed, kind, result.status, status, difference, certificate.gap, worst, bound, extremal, passed, explained
     )
+
+
+def oracle_is_infeasible(problem: lfo.OptimalControlProblem, result: lfo.Result, oracle: cp.Problem) -> bool:
+    """Whether CVXPY's cost is below ours because its point violates constraints: residuals times our multipliers.
+
+    Of our own trajectory the same products must be worth less than the difference.
+    """
+    values = {variable.name(): variable.value for variable in oracle.variables()}
+    theirs, ours = lfo.Trajectory(values["x"], values["u"]), result.trajectory
+    difference = result.cost - problem.cost.value(theirs.x, theirs.u)
+    worth = [
+        sum(value for what, value in verify_spectral.cost_errors(problem, at, result.multipliers, other).items()
+            if what != "duality gap")
+        for at, other in ((theirs, ours), (ours, theirs))
+    ]  # fmt: skip
+    return worth[1] < difference <= worth[0] / verify_spectral.EXPLAINING
 
 
 def summary(outcomes: list[Outcome]) -> Table:
@@ -269,10 +288,10 @@ def random_convex(console: Console, seeds: range) -> bool:
     """Check the random problems of these seeds and print what became of them; return whether all are as they must."""
     outcomes = [check(seed) for seed in track(seeds, "solving", console=Console(stderr=True), transient=True)]
     console.print(summary(outcomes))
-    failed = [one for one in outcomes if not one.passed]
-    for one in failed:
-        console.print(one)
-    return not failed
+    for one in outcomes:
+        if one.explained or not one.passed:
+            console.print(one)
+    return all(one.passed for one in outcomes)
 
 
 def main() -> int:
