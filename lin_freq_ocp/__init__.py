@@ -43,22 +43,22 @@ from lin_freq_ocp.interchange.results.solution_file import SavedSolution
 from lin_freq_ocp.interchange.results.solution_file import load_solution as load
 from lin_freq_ocp.interchange.results.time_response import from_time_response, to_time_response
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
-from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.expressions import Expression, affine_signals
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.rate_limit import rate_limited
+from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
-from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.certify import certify
@@ -87,7 +87,6 @@ __all__ = [
     "Enumeration",
     "Everything",
     "Explanation",
-    "Expression",
     "Formula",
     "InfeasibleError",
     "Intersection",
@@ -129,7 +128,6 @@ __all__ = [
     "Trajectory",
     "UnboundedError",
     "UnsupportedError",
-    "affine_signals",
     "band_pass",
     "certify",
     "compare",

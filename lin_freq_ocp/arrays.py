@@ -79,6 +79,11 @@ def times_vectors(matrix: Any, vectors: Array) -> Array:
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
+def with_columns(array: Array, columns: int) -> Array:
+    """Return the array with so many zeros more along its last axis."""
+    return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
+
+
 LARGEST = 10**8
 """Longest horizon: its arrays would fill a large machine; anything above is a slip of the pen."""
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.kkt.structure import Structure
+from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 from lin_freq_ocp.report.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, dress, new_figure
 

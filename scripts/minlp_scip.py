@@ -23,7 +23,8 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.backends.mixed import NOTHING, MixedSolution, bounded
 from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.formulas.nodes import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE, Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
 

@@ -7,8 +7,9 @@ First, the problems whose optimal values are known are solved by Clarabel, PIQP 
 and of Clarabel's answer the worst condition of the certificate and the gap.
 
 Then random problems: every one is solved by lin_freq_ocp and by CVXPY on a program written by `to_cvxpy`, and the two
-costs are compared; every optimum must satisfy every condition of the maximum principle and be proven by its gap, unless
-the bound is numerical, and every infeasible problem by a verified ray.
+costs are compared: a difference is explained only where CVXPY's point is less feasible than ours, by residuals that are
+worth the difference. Every optimum must satisfy every condition of the maximum principle and be proven by its gap,
+unless the bound is numerical, and every infeasible problem by a verified ray.
 
 Then random linear problems of every shape, in units of 1e-9 to 1e9, against plain Clarabel (verify_linear.py).
 
@@ -131,10 +132,10 @@ def random_convex(console: Console, seeds: range) -> bool:
     """Check the random problems of these seeds and print what became of them; return whether all are as they must."""
     outcomes = [check(seed) for seed in track(seeds, "solving", console=Console(stderr=True), transient=True)]
     console.print(summary(outcomes))
-    failed = [one for one in outcomes if not one.passed]
-    for one in failed:
-        console.print(one)
-    return not failed
+    for one in outcomes:
+        if one.explained or not one.passed:
+            console.print(one)
+    return all(one.passed for one in outcomes)
 
 
 def main() -> int:

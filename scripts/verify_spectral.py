@@ -20,7 +20,7 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from lin_freq_ocp.testing.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check_in_time
+from lin_freq_ocp.testing.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check
 from lin_freq_ocp.testing.random_lti import KINDS, kind_of
 
 AGREEING = 0.99
@@ -36,7 +36,7 @@ def check_all(seeds: Sequence[int], processes: int) -> list[Outcome]:
     terminal = Console(stderr=True)
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, spawn, initializer=_one_thread) as pool:
-        checked = pool.map(check_in_time, seeds)
+        checked = pool.map(check, seeds)
         if terminal.is_terminal:
             checked = track(checked, "Fourier-domain method", len(seeds), console=terminal, transient=True)
         return list(checked)

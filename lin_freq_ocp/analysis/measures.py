@@ -13,7 +13,6 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, stacked
-from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ZERO_PADDING = 16
@@ -194,14 +193,15 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
     n, m = problem.state_dim, problem.control_dim
     least = np.full(n + m, np.inf)
     for term in problem.terms:
-        if isinstance(term.map, StageMap):
-            limit = (np.broadcast_to(term.penalty.sizes(), term.shape) + np.abs(term.map.constant)).max(0)
-            for matrix, part in ((term.map.C, least[:n]), (term.map.D, least[n:])):
-                if matrix is not None:
-                    weights = np.abs(matrix).reshape(-1, *matrix.shape[-2:]).max(0)
-                    counts = (weights >= WEIGHTY * weights.max(1, keepdims=True)) & (weights > 0) & (limit[:, None] > 0)
-                    allowed = np.divide(limit[:, None], weights, out=np.full(weights.shape, np.inf), where=counts)
-                    np.minimum(part, allowed.min(0), out=part)
+        form = term.map.stage_form(n, m)
+        if form is None:
+            continue
+        limit = (np.broadcast_to(term.penalty.sizes(), term.shape) + np.abs(form[1])).max(0)
+        coefficients = np.abs(form[0]).max(0)
+        for weights, part in ((coefficients[:, :n], least[:n]), (coefficients[:, n:], least[n:])):
+            counts = (weights >= WEIGHTY * weights.max(1, keepdims=True)) & (weights > 0) & (limit[:, None] > 0)
+            allowed = np.divide(limit[:, None], weights, out=np.full(weights.shape, np.inf), where=counts)
+            np.minimum(part, allowed.min(0), out=part)
     return np.where(np.isfinite(least), least, 0.0)
 
 

@@ -10,9 +10,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.maps import SpectrumMap
-from lin_freq_ocp.problem.terms.penalties import Cone, Norm
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 
@@ -90,9 +88,10 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         control_lower=-np.minimum(nu, 0.0),
         stage_rows={rows.name: -multipliers.stage[rows.name] for rows in problem.stage_rows},
         limits={
-            term.name: -term.per_limit * _sizes(term, multipliers.stage[term.name])
+            term.name: -term.per_limit * prices
             for term in problem.terms
-            if term.kind != "stage rows" and not term.kind.endswith("cost") and not isinstance(term.penalty, Cone)
+            if term.kind != TermKind.STAGE_ROWS and not term.kind.is_cost
+            if (prices := term.penalty.limit_multipliers(multipliers.stage[term.name])) is not None
         },
         offset=-multipliers.eta,
         control_bins=-multipliers.rho_u,
@@ -109,18 +108,9 @@ def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tupl
     prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
     for term in problem.terms:
         weights = multipliers.stage.get(term.name)
-        if weights is None or not isinstance(term.map, SpectrumMap) or term.kind == "output spectrum":
+        if weights is None or not len(term.map.nearest_bins) or term.kind == TermKind.OUTPUT_SPECTRUM:
             continue
-        component = term.map.component
         size = term.per_limit * np.linalg.norm(term.map.pairs(weights), axis=1)
-        of_component = prices[term.kind == "state spectrum"][:, component]
+        of_component = prices[term.kind == TermKind.STATE_SPECTRUM][:, term.map.component]
         np.add.at(of_component, term.map.nearest_bins, size)
     return prices
-
-
-def _sizes(term: Term, weights: Array) -> Array:
-    """Return the multipliers of a term's limits from those of its values."""
-    if not isinstance(term.penalty, Norm):
-        return weights
-    order = {1: np.inf, 2: 2, np.inf: 1}[term.penalty.order]
-    return np.linalg.norm(weights, order, axis=1)[:, None]

@@ -11,8 +11,6 @@ from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Below
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -83,16 +81,13 @@ def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, tota
 
 
 def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple[int, Normal]]:
-    if not isinstance(term.map, StageMap) or not isinstance(term.penalty, Below) or not term.hard:
+    rows = term.polyhedron(trajectory.x.shape[1], trajectory.u.shape[1])
+    if rows is None:
         return
     values = term.map.values(trajectory.x, trajectory.u)
     sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
     near = TOUCHING * np.where(sizes > 0, sizes, 1.0)
-    for group, row in np.argwhere(values >= term.penalty.limit - near):
-        if term.map.times[group] < horizon:
-            parts = [
-                np.zeros(signal.shape[1]) if matrix is None else (matrix if matrix.ndim == 2 else matrix[group])[row]
-                for matrix, signal in ((term.map.C, trajectory.x), (term.map.D, trajectory.u))
-            ]
+    for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
+        if rows.times[group] < horizon:
             place = int(group), int(row)
-            yield int(term.map.times[group]), Normal(term.name, place, 1.0, np.concatenate(parts))
+            yield int(rows.times[group]), Normal(term.name, place, 1.0, rows.matrix(int(group))[row])

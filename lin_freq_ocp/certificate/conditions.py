@@ -19,7 +19,6 @@ from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
 from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors, floors
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.term import Term
 
 CONDITION_TOLERANCE = 1e-6
@@ -124,7 +123,7 @@ def non_negativity(lift: Lift) -> Condition:
 def non_triviality(lift: Lift) -> Condition:
     """C-ii: eta_C, the adjoint and the frequency multipliers are not all zero."""
     multipliers = lift.multipliers
-    spectra = [one.weights for one in lift.terms if one.term.kind.endswith("spectrum")]
+    spectra = [one.weights for one in lift.terms if one.term.kind.is_spectrum]
     counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
     rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in lift.terms))
     trivial = multipliers.eta_C == 0 and counted <= TRIVIAL * rest
@@ -180,8 +179,9 @@ def hamiltonian_maximum(lift: Lift, least: Floors) -> list[Condition]:
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
     total = excess.sum(1)
     for lifted in lift.terms:
-        if isinstance(lifted.term.map, StageMap) and lifted.term.map.D is not None:
-            np.add.at(total, lifted.term.map.times, np.maximum(lifted.gap, 0.0).sum(1))
+        times = lifted.term.map.control_times
+        if len(times):
+            np.add.at(total, times, np.maximum(lifted.gap, 0.0).sum(1))
     terms = (lift.in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
     t = int(np.argmax(total))

@@ -15,10 +15,9 @@ from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.scales import SCALE_FLOOR
-from lin_freq_ocp.certificate.slopes import leaving, recession, slope_of_penalty
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import TrajectoryMap
+from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DIRECTION_TOLERANCE = 1e-6
@@ -72,8 +71,9 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     for term in problem.terms:
         values, change = term.map.values(x, u), _change(term.map, along)
         size = float((term.map.sizes(x, u) + np.abs(change)).max())
-        residuals.append(leaving(term, values, change, TOUCHING * size) / max(float(np.abs(change).max()), size))
-        slopes.append(slope_of_penalty(term, values, change, TOUCHING * size))
+        left = term.penalty.leaving(values, change, TOUCHING * size)
+        residuals.append(left / max(float(np.abs(change).max()), size))
+        slopes.append(term.penalty.slope(values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
     steepest = _steepest(problem.quadratic.gradient(x, u), sizes)
     return _proven(along, residuals, slopes, scales, steepest)
@@ -91,7 +91,7 @@ def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Di
         residuals.append(_box_residual(change / size, np.isfinite(tube.upper), np.isfinite(tube.lower)))
     for term in problem.terms:
         change = _change(term.map, along)
-        left, price = recession(term, change)
+        left, price = term.penalty.unbounded(change)
         steady = np.broadcast_to(sizes[0], along.x.shape), np.broadcast_to(sizes[1], along.u.shape)
         residuals.append(left / float(term.map.sizes(*steady).max()) if left > 0 else 0.0)
         slopes.append(price)
@@ -178,6 +178,6 @@ def _tubes(problem: OptimalControlProblem) -> tuple[Box, Box]:
     return problem.state_tube, problem.control_tube
 
 
-def _change(one: TrajectoryMap, along: Trajectory) -> Array:
+def _change(one: AffineMap, along: Trajectory) -> Array:
     """Return the linear part of a map, of the direction."""
     return one.values(along.x, along.u) - one.values(np.zeros_like(along.x), np.zeros_like(along.u))

@@ -17,7 +17,6 @@ from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.problem.terms.penalties import Below
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -155,12 +154,11 @@ def _lifted_terms(
 
 
 def _require_no_multiplier_without_limit(term: Term, given: Array) -> None:
-    if isinstance(term.penalty, Below):
-        unlimited = (given != 0) & np.isinf(term.penalty.limit)
-        if unlimited.any():
-            t, row = (int(i) for i in np.argwhere(unlimited)[0])
-            field = f"multipliers.stage[{term.name!r}][{t}, {row}]"
-            raise ProblemError(field, f"{given[t, row]:g}", "0", "There is no limit to this row then.")
+    unlimited = (given != 0) & term.penalty.unlimited
+    if unlimited.any():
+        t, row = (int(i) for i in np.argwhere(unlimited)[0])
+        field = f"multipliers.stage[{term.name!r}][{t}, {row}]"
+        raise ProblemError(field, f"{given[t, row]:g}", "0", "There is no limit to this row then.")
 
 
 def _require_only_at_stopped(field: str, rho: ComplexArray, stopped: Mask) -> None:

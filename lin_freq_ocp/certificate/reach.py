@@ -13,8 +13,6 @@ from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Cone, Norm
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 OUTWARD = 1.0 + 1e-9
@@ -187,26 +185,17 @@ def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, known: l
 def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[int, list[tuple[Array, float]]]:
     """Return, per time, rows of (x_t, u_t) whose values cannot move farther than the distance that stands with them.
 
-    These are the rows of norms that are bounded, and those of half-spaces of which there are two, opposite.
+    These are the rows around norm balls, and those of half-spaces of which there are two, opposite.
     """
     found: dict[int, list[tuple[Array, float]]] = {}
-    n, m, (x, u) = problem.state_dim, problem.control_dim, (trajectory.x, trajectory.u)
+    signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     for term in problem.terms:
-        if not term.hard or not isinstance(term.map, StageMap) or isinstance(term.penalty, Cone):
+        rows = term.implied_rows(problem.state_dim, problem.control_dim)
+        if rows is None:
             continue
-        values = term.map.values(x, u)
-        for group, t in enumerate(term.map.times):
-            parts = [
-                np.zeros((values.shape[1], size)) if part is None else part if part.ndim == 2 else part[group]
-                for part, size in ((term.map.C, n), (term.map.D, m))
-            ]
-            matrix = np.hstack(parts)
-            if isinstance(term.penalty, Norm):
-                radius = float(np.broadcast_to(term.penalty.radius, len(values))[group])
-                distances = [(row, radius + abs(float(v))) for row, v in zip(matrix, values[group], strict=True)]
-            else:
-                slack = np.broadcast_to(term.penalty.limit, values.shape)[group] - values[group]
-                distances = _opposite(matrix, np.maximum(slack, 0.0))
+        for group, t in enumerate(rows.times):
+            matrix = rows.matrix(group)
+            distances = _opposite(matrix, np.maximum(rows.e[group] - matrix @ signals[t], 0.0))
             found.setdefault(int(t), []).extend((row, one) for row, one in distances if np.isfinite(one) and row.any())
     return found
 

@@ -57,7 +57,7 @@ def floors(lift: Lift, sizes: tuple[Array, Array] | None = None) -> Floors:
         level = stage = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
     else:
         in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.endswith("cost")]
+        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
         level = max(cost_scale(problem, lift.trajectory), stage)
     return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)

@@ -16,7 +16,7 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import SpectrumMap, SumMap
+from lin_freq_ocp.problem.terms.term import TermKind
 
 PASS_LOSS, STOP_LOSS = 3.0, 20.0
 """Decibels a Butterworth filter may lose at the last kept bin, and must lose half way into the stop band."""
@@ -102,7 +102,7 @@ def filter_limits(problem: OptimalControlProblem) -> str:
             f"the band is on {' and '.join(others)}, on which filters of the controls do not act; they remove its "
             "frequencies from every control instead"
         )
-    if any(isinstance(term.map, SumMap) for term in problem.terms):
+    if any(term.kind.is_spectrum and not len(term.map.nearest_bins) for term in problem.terms):
         words.append("linear equations over all times are nothing that a filter acts on")
     return "; ".join(words)
 
@@ -112,8 +112,8 @@ def _other_bands(problem: OptimalControlProblem, kind: str = "") -> Iterator[tup
     if kind != "output spectrum":
         yield from ((problem.horizon + 1, problem.state_band[:, i]) for i in range(problem.state_dim))
     for term in problem.terms:
-        if kind != "state spectrum" and term.kind == "output spectrum" and isinstance(term.map, SpectrumMap):
-            length = len(term.map.window)
+        if kind != "state spectrum" and term.kind == TermKind.OUTPUT_SPECTRUM:
+            length = term.map.samples
             bounded = np.zeros(length // 2 + 1, dtype=bool)
             bounded[term.map.nearest_bins] = True
             yield length, bounded

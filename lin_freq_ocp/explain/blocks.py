@@ -9,10 +9,10 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.explain.wider import with_bounds, with_wider_term
-from lin_freq_ocp.problem.augmented import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
+from lin_freq_ocp.problem.spectrum.base import listed
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 ENDS = ("initial state", "terminal state")

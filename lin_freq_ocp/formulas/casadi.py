@@ -14,7 +14,8 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, assign, brief, positive_integer
 from lin_freq_ocp.errors import MissingExtraError, ProblemError, first_line
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.formulas.nodes import LARGEST_POWER, MAXIMUM, MINIMUM, POWER, SUM, Formula, extreme, norm, signals
+from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
@@ -93,6 +94,18 @@ def from_casadi(
     value, jacobian, hessian = (partial(with_derivatives, what) for what in ("value", "jacobian", "hessian"))
     found = DifferentiableFunction(value, jacobian, hessian, made.size1_out(0), title, vectorized=True)
     assign(found, dimensions=(made.size1_in(0), made.size1_in(1)))
+    _translate(casadi, made, found, smooth)
+    return found
+
+
+def _translate(casadi: Any, made: Any, found: DifferentiableFunction, smooth: bool) -> None:
+    """Let a function make formulas where these have all its operations.
+
+    Raises
+    ------
+    ProblemError
+        If they have not, and it has kinks.
+    """
     program = made if made.is_a("SXFunction") else _expanded(made)
     codes = {program.instruction_id(k) for k in range(program.n_instructions())}
     kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]
@@ -103,7 +116,6 @@ def from_casadi(
         advice = "Write a mode for each side of a kink, or say smooth=True if there is none."
         got = f"{', '.join(kinked).lower()}, beside operations that formulas do not have"
         raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
-    return found
 
 
 def _casadi() -> Any:
@@ -122,7 +134,7 @@ def _compiled(casadi: Any, function: Callable[..., Any], n: int, m: int) -> Any:
     try:
         given = function(x, u)
         column = casadi.vertcat(*given) if isinstance(given, (Sequence, np.ndarray)) else casadi.SX(given)
-    except Exception as error:  # whatever a function does that was not made for symbols
+    except Exception as error:  # any error of a function that was not made for symbols
         got = f"{first_line(error)}, from the function"
         raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
     return casadi.Function("f", [x, u], [column])
@@ -135,9 +147,9 @@ def _require_columns(made: Any, states: int | None, controls: int | None) -> Non
     for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
         if size[1] != 1 or not size[0]:
             raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
-    for place, (label, given) in enumerate((("states", states), ("controls", controls))):
-        if given is not None and given != made.size1_in(place):
-            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(place)}, as the function has")
+    for i, (label, given) in enumerate((("states", states), ("controls", controls))):
+        if given is not None and given != made.size1_in(i):
+            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
 
 
 def _serialized(made: Any) -> str:
@@ -223,15 +235,15 @@ class _Translation:
         rows = program.sparsity_out(0).row()
         made, work = [zero] * program.size1_out(0), [zero] * program.sz_w()
         for k in range(program.n_instructions()):
-            code, used, place = program.instruction_id(k), program.instruction_input(k), program.instruction_output(k)
+            code, used, to = program.instruction_id(k), program.instruction_input(k), program.instruction_output(k)
             if code == casadi.OP_CONST:
-                work[place[0]] = zero + program.instruction_constant(k)
+                work[to[0]] = zero + program.instruction_constant(k)
             elif code == casadi.OP_INPUT:
-                work[place[0]] = inputs[used[0]][program.sparsity_in(used[0]).row()[used[1]]]
+                work[to[0]] = inputs[used[0]][program.sparsity_in(used[0]).row()[used[1]]]
             elif code == casadi.OP_OUTPUT:
-                made[rows[place[1]]] = work[used[0]]
+                made[rows[to[1]]] = work[used[0]]
             else:
-                work[place[0]] = operations[code](*(work[i] for i in used))
+                work[to[0]] = operations[code](*(work[i] for i in used))
         return made
 
 

@@ -1,4 +1,4 @@
-"""Formulas as texts of moderate length: what they share, and what is long or nested deeply, gets a name of its own."""
+"""Formulas as texts of moderate length: parts that are shared, long or nested deeply get names."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from collections.abc import Mapping, Sequence
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.formulas.nodes import SUM, VARIABLE, Formula, in_order, signals
-from lin_freq_ocp.formulas.text import FUNCTION_NAMES, composed, formula_from_text, text_of_variable
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.operations import OPERATIONS, SUM, VARIABLE, Notation
+from lin_freq_ocp.formulas.text import formula_from_text, function_names, known_signals
 
 LONGEST_TEXT = 1000
-"""Characters of a formula that is written as it stands, however much of it stands in it twice."""
+"""Characters of a formula that is written in full, even if parts of it repeat."""
 
 SHORTEST_NAMED = 12
-"""Characters of what is worth a name where it stands in several places."""
+"""A shared part of fewer characters is repeated, as a name would save nothing."""
 
 DEEPEST = 20
 """Brackets within brackets of one text: parsers take some hundred."""
@@ -23,11 +24,8 @@ DEEPEST = 20
 MOST_TERMS = 50
 """Terms of a sum in one text: parsers nest them."""
 
-
-def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
-    """Return x_0 .. and u_0 .. by name."""
-    x, u = signals(*dimensions)
-    return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+EXACT = Notation(repr)
+"""Numbers to the last bit."""
 
 
 def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
@@ -49,14 +47,14 @@ def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str,
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
     for name, text in given.items():
-        place = f"{field}.{name}"
+        entry = f"{field}.{name}"
         if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
             raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
-        if name in known or name in FUNCTION_NAMES:
-            raise ProblemError(place, "the name of a signal or a function", "another name")
+        if name in known or name in function_names():
+            raise ProblemError(entry, "the name of a signal or a function", "another name")
         if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-            raise ProblemError(place, brief(text), "a formula in quotes, or a number")
-        known[name] = formula_from_text(place, str(text), dimensions, known)
+            raise ProblemError(entry, brief(text), "a formula in quotes, or a number")
+        known[name] = formula_from_text(entry, str(text), dimensions, known)
     return known
 
 
@@ -64,7 +62,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
     """Return the texts of formulas, and the named formulas that they use, each after those that it uses.
 
     Formulas of up to ``LONGEST_TEXT`` characters are written as they stand; as soon as one is longer, what stands in
-    several places of all of them is written once. So the length of all texts grows with the number of nodes.
+    several of them is written once. So the length of all texts grows with the number of nodes.
 
     Formulas are those of ``signals``, without other functions.
     """
@@ -96,16 +94,14 @@ class _Writer:
 
     def add(self, one: Formula) -> None:
         """Write one node."""
-        if one.kind == VARIABLE:
-            self._written[one] = text_of_variable(one, None), 0
-            return
         parts = [self.part(argument) for argument in one.arguments]
         texts = [text for text, _ in parts]
         if one.kind == SUM and len(texts) > MOST_TERMS:
             self._written[one] = self._long_sum(one, texts), 1
             return
         whole = {i for i, (_, depth) in enumerate(parts) if depth == 0}
-        self._written[one] = composed(one, texts, repr, whole), 1 + max((depth for _, depth in parts), default=0)
+        depth = 0 if one.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
+        self._written[one] = OPERATIONS[one.kind].text(one, texts, EXACT, whole), depth
 
     def part(self, one: Formula) -> tuple[str, int]:
         """Return how a node stands in another text, and how deeply it is nested: 0 for a name."""
@@ -124,7 +120,7 @@ class _Writer:
             factors = (*one.data[:-1][chosen], one.data[-1] if last else 0.0)
             some = Formula(one.dimensions, SUM, one.arguments[chosen], factors)
             whole = {i for i, argument in enumerate(some.arguments) if not self._written[argument][1]}
-            names.append(self._named(composed(some, texts[chosen], repr, whole)))
+            names.append(self._named(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
         while len(names) > MOST_TERMS:
             names = [
                 self._named(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)

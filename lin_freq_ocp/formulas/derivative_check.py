@@ -1,4 +1,8 @@
-"""Derivatives that somebody gives, against differences of what they are derivatives of."""
+"""Given derivatives, checked against central differences.
+
+``scipy.differentiate`` fails where a function is undefined within its first step, and loses digits on noisy or rapidly
+changing functions unless their scale is known. Here steps of all sizes are compared.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +50,9 @@ class Derivative:
     what: str
     states: int
 
-    def argument(self, place: int) -> str:
+    def argument(self, i: int) -> str:
         """Return the name of an argument."""
-        return f"x[{place}]" if place < self.states else f"u[{place - self.states}]"
+        return f"x[{i}]" if i < self.states else f"u[{i - self.states}]"
 
     def at(self, y: Array) -> str:
         """Return a point in words."""
@@ -79,8 +83,8 @@ def require_derivative(
         own = given[..., j]
         allowed = DOUBT * doubt + TOLERANCE * np.maximum(np.abs(own), np.abs(found))
         wrong = ~(np.abs(own - found) <= allowed)  # not a number is wrong, too
-        for place in np.argwhere(wrong):
-            at = tuple(map(int, place))
+        for index in np.argwhere(wrong):
+            at = tuple(map(int, index))
             by = " and ".join([*(which.argument(i) for i in at[1:]), which.argument(j)])
             label = f"{which.title}.{which.what}[{', '.join(map(str, (*at, j)))}]"
             expected = f"{found[at]:.8g}, as differences of {which.of} say"

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.derivative_check import Derivative, require_derivative
-from lin_freq_ocp.formulas.nodes import EXTERNAL, Formula
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.operations import EXTERNAL
 
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 """Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
@@ -249,16 +250,16 @@ class DifferentiableFunction:
         steps = STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
         for j in range(y.shape[1]):
             sides: list[Array] = []
-            places: list[Array] = []
+            points: list[Array] = []
             for sign in (1, -1):
                 moved = y.copy()
                 moved[:, j] += sign * steps[:, j]
                 jacobian = self._evaluated("jacobian", moved[:, :states], moved[:, states:])
                 defined: Mask = np.asarray(np.isfinite(jacobian).all(axis=(1, 2)))
                 sides.append(np.where(defined[:, None, None], jacobian, slopes))
-                places.append(np.where(defined, moved[:, j], y[:, j]))
+                points.append(np.where(defined, moved[:, j], y[:, j]))
             with np.errstate(invalid="ignore"):
-                found[..., j] = (sides[0] - sides[1]) / (places[0] - places[1])[:, None, None]
+                found[..., j] = (sides[0] - sides[1]) / (points[0] - points[1])[:, None, None]
         return 0.5 * (found + np.swapaxes(found, 2, 3))
 
     def _sizes(self, arguments: int) -> Array:
@@ -291,7 +292,7 @@ class DifferentiableFunction:
             return function(x, u)
         except LinFreqOCPError:
             raise
-        except Exception as error:  # whatever code of others raises
+        except Exception as error:  # any error of a user's function
             if isinstance(error, ArithmeticError) and not self.vectorized:
                 return _UNDEFINED
             got = f"{first_line(error)}, at {_place(x, u)}"

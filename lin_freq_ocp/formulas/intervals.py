@@ -13,6 +13,8 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Mask
 
 Interval = tuple[Array, Array]
+WithDerivatives = tuple[Interval, Interval, Interval]
+"""Enclosures of a function of one variable and of its first and second derivative."""
 
 OUTWARD = 8 * float(np.finfo(np.float64).eps)
 """Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
@@ -79,37 +81,49 @@ def power(a: Interval, exponent: int) -> Interval:
     return np.where(through, 0.0, np.maximum(lower, 0.0)), upper
 
 
-def square_root(a: Interval) -> Interval:
+def root(a: Interval) -> Interval:
     """Return the root of the part of a that has one; unbounded where none has."""
     none = a[1] < 0
     lower, upper = outward(np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0)))
     return np.where(none, -np.inf, np.maximum(lower, 0.0)), np.where(none, np.inf, upper)
 
 
-def exponential(a: Interval) -> Interval:
-    """Return exp(a)."""
+def square_root(a: Interval) -> WithDerivatives:
+    """Return the root as ``root`` does, and its derivatives, unbounded unless a is positive."""
+    value = root(a)
+    first, second = scale(0.5, inverse(value)), scale(-0.25, inverse(multiply(value, a)))
+    return value, _where_positive(a, first), _where_positive(a, second)
+
+
+def exponential(a: Interval) -> WithDerivatives:
+    """Return exp(a), which is its own derivative."""
     lower, upper = outward(np.exp(a[0]), np.exp(a[1]))
-    return np.maximum(lower, 0.0), upper
+    value = np.maximum(lower, 0.0), upper
+    return value, value, value
 
 
-def logarithm(a: Interval) -> Interval:
-    """Return the logarithm of the part of a that has one; unbounded where none has."""
+def logarithm(a: Interval) -> WithDerivatives:
+    """Return the logarithm of the part of a that has one, unbounded where none has; derivatives as of a root."""
     lower = np.where(a[0] > 0, np.log(np.where(a[0] > 0, a[0], 1.0)), -np.inf)
     upper = np.where(a[1] > 0, np.log(np.where(a[1] > 0, a[1], 1.0)), np.inf)
-    return outward(lower, upper)
+    slope = inverse(a)
+    second = scale(-1.0, multiply(slope, slope))
+    return outward(lower, upper), _where_positive(a, slope), _where_positive(a, second)
 
 
-def cosine(a: Interval) -> Interval:
-    """Return cos(a)."""
-    return _wave(np.cos, a, 0.0)
+def cosine(a: Interval) -> WithDerivatives:
+    """Return cos(a), -sin(a) and -cos(a)."""
+    value = _wave(np.cos, a, 0.0)
+    return value, scale(-1.0, _wave(np.sin, a, np.pi / 2)), scale(-1.0, value)
 
 
-def sine(a: Interval) -> Interval:
-    """Return sin(a)."""
-    return _wave(np.sin, a, np.pi / 2)
+def sine(a: Interval) -> WithDerivatives:
+    """Return sin(a), cos(a) and -sin(a)."""
+    value = _wave(np.sin, a, np.pi / 2)
+    return value, _wave(np.cos, a, 0.0), scale(-1.0, value)
 
 
-def hyperbolic_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+def hyperbolic_tangent(a: Interval) -> WithDerivatives:
     """Return v = tanh(a), and its derivatives 1 - v^2 and -2 v (1 - v^2)."""
     value = meet(outward(np.tanh(a[0]), np.tanh(a[1])), _one_around(a))
 
@@ -121,7 +135,7 @@ def hyperbolic_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
     return value, falling(value), second
 
 
-def arc_tangent(a: Interval) -> tuple[Interval, Interval, Interval]:
+def arc_tangent(a: Interval) -> WithDerivatives:
     """Return arctan(a), and its derivatives 1/(1 + a^2) and -2 a/(1 + a^2)^2."""
     value = meet(outward(np.arctan(a[0]), np.arctan(a[1])), scale(np.pi / 2, _one_around(a)))
 
@@ -152,6 +166,11 @@ def _times(a: float | Array, b: Array) -> Array:
     return np.where(undefined & ~(np.isnan(a) | np.isnan(b)), 0.0, product) if undefined.any() else product
 
 
+def _where_positive(a: Interval, derivative: Interval) -> Interval:
+    positive = a[0] > 0
+    return np.where(positive, derivative[0], -np.inf), np.where(positive, derivative[1], np.inf)
+
+
 def _one_around(a: Interval) -> Interval:
     return -np.ones_like(a[0]), np.ones_like(a[0])
 
@@ -168,11 +187,11 @@ def _with_extrema(odd: Callable[[Interval], Interval], a: Interval, extremum: fl
         finite = np.where(known, end, 0.0)
         ends.append(odd((finite, finite)))  # of 0 it is 0, as in the limit
     lower, upper = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
-    place = 1 / np.sqrt(3.0)
+    extreme = 1 / np.sqrt(3.0)
     lowest, highest = outward(np.full_like(lower, -extremum), np.full_like(upper, extremum))
     return (
-        np.where((a[0] <= place) & (a[1] >= place), lowest, lower),
-        np.where((a[0] <= -place) & (a[1] >= -place), highest, upper),
+        np.where((a[0] <= extreme) & (a[1] >= extreme), lowest, lower),
+        np.where((a[0] <= -extreme) & (a[1] >= -extreme), highest, upper),
     )
 
 
@@ -183,8 +202,8 @@ def _wave(function: np.ufunc, a: Interval, peak: float) -> Interval:
     near = TURN * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
     lower, upper = outward(np.minimum(function(low), function(high)), np.maximum(function(low), function(high)))
 
-    def within(place: float) -> Mask:
-        return np.floor((high + near - place) / (2 * np.pi)) > np.floor((low - near - place) / (2 * np.pi))
+    def within(turn: float) -> Mask:
+        return np.floor((high + near - turn) / (2 * np.pi)) > np.floor((low - near - turn) / (2 * np.pi))
 
     upper = np.where(~known | within(peak), 1.0, np.minimum(upper, 1.0))
     lower = np.where(~known | within(peak + np.pi), -1.0, np.maximum(lower, -1.0))

@@ -1,4 +1,4 @@
-"""Formulas of states and controls: written with operators, evaluated with their first and second derivatives.
+"""Formulas of states and controls: a graph of operations, written with operators.
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
 ``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
@@ -9,178 +9,126 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, Self, TypeVar, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, real_array
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.arrays import brief, positive_integer, real_array
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.formulas.operations import (
+    MAXIMUM,
+    MINIMUM,
+    NORM,
+    OPERATIONS,
+    POWER,
+    PRODUCT,
+    QUOTIENT,
+    SUM,
+    VARIABLE,
+    Node,
+    Notation,
+    scalar_functions,
+)
 
 LARGEST_POWER = 16
+"""A larger exponent is more often a slip than meant; products of powers still make it."""
 
-VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
-MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
-SMOOTH = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
+LONGEST_SHOWN = 300
+"""Characters of a part of a formula that people are shown; a longer one is cut to three dots."""
 
 FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
-"""What to do with a Python function that no formula can be made of."""
-
-
-class External(Protocol):
-    """A smooth function of (x, u) that is no formula, evaluated at points: x (points, n) and u (points, m)."""
-
-    @property
-    def title(self) -> str:
-        """Return its name, or what stands for one."""
-        ...
-
-    def values_at(self, x: Array, u: Array) -> Array:
-        """Return (points, outputs); not a number where it is undefined."""
-        ...
-
-    def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
-        ...
+"""Advice for a Python function that no formula can be made of."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Formula:
-    """One node of a formula; made by ``signals`` and operators.
+class Formula(Node):
+    """A node of a formula with operators; made by ``signals`` and operators, attributes as of ``Node``."""
 
-    Attributes
-    ----------
-    dimensions : (n, m)
-    kind : str
-    arguments : tuple of Formula
-    data : tuple of float
-        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
-        external function which of its outputs it is, and how many of its arguments are its x.
-    names : tuple of str
-        Of a maximum or minimum, what to call the modes in which each argument is the one.
-    function : External, optional
-        Of an external function.
-    """
-
-    dimensions: tuple[int, int]
-    kind: str
     arguments: tuple[Formula, ...] = ()
-    data: tuple[float, ...] = ()
-    names: tuple[str, ...] = ()
-    function: External | None = None
-
-    word: ClassVar[str] = "formula"
-    """What errors call it."""
 
     @property
     def constant(self) -> float | None:
         """Return the value of a formula without variables, else None."""
         return self.data[-1] if self.kind == SUM and not self.arguments else None
 
-    def node(self, kind: str, arguments: tuple[Formula, ...], data: tuple[float, ...] = ()) -> Self:
-        """Return what an operator makes: a formula of the same signals."""
-        return type(self)(self.dimensions, kind, arguments, data)
+    def node(self, kind: str, arguments: tuple[Formula, ...], data: tuple[float, ...] = ()) -> Formula:
+        """Return a formula of the same signals."""
+        return Formula(self.dimensions, kind, arguments, data)
 
-    def __add__(self, other: Any) -> Self:
+    def __add__(self, other: Any) -> Formula:
         if not isinstance(other, Formula):
-            return _sum(self, {self: 1.0}, _number(self, "+", other))
+            return _sum(self, {self: 1.0}, _number("+", other))
         _require_same(self, other)
         return _sum(self, {self: 2.0} if other is self else {self: 1.0, other: 1.0}, 0.0)
 
-    def __mul__(self, other: Any) -> Self:
+    def __mul__(self, other: Any) -> Formula:
         if not isinstance(other, Formula):
-            return _sum(self, {self: _number(self, "*", other)}, 0.0)
+            return _sum(self, {self: _number("*", other)}, 0.0)
         _require_same(self, other)
-        for one, factor in ((self, other), (other, self)):
-            if one.constant is not None:
-                return _sum(self, {factor: one.constant}, 0.0)
+        for a, b in ((self, other), (other, self)):
+            if a.constant is not None:
+                return _sum(self, {b: a.constant}, 0.0)
         if other is self:
             return self**2
         return self.node(PRODUCT, (self, other))
 
-    def __truediv__(self, other: Any) -> Self:
+    def __truediv__(self, other: Any) -> Formula:
         if isinstance(other, Formula) and other.constant is None:
             _require_same(self, other)
             return self.node(QUOTIENT, (self, other))
-        value = _number(self, "/", other.constant if isinstance(other, Formula) else other)
+        value = _number("/", other.constant if isinstance(other, Formula) else other)
         if not value:
-            raise ProblemError(self.word, "a quotient by 0", "a number other than zero")
+            raise ProblemError("formula", "a quotient by 0", "a number other than zero")
         return self * (1 / value)
 
-    def __rtruediv__(self, other: Any) -> Self:
-        return self.node(QUOTIENT, (_sum(self, {}, _number(self, "/", other)), self))
+    def __rtruediv__(self, other: Any) -> Formula:
+        return self.node(QUOTIENT, (_sum(self, {}, _number("/", other)), self))
 
-    def __pow__(self, exponent: Any) -> Self:
+    def __pow__(self, exponent: Any) -> Formula:
         if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
             expected = f"a whole number from 2 to {LARGEST_POWER}"
-            raise ProblemError(self.word, f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
+            raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
         return self.node(POWER, (self,), (float(exponent),))
 
-    def __neg__(self) -> Self:
+    def __neg__(self) -> Formula:
         return self * -1.0
 
-    def __sub__(self, other: Any) -> Self:
-        return self + (other * -1.0 if isinstance(other, Formula) else -_number(self, "-", other))
+    def __sub__(self, other: Any) -> Formula:
+        return self + (other * -1.0 if isinstance(other, Formula) else -_number("-", other))
 
-    def __rsub__(self, other: Any) -> Self:
+    def __rsub__(self, other: Any) -> Formula:
         return -self + other
 
-    def __abs__(self) -> Self:
+    def __abs__(self) -> Formula:
         return self.node(MAXIMUM, (self, -self))
 
     def _compare(self, other: Any) -> bool:
         advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
-        raise ProblemError(self.word, f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
+        raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
 
     def __eq__(self, other: object) -> bool:
         """Return whether it is the same node, as collections ask; a comparison with anything else is refused."""
         return self is other if isinstance(other, Formula) else self._compare(other)
 
     def __bool__(self) -> bool:
-        raise ProblemError(self.word, "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
+        raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
 
     def __float__(self) -> float:
-        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(SMOOTH)}"
-        raise ProblemError(self.word, "what takes numbers only, as math.sin", expected, FUNCTIONS)
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(scalar_functions())}"
+        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
     __lt__ = __le__ = __gt__ = __ge__ = _compare
 
-    def exp(self) -> Self:
-        """Return the exponential; np.exp of an array of formulas calls it, and so on."""
-        return self.node("exp", (self,))
-
-    def log(self) -> Self:
-        """Return the natural logarithm."""
-        return self.node("log", (self,))
-
-    def sqrt(self) -> Self:
-        """Return the square root; of a sum of squares, ``norm`` is known to have a kink at zero."""
-        return self.node("sqrt", (self,))
-
-    def sin(self) -> Self:
-        """Return the sine."""
-        return self.node("sin", (self,))
-
-    def cos(self) -> Self:
-        """Return the cosine."""
-        return self.node("cos", (self,))
-
-    def tanh(self) -> Self:
-        """Return the hyperbolic tangent."""
-        return self.node("tanh", (self,))
-
-    def arctan(self) -> Self:
-        """Return the angle whose tangent it is, between -pi/2 and pi/2."""
-        return self.node("arctan", (self,))
+    def __getattr__(self, name: str) -> Callable[[], Formula]:
+        """Return what makes a function of the formula: np.exp of it, or of an array of formulas, calls its ``exp``."""
+        if name in scalar_functions():
+            return lambda: self.node(name, (self,))
+        raise AttributeError(f"a formula has no attribute {name!r}")
 
     def __repr__(self) -> str:
-        from lin_freq_ocp.formulas.text import text_of
-
-        return f"Formula({text_of(self)})"
-
-
-F = TypeVar("F", bound=Formula)
+        return f"Formula({written(self, shown(), LONGEST_SHOWN)})"
 
 
 def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
@@ -196,14 +144,9 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     ProblemError
         If they are no whole numbers from 1.
     """
-    return variables(Formula, states, controls)
-
-
-def variables(kind: type[Formula], states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
-    """Return the components of x and of u as formulas of some class; see ``signals``."""
     n, m = positive_integer("states", states), positive_integer("controls", controls)
     made = np.empty(n + m, dtype=object)
-    made[:] = [kind((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
+    made[:] = [Formula((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
     return made[:n], made[n:]
 
 
@@ -216,30 +159,21 @@ def norm(components: Any) -> Formula:
         If they are not formulas.
     """
     listed = list(components) if isinstance(components, (Sequence, np.ndarray)) else [components]
-    given = [one for one in listed if isinstance(one, Formula)]
-    if not given:
+    like = next((one for one in listed if isinstance(one, Formula)), None)
+    if like is None:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
-    zero = given[0] * 0.0
-    return given[0].node(NORM, tuple(one if isinstance(one, Formula) else zero + one for one in listed))
+    return like.node(NORM, tuple(as_formula(like, "norm", one) for one in listed))
 
 
-@overload
-def maximum(first: F, /, *others: F | float, names: Sequence[str] | None = None) -> F: ...
-
-
-@overload
-def maximum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
-
-
-def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
+def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
     """Return the largest of several formulas and numbers.
 
     Parameters
     ----------
-    arguments : Expression, Formula or float
-        Affine expressions of ``affine_signals``, or formulas of ``signals``; at least one is no number.
+    arguments : Formula or float
+        At least one is a formula.
     names : sequence of str, optional
-        What to call the modes in which each argument is the largest; "" adds nothing to a name.
+        The names of the modes in which each argument is the largest; "" adds nothing to a name.
 
     Raises
     ------
@@ -249,37 +183,24 @@ def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
     return extreme(MAXIMUM, arguments, names)
 
 
-@overload
-def minimum(first: F, /, *others: F | float, names: Sequence[str] | None = None) -> F: ...
-
-
-@overload
-def minimum(first: float, /, *others: Any, names: Sequence[str] | None = None) -> Any: ...
-
-
-def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Any:
+def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
     """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``."""
     return extreme(MINIMUM, arguments, names)
 
 
 def extreme(kind: str, arguments: Sequence[Any], given: Sequence[str] | None) -> Formula:
     """Return the maximum or minimum of formulas and numbers; see ``maximum`` and ``minimum``."""
-    first = next((one for one in arguments if isinstance(one, Formula)), None)
-    if len(arguments) < 2 or first is None:
-        expected = "two arguments or more, at least one of them an expression or a formula"
-        raise ProblemError(kind, brief(arguments), expected)
-    listed: list[Formula] = []
-    for one in arguments:
-        made = one if isinstance(one, Formula) else _sum(first, {}, _number(first, kind, one))
-        _require_same(first, made)
-        listed.append(made)
+    like = next((one for one in arguments if isinstance(one, Formula)), None)
+    if len(arguments) < 2 or like is None:
+        raise ProblemError(kind, brief(arguments), "two arguments or more, at least one of them a formula")
+    listed = tuple(as_formula(like, kind, one) for one in arguments)
     if given is not None:
         wrong = isinstance(given, str) or not all(
             isinstance(name, str) and (name.strip() or not name) and name.isprintable() for name in given
         )
         if wrong or len(given) != len(listed):
             raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
-    return replace(first.node(kind, tuple(listed)), names=tuple(given or ()))
+    return replace(like.node(kind, listed), names=tuple(given or ()))
 
 
 def in_order(formulas: Sequence[Formula]) -> list[Formula]:
@@ -324,59 +245,30 @@ def _made_anew(one: Formula, arguments: tuple[Formula, ...]) -> Formula:
     return replace(one, arguments=arguments)
 
 
-def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
-    """Return formulas, texts and numbers, or what a function of (x, u) makes of signals, as formulas.
-
-    Raises
-    ------
-    ProblemError
-        If they are none, or have other signals, or if the function cannot be called with formulas.
-    """
-    if callable(given):
-        given = _traced(field, given, dimensions)
-    if isinstance(given, (Formula, str)):
-        given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
-    for i, one in enumerate(given):
-        if isinstance(one, str):
-            from lin_freq_ocp.formulas.text import formula_from_text
-
-            one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else _sum(zero, {}, _number(zero, f"{field}[{i}]", one))
-        if formula.dimensions != dimensions:
-            expected = f"{dimensions[0]} states and {dimensions[1]} controls"
-            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
-        if formula.word != zero.word:
-            advice = "Those of lfo.affine_signals are for PiecewiseAffineDynamics.from_max_min."
-            raise ProblemError(f"{field}[{i}]", brief(formula), "a formula made of lfo.signals", advice)
-        made.append(formula)
-    return tuple(made)
-
-
-def _traced(field: str, function: Callable[..., Any], dimensions: tuple[int, int]) -> Any:
-    """Return what a function makes of signals."""
-    x, u = signals(*dimensions)
-    try:
-        return function(x, u)
-    except LinFreqOCPError:
-        raise
-    except Exception as error:  # whatever a function does that was not made for formulas
-        got = f"{first_line(error)}, from the function"
-        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
-        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
-        raise ProblemError(field, got, expected, advice) from error
-
-
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
     """Yield the nodes of some kinds, those within others first."""
     return (one for one in in_order(formulas) if one.kind in kinds)
 
 
-def _sum(like: F, factors: Mapping[Formula, float], constant: float) -> F:
-    """Return sum factor * formula + constant, of the class of ``like``; sums within it are taken up."""
-    flat: dict[Any, float] = {}
+def written(formula: Formula, notation: Notation, longest: float = float("inf")) -> str:
+    """Return the text of a formula; parts that are longer than ``longest`` are cut to three dots."""
+    made: dict[Formula, str] = {}
+    for node in in_order([formula]):
+        parts = [made[argument] for argument in node.arguments]
+        cut = {i for i, part in enumerate(parts) if len(part) > longest}
+        parts = ["..." if i in cut else part for i, part in enumerate(parts)]
+        made[node] = "..." if len(parts) > longest / 2 else OPERATIONS[node.kind].text(node, parts, notation, cut)
+    return made[formula]
+
+
+def shown(labels: Sequence[str] | None = None) -> Notation:
+    """Return the notation for people: rounded numbers."""
+    return Notation(lambda value: f"{value:.4g}", labels)
+
+
+def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Formula:
+    """Return sum factor * formula + constant; sums within it are taken up."""
+    flat: dict[Formula, float] = {}
     for one, factor in factors.items():
         inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == SUM else [(one, 1.0)]
         constant += factor * one.data[-1] if one.kind == SUM else 0.0
@@ -388,16 +280,20 @@ def _sum(like: F, factors: Mapping[Formula, float], constant: float) -> F:
     return like.node(SUM, tuple(kept), (*kept.values(), constant))
 
 
+def as_formula(like: Formula, operator: str, given: Any) -> Formula:
+    """Return a formula, or a number as one, of the same signals as ``like``."""
+    if not isinstance(given, Formula):
+        return _sum(like, {}, _number(operator, given))
+    _require_same(like, given)
+    return given
+
+
 def _require_same(one: Formula, other: Formula) -> None:
     if one.dimensions != other.dimensions:
-        raise ProblemError(one.word, f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
-    if one.word != other.word:
-        got = f"the {other.word} {brief(other)}"
-        raise ProblemError(one.word, got, "all made of lfo.signals, or all of lfo.affine_signals")
+        raise ProblemError("formula", f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
 
 
-def _number(formula: Formula, operator: str, value: Any) -> float:
+def _number(operator: str, value: Any) -> float:
     if isinstance(value, (bool, np.bool_)) or np.ndim(value):
-        article = "an" if formula.word[0] in "aeiou" else "a"
-        raise ProblemError(formula.word, f"{operator} {brief(value)}", f"a number or {article} {formula.word}")
-    return float(real_array(formula.word, value))
+        raise ProblemError("formula", f"{operator} {brief(value)}", "a number or a formula")
+    return float(real_array("formula", value))

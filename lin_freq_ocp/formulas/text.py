@@ -5,29 +5,27 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.nodes import (
-    MAXIMUM,
-    MINIMUM,
-    NORM,
-    POWER,
-    PRODUCT,
-    QUOTIENT,
-    SMOOTH,
-    SUM,
-    VARIABLE,
+    FUNCTIONS,
+    LONGEST_SHOWN,
     Formula,
+    as_formula,
     extreme,
     in_order,
     norm,
+    shown,
     signals,
+    written,
 )
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, Notation, scalar_functions
 
 LONGEST = 100_000
 """Characters of one formula."""
@@ -41,15 +39,16 @@ ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
 }
 """Of numbers alone."""
 
-FUNCTION_NAMES = ("abs", "max", "min", "norm", *SMOOTH)
 
-LONGEST_SHOWN = 300
-"""Characters of a part of a formula that people are shown; instead of a longer one stand three points."""
+def function_names() -> tuple[str, ...]:
+    """Return the names of all functions that a text may call."""
+    return ("abs", "max", "min", "norm", *scalar_functions())
 
-EXPECTED = (
-    "numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh, "
-    "arctan, as in 'norm(x_0, x_1) * u_0'"
-)
+
+def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
+    """Return x_0 .. and u_0 .. by name."""
+    x, u = signals(*dimensions)
+    return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
 
 
 def formula_from_text(
@@ -62,11 +61,10 @@ def formula_from_text(
     field : str
         What errors call it.
     text : str
-        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm, exp, log, sqrt, sin, cos, tanh,
-        arctan.
+        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm and the functions of one variable.
     dimensions : (n, m)
     known : mapping from str to Formula, optional
-        What names stand for; default: the signals.
+        Formulas by name; default: the signals.
 
     Raises
     ------
@@ -78,21 +76,25 @@ def formula_from_text(
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
-        raise ProblemError(field, brief(text), EXPECTED) from None
+        raise ProblemError(field, brief(text), _expected()) from None
     except (RecursionError, MemoryError):  # the parser's words for it
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
-    x, u = signals(*dimensions)
     if known is None:
-        known = {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+        known = known_signals(dimensions)
     try:
         with np.errstate(all="ignore"):
-            made = _Reader(text, known).read(tree.body)
-            formula = made if isinstance(made, Formula) else x[0] * 0.0 + made
+            zero = Formula(dimensions, SUM, (), (0.0,))
+            formula = as_formula(zero, "formula", _Reader(text, known).read(tree.body))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
     if not all(np.isfinite(one.data).all() for one in in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula
+
+
+def _expected() -> str:
+    names = ", ".join(function_names())
+    return f"numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and {names}, as in 'norm(x_0, x_1) * u_0'"
 
 
 class _Reader:
@@ -148,7 +150,7 @@ class _Reader:
         return value
 
     def _other(self) -> ProblemError:
-        return ProblemError("formula", brief(self._text), EXPECTED)
+        return ProblemError("formula", brief(self._text), _expected())
 
     def _operation(self, sign: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
         if isinstance(left, float) and isinstance(right, float) and type(sign) in ARITHMETIC:
@@ -166,19 +168,21 @@ class _Reader:
         raise self._other()
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
-        formulas = [one for one in arguments if isinstance(one, Formula)]
-        if name in ("max", "min") and len(arguments) > 1 and formulas:
-            return extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
-        if name == "norm" and formulas:
-            return norm(list(arguments))
-        if len(arguments) == 1 and formulas and name in ("abs", *SMOOTH):
-            (one,) = formulas
-            return abs(one) if name == "abs" else getattr(one, name)()
         numbers = [one for one in arguments if isinstance(one, float)]
-        if len(numbers) == len(arguments) > 1 and name in ("max", "min"):
-            return max(numbers) if name == "max" else min(numbers)
-        if len(arguments) == 1 and numbers and name in ("abs", *SMOOTH):
-            return self._number(lambda: float(abs(numbers[0]) if name == "abs" else getattr(np, name)(numbers[0])))
+        constant, functions = len(numbers) == len(arguments), scalar_functions()
+        if name in ("max", "min") and len(arguments) > 1:
+            if constant:
+                return max(numbers) if name == "max" else min(numbers)
+            return extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
+        if name == "norm" and not constant:
+            return norm(list(arguments))
+        if len(arguments) == 1 and name == "abs":
+            return abs(arguments[0])
+        if len(arguments) == 1 and name in functions:
+            (one,) = arguments
+            if isinstance(one, Formula):
+                return one.node(name, (one,))
+            return self._number(lambda: float(functions[name].function(np.array(one))))
         raise self._other()
 
 
@@ -192,7 +196,7 @@ def source_of(one: Formula, field: str = "formula") -> str:
     """
     for node in in_order([one]):
         require_formula(node, field)
-    return _text(one, None, repr)
+    return written(one, Notation(repr))
 
 
 def require_formula(one: Formula, field: str = "formula") -> None:
@@ -203,58 +207,44 @@ def require_formula(one: Formula, field: str = "formula") -> None:
 
 def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
-    return _text(one, labels, lambda value: f"{value:.4g}", LONGEST_SHOWN)
+    return written(one, shown(labels), LONGEST_SHOWN)
 
 
-def _text(
-    one: Formula, labels: Sequence[str] | None, number: Callable[[float], str], longest: float = float("inf")
-) -> str:
-    made: dict[Formula, str] = {}
-    for node in in_order([one]):
-        if node.kind == VARIABLE:
-            made[node] = text_of_variable(node, labels)
-            continue
-        parts = [made[argument] for argument in node.arguments]
-        cut = {i for i, part in enumerate(parts) if len(part) > longest}
-        if len(parts) > longest / 2:
-            made[node] = "..."
-        else:
-            made[node] = composed(node, ["..." if i in cut else part for i, part in enumerate(parts)], number, cut)
-    return made[one]
+def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas.
+
+    Raises
+    ------
+    ProblemError
+        If they are none, or have other signals, or if the function cannot be called with formulas.
+    """
+    if callable(given):
+        given = _traced(field, given, dimensions)
+    if isinstance(given, (Formula, str)):
+        given = [given]
+    if not isinstance(given, (Sequence, np.ndarray)):
+        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
+    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
+    for i, one in enumerate(given):
+        if isinstance(one, str):
+            one = formula_from_text(f"{field}[{i}]", one, dimensions)
+        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
+        if formula.dimensions != dimensions:
+            expected = f"{dimensions[0]} states and {dimensions[1]} controls"
+            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        made.append(formula)
+    return tuple(made)
 
 
-def text_of_variable(one: Formula, labels: Sequence[str] | None) -> str:
-    """Return the label of a signal, or x_i or u_i."""
-    n, i = one.dimensions[0], int(one.data[0])
-    return labels[i] if labels else f"x_{i}" if i < n else f"u_{i - n}"
-
-
-def composed(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
-    """Return the text of a node from those of its arguments, of which some are ``whole``: names without brackets."""
-    if one.kind == SUM:
-        return _sum(one, parts, number, whole)
-    if one.kind in (PRODUCT, QUOTIENT):
-        first = parts[0] if 0 in whole else _bracketed(one.arguments[0], parts[0])
-        return f"{first} {'*' if one.kind == PRODUCT else '/'} ({parts[1]})"
-    if one.kind == POWER:
-        return f"({parts[0]})**{one.data[0]:g}"
-    if one.function is not None:
-        return f"{one.function.title}({', '.join(parts)})[{int(one.data[0])}]"
-    name = {MAXIMUM: "max", MINIMUM: "min", NORM: "norm"}.get(one.kind, one.kind)
-    return f"{name}({', '.join(parts)})"
-
-
-def _sum(one: Formula, parts: Sequence[str], number: Callable[[float], str], whole: Set[int]) -> str:
-    text = ""
-    for i, (factor, argument, part) in enumerate(zip(one.data[:-1], one.arguments, parts, strict=True)):
-        size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "
-        sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
-        text += sign + size + (part if factor == 1 or i in whole else _bracketed(argument, part))
-    if one.data[-1] or not text:
-        value = one.data[-1]
-        text += f" {'-' if value < 0 else '+'} {number(abs(value))}" if text else number(value)
-    return text
-
-
-def _bracketed(one: Formula, text: str) -> str:
-    return f"({text})" if one.kind in (SUM, PRODUCT, QUOTIENT) else text
+def _traced(field: str, function: Callable[..., Any], dimensions: tuple[int, int]) -> Any:
+    """Return the value of a function for signals."""
+    x, u = signals(*dimensions)
+    try:
+        return function(x, u)
+    except LinFreqOCPError:
+        raise
+    except Exception as error:  # any error of a function that was not made for formulas
+        got = f"{first_line(error)}, from the function"
+        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+        raise ProblemError(field, got, expected, advice) from error

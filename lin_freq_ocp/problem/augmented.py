@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, with_columns
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.problem.costs.norms import CostSum
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_terms import OutputSpectrum
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.convex import Ball, ConvexSet, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.spectrum.bands import bands_of
-from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.base import listed
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
@@ -57,15 +55,14 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
         state_set=_wider_state_set(problem, further.lower),
         initial_state=_with_box(problem.initial_state, problem.initial_box, further.initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[*bands_of(problem.state_stop), *_wider_bounds(problem, k)],
-        stage_rows=[
-            StageRows(_beside(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
+        state_spectrum=[
+            *bands_of(problem.state_stop),
+            *(wider for one in listed(problem.state_spectrum) for wider in one.extended(problem.state_dim, k)),
         ],
-        output_spectrum=[
-            OutputSpectrum(None if one.C is None else _beside(one.C, k), one.D, one.constraints, one.output_names)
-            for one in listed(problem.output_spectrum)
-        ]
-        or None,
+        stage_rows=[
+            StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
+        ],
+        output_spectrum=[one.extended(problem.state_dim, k) for one in listed(problem.output_spectrum)] or None,
     )
 
 
@@ -83,7 +80,7 @@ def _wider_dynamics(
     modes = [
         AffineMode(
             *_wider_map(mode.linear, further),
-            G=_beside(mode.region.C, len(further.A)),
+            G=with_columns(mode.region.C, len(further.A)),
             H=mode.region.D,
             h=mode.region.e,
             name=mode.name,
@@ -95,13 +92,8 @@ def _wider_dynamics(
 
 def _wider_map(plant: LinearDynamics, further: FurtherStates) -> tuple[Array, Array, Array]:
     n, k = plant.state_dim, len(further.A)
-    A = _below(_beside(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
-    return A, _below(plant.B, further.B), _beside(plant.offset, k)
-
-
-def _beside(array: Array, columns: int) -> Array:
-    """Return the array with so many zeros more along its last axis."""
-    return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
+    A = _below(with_columns(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
+    return A, _below(plant.B, further.B), with_columns(plant.offset, k)
 
 
 def _below(array: Array, rows: Array) -> Array:
@@ -109,30 +101,20 @@ def _below(array: Array, rows: Array) -> Array:
     return np.concatenate([array, np.broadcast_to(rows, (*array.shape[:-2], *rows.shape))], axis=-2)
 
 
-def _wider_cost(problem: OptimalControlProblem, k: int) -> QuadraticCost | CostSum:
+def _wider_cost(problem: OptimalControlProblem, k: int) -> CostSum:
     cost, n = problem.quadratic, problem.state_dim
     wider = QuadraticCost(
-        Q=_below(_beside(cost.Q, k), np.zeros((k, n + k))),
+        Q=_below(with_columns(cost.Q, k), np.zeros((k, n + k))),
         R=cost.R,
         S=_below(cost.S, np.zeros((k, problem.control_dim))),
-        q=_beside(cost.q, k),
+        q=with_columns(cost.q, k),
         r=cost.r,
-        P=_below(_beside(cost.P, k), np.zeros((k, n + k))),
-        p=_beside(cost.p, k),
-        x_ref=_beside(cost.x_ref, k),
+        P=_below(with_columns(cost.P, k), np.zeros((k, n + k))),
+        p=with_columns(cost.p, k),
+        x_ref=with_columns(cost.x_ref, k),
         u_ref=cost.u_ref,
     )
-    if not isinstance(problem.cost, CostSum):
-        return wider
-
-    def complete(weights: Array) -> Array:
-        return _beside(np.full(n, weights) if weights.ndim == 0 else weights, k)
-
-    norms = [
-        type(one)(complete(one.x), one.u, complete(one.terminal), complete(one.x_ref), one.u_ref)
-        for one in problem.cost.norms
-    ]
-    return CostSum([wider, *norms])
+    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
 
 
 def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> Any:
@@ -145,45 +127,9 @@ def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> Any:
     return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.full(shape, np.inf)))
 
 
-def _with_box(given: Any, bounds: Box, further: Box) -> Any:
+def _with_box(given: ConvexSet | None, bounds: Box, further: Box) -> ConvexSet:
     """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the further ones."""
     box = Box(np.hstack([bounds.lower, further.lower]), np.hstack([bounds.upper, further.upper]))
-    if not isinstance(given, ConvexSet):
-        return box
     n, k = bounds.lower.shape[-1], further.lower.shape[-1]
-    return Intersection([box, *_wider_sets(given, n, k)])
-
-
-def _wider_sets(one: ConvexSet, n: int, k: int) -> list[Any]:
-    """Return the sets of (x, w), bounds apart, that say of x what a set says."""
-    if isinstance(one, Intersection):
-        return [wider for member in one.sets if isinstance(member, ConvexSet) for wider in _wider_sets(member, n, k)]
-    if isinstance(one, Soft):
-        if isinstance(one.soft_set, Box):
-            box, none = one.soft_set.at_dimension(n, "Soft"), np.full(k, np.inf)
-            return [Soft(Box(np.append(box.lower, -none), np.append(box.upper, none)), one.penalty)]
-        return [Soft(_wider_sets(one.soft_set, n, k)[0], one.penalty)]
-    if isinstance(one, Polyhedron):
-        return [Polyhedron(_beside(one.F, k), one.g)]
-    if isinstance(one, SecondOrderCone):
-        return [SecondOrderCone(_beside(one.F, k), one.g, _beside(one.h, k), one.d)]
-    assert isinstance(one, (Ball, Ellipsoid))
-    W = np.eye(n) if isinstance(one, Ball) else one.W
-    return [Ellipsoid(_beside(W, k), one.radius, _beside(np.broadcast_to(one.centre, n), k))]
-
-
-def _wider_bounds(problem: OptimalControlProblem, k: int) -> list[Any]:
-    """Return what bounds the spectra of the states beside stop bands, of the same states."""
-    wider: list[Any] = []
-    for one in listed(problem.state_spectrum):
-        if isinstance(one, LinearConstraint):
-            wider.append(LinearConstraint(_beside(one.coefficients, k), one.constant, one.penalty))
-        elif isinstance(one, (MagnitudeBound, EnergyBound)):
-            components = range(problem.state_dim) if one.component is None else [one.component]
-            wider += [one.on(component) for component in components]
-    return wider
-
-
-def listed(given: Any) -> Sequence[Any]:
-    """Return what a field holds, one or several or None, as a sequence."""
-    return given if isinstance(given, (list, tuple)) else [] if given is None else [given]
+    members = () if given is None else given.members
+    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box

@@ -8,12 +8,11 @@ from typing import Any
 
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.phrases import AT_MOST, first_few, interval, intervals, listed, number, plural, short_name
-from lin_freq_ocp.problem.costs.norms import CostSum
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.convex import ConvexSet
+from lin_freq_ocp.problem.spectrum.base import listed as entries
 
 LONGEST = 300
 """Characters of a fact: what is longer, as names of any length make it, is cut off."""
@@ -22,7 +21,7 @@ Fact = tuple[str, str]
 """A term, and what it is."""
 
 
-def problem_facts(problem: OptimalControlProblem) -> list[Fact]:
+def problem_facts(problem: ProblemData) -> list[Fact]:
     """Return the problem in words, as pairs of a term and what it is; one term may stand more than once."""
     facts = [
         ("horizon", _horizon(problem)),
@@ -37,15 +36,14 @@ def problem_facts(problem: OptimalControlProblem) -> list[Fact]:
     return [(term, shorten(value, LONGEST, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, value in facts]
 
 
-def _horizon(problem: OptimalControlProblem) -> str:
+def _horizon(problem: ProblemData) -> str:
     step, horizon = problem.sampling_time, plural(problem.horizon, "step")
     return horizon if step is None else f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
 
 
-def _cost(problem: OptimalControlProblem) -> list[Fact]:
-    quadratic, cost = problem.quadratic, problem.cost
-    norms = cost.norms if isinstance(cost, CostSum) else ()
-    parts = [words for words in (quadratic.describe(), *(norm.describe() for norm in norms)) if words]
+def _cost(problem: ProblemData) -> list[Fact]:
+    quadratic = problem.quadratic
+    parts = [text for text in (quadratic.describe(), *(norm.describe() for norm in problem.cost.norms)) if text]
     if not parts:
         return [("minimise", "nothing: any feasible point will do")]
     where, data = list[Fact](), quadratic.describe_data()
@@ -55,7 +53,7 @@ def _cost(problem: OptimalControlProblem) -> list[Fact]:
     return [facts[0], *where, *facts[1:]] if quadratic.describe() else facts
 
 
-def _dynamics(problem: OptimalControlProblem) -> list[Fact]:
+def _dynamics(problem: ProblemData) -> list[Fact]:
     dynamics = problem.dynamics
     if isinstance(dynamics, PiecewiseAffineDynamics):
         kind = f"an affine map in each, where G x + H u {AT_MOST} h"
@@ -73,12 +71,12 @@ def _dynamics(problem: OptimalControlProblem) -> list[Fact]:
     return facts
 
 
-def _controls(problem: OptimalControlProblem) -> list[Fact]:
+def _controls(problem: ProblemData) -> list[Fact]:
     tube = problem.control_tube
     return [(f"control: {name}", _bounds(tube, i, problem.control_set)) for i, name in enumerate(problem.control_names)]
 
 
-def _states(problem: OptimalControlProblem) -> list[Fact]:
+def _states(problem: ProblemData) -> list[Fact]:
     """Return bounds and ends of every state; what other sets say of them is a fact of its own."""
     boxes, facts = problem.state_boxes, list[Fact]()
     for i, name in enumerate(problem.state_names):
@@ -88,7 +86,7 @@ def _states(problem: OptimalControlProblem) -> list[Fact]:
             ("ends", "terminal", problem.terminal_state, problem.terminal_box),
         ):
             text = interval(float(box.lower[i]), float(box.upper[i]))
-            free = "anywhere" if isinstance(given, Box) else f"as the {what} set says"
+            free = "anywhere" if not given.members else f"as the {what} set says"
             words.append(f"{verb} {free if text == 'no bound' else text}")
         facts.append((f"state: {name}", "; ".join(words)))
     return facts
@@ -102,12 +100,10 @@ def _bounds(boxes: Box, i: int, given: Any) -> str:
 
 def _beyond_bounds(given: Any) -> bool:
     """Whether a set, or one of a list of them, is more than bounds on components."""
-    return isinstance(given, ConvexSet) or (
-        isinstance(given, (list, tuple)) and any(isinstance(one, ConvexSet) for one in given)
-    )
+    return any(one.members for one in entries(given))
 
 
-def _sets(problem: OptimalControlProblem) -> list[Fact]:
+def _sets(problem: ProblemData) -> list[Fact]:
     """Return what is not bounds on components."""
     facts = list[Fact]()
     for term, given, names, signal in (
@@ -116,15 +112,15 @@ def _sets(problem: OptimalControlProblem) -> list[Fact]:
         ("terminal set", problem.terminal_state, problem.state_names, "x"),
         ("control set", problem.control_set, problem.control_names, "u"),
     ):
-        if isinstance(given, ConvexSet):
-            facts.append((term, given.describe(names, signal)))
-        elif _beyond_bounds(given):
-            facts.append((term, _over_time([one.describe(names, signal) for one in given])))
+        if _beyond_bounds(given):
+            facts.append((term, _over_time([one.describe(names, signal) for one in entries(given)])))
     return facts
 
 
 def _over_time(words: Sequence[str]) -> str:
     """Return which set holds when; of many different ones, the first and the last."""
+    if len(words) == 1:
+        return words[0]
     starts = [t for t in range(len(words)) if t == 0 or words[t] != words[t - 1]]
     runs = [(first, after - 1) for first, after in zip(starts, [*starts[1:], len(words)], strict=True)]
     said = [f"t = {a}{'' if a == b else f' to {b}'}: {words[a]}" for a, b in runs]
@@ -135,22 +131,18 @@ def _over_time(words: Sequence[str]) -> str:
     return f"{len(said)} sets, one after another"
 
 
-def _spectra(problem: OptimalControlProblem) -> list[Fact]:
+def _spectra(problem: ProblemData) -> list[Fact]:
     facts = list[Fact]()
     for term, given, names in (
         ("control spectrum", problem.control_spectrum, problem.control_names),
         ("state spectrum", problem.state_spectrum, problem.state_names),
     ):
-        facts += [(term, one.describe(names)) for one in _listed(given)]
-    for outputs in _listed(problem.output_spectrum):
+        facts += [(term, one.describe(names)) for one in entries(given)]
+    for outputs in entries(problem.output_spectrum):
         facts.append(("outputs", outputs.describe(_signals(problem))))
         facts += [("output spectrum", one.describe(outputs.output_names)) for one in outputs.constraints]
     return facts
 
 
-def _listed(given: Any) -> Sequence[Any]:
-    return () if given is None else given if isinstance(given, (list, tuple)) else (given,)
-
-
-def _signals(problem: OptimalControlProblem) -> tuple[str, ...]:
+def _signals(problem: ProblemData) -> tuple[str, ...]:
     return (*(short_name(name) for name in problem.state_names), *problem.control_names)

@@ -15,19 +15,19 @@ from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.memory import require_horizon
-from lin_freq_ocp.problem.costs.norms import CostSum, as_cost
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
+from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.labels import printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.dynamics.regions import Border, borders, require_partition
-from lin_freq_ocp.problem.problem_terms import BEYOND_BANDS, bounded_bins, terms_of
+from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.box import Box, box_of, end_set, end_within, stacked
 from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins
 from lin_freq_ocp.problem.terms.stage_rows import row_families
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -79,7 +79,7 @@ class OptimalControlProblem:
 
     dynamics: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics
     horizon: int
-    cost: Any
+    cost: Cost
     control_set: Any = None
     state_set: Any = None
     initial_state: Any = None
@@ -99,15 +99,14 @@ class OptimalControlProblem:
                 "LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics",
                 "From python-control: LinearDynamics.from_statespace.",
             )
-        cost = as_cost(self.cost)
-        if cost is None:
+        if not isinstance(self.cost, Cost):
             raise ProblemError("cost", brief(self.cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
         printable("name", self.name)
         set_field(self, "horizon", positive_integer("horizon", self.horizon))
         self.dynamics.require_horizon(self.horizon)
         n, m, T = self.state_dim, self.control_dim, self.horizon
         require_horizon(T, n, m)
-        set_field(self, "cost", cost.at_dimensions(n, m, T))
+        set_field(self, "cost", self.cost.at_dimensions(n, m, T))
         set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
@@ -136,10 +135,10 @@ class OptimalControlProblem:
                 ends[t] = end_within(end, self.state_boxes.at(t))
         problem.__dict__["met_ends"] = tuple(ends)
         problem.__dict__.pop("state_tube", None)
-        boxes = isinstance(problem.initial_state, Box) and isinstance(problem.terminal_state, Box)
+        boxes = not problem.initial_state.members and not problem.terminal_state.members
         outside = any(beyond.any() for _, beyond in ends)
         if (
-            not boxes or outside or any(term.kind == "state set" for term in self.terms)
+            not boxes or outside or any(term.kind == TermKind.STATE_SET for term in self.terms)
         ):  # what else there is knows no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
@@ -280,7 +279,7 @@ class OptimalControlProblem:
     @property
     def quadratic(self) -> QuadraticCost:
         """Return the quadratic part of the cost."""
-        return self.cost.quadratic if isinstance(self.cost, CostSum) else self.cost
+        return self.cost.quadratic
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
@@ -343,30 +342,25 @@ class OptimalControlProblem:
     def control_stop(self) -> Mask:
         """Which bins are removed from which control: shape (T//2 + 1, m)."""
         return stopped_bins(
-            "control_spectrum",
-            self.control_spectrum,
-            self.horizon,
-            self.control_names,
-            self.sampling_time,
-            BEYOND_BANDS,
+            "control_spectrum", self.control_spectrum, self.horizon, self.control_names, self.sampling_time
         )
 
     @cached_property
     def state_stop(self) -> Mask:
         """Which bins are removed from which state: shape ((T+1)//2 + 1, n)."""
         return stopped_bins(
-            "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time, BEYOND_BANDS
+            "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time
         )
 
     @cached_property
     def control_band(self) -> Mask:
         """Which bins of which control are removed or bounded by a mask or an energy: shape (T//2 + 1, m)."""
-        return self.control_stop | bounded_bins(self.terms, "control spectrum", self.control_stop.shape)
+        return self.control_stop | bounded_bins(self.terms, TermKind.CONTROL_SPECTRUM, self.control_stop.shape)
 
     @cached_property
     def state_band(self) -> Mask:
         """Which bins of which state are removed or bounded by a mask or an energy: shape ((T+1)//2 + 1, n)."""
-        return self.state_stop | bounded_bins(self.terms, "state spectrum", self.state_stop.shape)
+        return self.state_stop | bounded_bins(self.terms, TermKind.STATE_SPECTRUM, self.state_stop.shape)
 
     def require(self, trajectory: Trajectory) -> None:
         """Raise ProblemError unless the trajectory has this problem's shape."""
@@ -388,15 +382,13 @@ class OptimalControlProblem:
             f"{self.state_dim} states, {self.control_dim} controls, {modes}"
             f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
             + (f", {joint} joint rows per step" if joint else "")
-            + "".join(f", {term.name}" for term in self.terms if term.kind != "stage rows")
+            + "".join(f", {term.name}" for term in self.terms if term.kind != TermKind.STAGE_ROWS)
         )
 
     def __repr__(self) -> str:
         return f"OptimalControlProblem({self})"
 
     def _repr_html_(self) -> str:
-        from lin_freq_ocp.problem.description import problem_facts
-
         return html_table(self.name or "Optimal control problem", problem_facts(self))
 
 

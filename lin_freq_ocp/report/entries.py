@@ -161,7 +161,7 @@ def shown_filter(comparison: ComparisonOutcome, name: str | None = None) -> Filt
 def has_frequency_constraint(problem: OptimalControlProblem) -> bool:
     """Whether anything is asked of the spectrum of a control, a state or an output."""
     stopped = bool(problem.control_stop.any() or problem.state_stop.any())
-    return stopped or any(term.kind.endswith("spectrum") for term in problem.terms)
+    return stopped or any(term.kind.is_spectrum for term in problem.terms)
 
 
 def can_be_filtered(problem: OptimalControlProblem) -> bool:

@@ -101,7 +101,7 @@ LISTED = {
     "Box": ("contains", "project", "violation", "support"),
     "StageRows": ("values", "slack", "violation"),
     "QuadraticCost": ("value", "gradient"),
-    "PiecewiseAffineDynamics": ("from_guards", "from_max_min"),
+    "PiecewiseAffineDynamics": ("from_guards", "from_formulas"),
     "PiecewiseSmoothDynamics": ("from_formulas",),
     "Sweep": ("column", "table", "plot", "to_csv"),
     "Comparison": ("plot", "save"),

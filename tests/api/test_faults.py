@@ -19,7 +19,7 @@ from lin_freq_ocp import errors
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.problem_file import template
-from lin_freq_ocp.methods.spectral.kkt.violations import Violations
+from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.report import page
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)

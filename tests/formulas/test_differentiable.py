@@ -286,6 +286,8 @@ def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     missed = replace(problem, dynamics=lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(half)], 1, 1), terminal_state=[1.0])
     with pytest.raises(lfo.UnsupportedError, match="not proven infeasible, it ended as 'numerical_error'"):
         lfo.explain(missed)
+    with pytest.raises(lfo.UnsupportedError, match="off is no formula"):
+        interval_jets(problem.dynamics.modes[1].f, np.zeros((1, 2)), np.ones((1, 2)))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from lin_freq_ocp.geometry.polyhedra import cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.dynamics.max_min import SMALLEST_PIECE
 
 SEEDS = st.integers(0, 2**32 - 1)
-from_max_min = lfo.PiecewiseAffineDynamics.from_max_min
+from_formulas = lfo.PiecewiseAffineDynamics.from_formulas
 
 
 def random_expression(rng, signals, size, depth):
@@ -48,9 +48,9 @@ def values(dynamics, v):
 def test_the_modes_are_the_function_and_continuous(seed, n, m, depth):
     rng = np.random.default_rng(seed)
     sizes = 10.0 ** rng.integers(-9, 9, n + m)
-    x, u = lfo.affine_signals(n, m)
+    x, u = lfo.signals(n, m)
     made = [random_expression(rng, np.concatenate([x, u]), sizes, depth if i == 0 else 1) for i in range(n)]
-    dynamics = from_max_min([size * one for size, (one, _) in zip(sizes, made, strict=False)])
+    dynamics = from_formulas([size * one for size, (one, _) in zip(sizes, made, strict=False)], n, m)
     v = rng.normal(size=(200, n + m)) * 3 * sizes
     expected = np.stack([function(v) for _, function in made], axis=1)
     np.testing.assert_allclose(values(dynamics, v) / sizes[:n], expected, rtol=1e-9, atol=1e-9)
@@ -70,10 +70,10 @@ def test_the_modes_are_the_function_and_continuous(seed, n, m, depth):
 def test_kinks_written_as_maxima_are_the_kinks(seed):
     rng = np.random.default_rng(seed)
     kinked = random_kinks(rng, 2, 1, 3)
-    x, u = lfo.affine_signals(2, 1)
+    x, u = lfo.signals(2, 1)
     v = np.concatenate([x, u])
     kinks = [lfo.maximum(row @ v - edge, 0) for row, edge in zip(kinked.h, kinked.d[0], strict=True)]
-    dynamics = from_max_min(kinked.F[0] @ v + kinked.c[0] + np.array(kinks, dtype=object) @ kinked.g)
+    dynamics = from_formulas(kinked.F[0] @ v + kinked.c[0] + np.array(kinks, dtype=object) @ kinked.g, 2, 1)
     points = kinked.points(rng, 100)
     np.testing.assert_allclose(values(dynamics, points), kinked.value(0, points), rtol=1e-12, atol=1e-12)
     met = {tuple(signs) for signs in kinked.signs(0, 100 * kinked.points(rng, 20000))}
@@ -86,7 +86,7 @@ def test_kinks_written_as_maxima_are_the_kinks(seed):
 
 # --- how many modes, and what they are called -------------------------------------------------------------------------
 
-X, U = lfo.affine_signals(2, 1)
+X, U = lfo.signals(2, 1)
 
 COUNTS = {
     "affine": (X[0] + 2 * U[0], [""]),
@@ -120,7 +120,7 @@ COUNTS = {
 @pytest.mark.parametrize("name", COUNTS)
 def test_modes_have_the_names_of_their_branches(name):
     expression, names = COUNTS[name]
-    dynamics = from_max_min([expression, 0])
+    dynamics = from_formulas([expression, 0], 2, 1)
     if names is not None:
         assert sorted(mode.name for mode in dynamics.modes) == sorted(names)
     if name == "what cancels":  # of two objects, so there were two combinations, of one map
@@ -133,13 +133,14 @@ def test_modes_have_the_names_of_their_branches(name):
 
 def test_one_object_branches_once():
     once = lfo.maximum(X[0], 0)
-    assert len(from_max_min([once - once, once]).modes) == 2
-    assert from_max_min([once - once + X[1], X[0]]).modes[0].everywhere
+    assert len(from_formulas([once - once, once], 2, 1).modes) == 2
+    assert from_formulas([once - once + X[1], X[0]], 2, 1).modes[0].everywhere
 
 
 def test_regions_have_rows_in_the_words_of_the_expression():
+    modes = from_formulas([lfo.minimum(lfo.maximum(2 * X[0], U[0]), 4), 0], 2, 1).modes
     low, high, middle = (
-        next(mode for mode in from_max_min([lfo.minimum(lfo.maximum(2 * X[0], U[0]), 4), 0]).modes if mode.name == name)
+        next(mode for mode in modes if mode.name == name)
         for name in ("max is 2 x_0, min is 2 x_0", "max is 2 x_0, min is 4", "max is u_0, min is u_0")
     )
     for mode, rows in (
@@ -154,25 +155,23 @@ def test_regions_have_rows_in_the_words_of_the_expression():
 def test_names_of_components_are_used_and_long_ones_cut():
     names = {"state_names": ["position [m]", "speed [m/s]"], "control_names": ["force [N]"]}
     many = lfo.maximum(X[0] + 1.23456789 * X[1] + 2.5 * U[0] - 1.25e6, 0)
-    assert from_max_min([many, X[1]], 0.1, **names).mode_names == (
+    assert from_formulas([many, X[1]], 2, 1, 0.1, **names).mode_names == (
         "max is position + 1.235 speed + 2.5 force - ...",
         "max is 0",
     )
     twins = lfo.maximum(X[0] + 1e-9 * X[1], X[0] + 1.00001e-9 * X[1], 0)
-    assert len(set(from_max_min([twins, 0]).mode_names)) == 3
-    dynamics = from_max_min([lfo.maximum(X[0], 0, names=["on", "off"]), 0], 0.5, **names)
+    assert len(set(from_formulas([twins, 0], 2, 1).mode_names)) == 3
+    dynamics = from_formulas([lfo.maximum(X[0], 0, names=["on", "off"]), 0], 2, 1, 0.5, **names)
     assert (dynamics.mode_names, dynamics.sampling_time) == (("on", "off"), 0.5)
     assert dynamics.state_names == ("position [m]", "speed [m/s]")
 
 
 def test_matrices_act_on_signals():
     A, B = np.array([[1.0, 0.1], [-0.2, 0.9]]), np.array([[0.0], [0.5]])
-    (mode,) = from_max_min(A @ X + B @ U + np.array([1.0, -1.0])).modes
+    (mode,) = from_formulas(lambda x, u: A @ x + B @ u + np.array([1.0, -1.0]), 2, 1).modes
     np.testing.assert_array_equal(mode.linear.A, A)
     np.testing.assert_array_equal(mode.linear.B, B)
     np.testing.assert_array_equal(mode.linear.offset, [1.0, -1.0])
-    assert repr(1 - X[0] / 2 + lfo.maximum(X[1], 0)) == "Expression(-0.5 x_0 + 1, and 1 maxima or minima)"
-    assert repr(np.float64(2.0) * U[0]) == "Expression(2 u_0)"
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -181,41 +180,24 @@ def test_matrices_act_on_signals():
 @pytest.mark.parametrize(
     ("make", "field", "words"),
     [
-        (lambda: from_max_min([X[0]]), "expressions", "got 1; expected 2, one for each state"),
-        (lambda: from_max_min([]), "expressions", "lfo.affine_signals"),
-        (lambda: from_max_min(X[0]), "expressions", "lfo.affine_signals"),
-        (lambda: from_max_min([1.0, 2.0]), "expressions", "lfo.affine_signals"),
-        (lambda: from_max_min(None), "expressions", "lfo.affine_signals"),
-        (lambda: from_max_min([X[0], "x"]), "expression", "'x'"),
-        (lambda: from_max_min([X[0], lfo.affine_signals(1, 1)[0][0]]), "expression", "the same signals"),
-        (lambda: from_max_min([X[0], X[1]], state_names=["a"]), "dynamics.state_names", "2 different names"),
-        (lambda: X[0] * X[1], "expression", "a product of expressions"),
-        (lambda: X[0] / 0, "expression", "other than zero"),
-        (lambda: X[0] / X[1], "expression", "a quotient"),
-        (lambda: 1 / X[0], "expression", "a quotient"),
-        (lambda: X[0] ** 2, "expression", "a product of expressions"),
-        (lambda: np.exp(X), "expression", "got exp of expressions"),
-        (lambda: lfo.norm(X), "expression", "lfo.signals are for PiecewiseSmoothDynamics"),
-        (lambda: lfo.DifferentiableFunction(np.add, np.add)(X, X), "expression", "a function of expressions"),
-        (lambda: lfo.SmoothMode([1.0, X[0]]).with_signals("mode", (2, 1)), "mode.f[1]", "got Expression(x_0)"),
-        (lambda: X[0] + lfo.signals(2, 1)[0][0], "expression", "all made of lfo.signals, or all of lfo.affine_signals"),
-        (lambda: lfo.maximum(lfo.signals(2, 1)[0][0], X[0]), "formula", "got the expression Expression(x_0)"),
-        (lambda: X[0] + np.nan, "expression", "nan"),
-        (lambda: X[0] + np.ones(2), "expression", "a number or an expression"),
-        (lambda: np.ones(2) * X[0], "expression", "a number or an expression"),
-        (lambda: X[0] * True, "expression", "a number or an expression"),
-        (lambda: max(X[0], 0), "expression", "lfo.maximum or lfo.minimum"),
-        (lambda: np.maximum(X, 0), "expression", "lfo.maximum or lfo.minimum"),
-        (lambda: lfo.maximum(X[0]), "maximum", "two arguments or more"),
-        (lambda: lfo.minimum(1, 2), "minimum", "at least one of them an expression"),
-        (lambda: lfo.maximum(X[0], 0, names=["a"]), "maximum.names", "2 names"),
-        (lambda: lfo.maximum(X[0], 0, names="ab"), "maximum.names", "2 names"),
-        (lambda: lfo.minimum(X[0], 0, names=["a", " "]), "minimum.names", "2 names"),
-        (lambda: lfo.affine_signals(0, 1), "states", "whole number"),
-        (lambda: lfo.affine_signals(1, 1.5), "controls", "whole number"),
+        (lambda: from_formulas([X[0]], 2, 1), "f", "got 1 formulas; expected 2, one for each state"),
+        (lambda: from_formulas([], 2, 1), "f", "got 0 formulas"),
+        (lambda: from_formulas(X[0], 2, 1), "f", "got 1 formulas"),
+        (lambda: from_formulas(None, 2, 1), "f", "lfo.signals"),
+        (lambda: from_formulas(X, 2, 0), "control_dim", "whole number"),
+        (lambda: from_formulas([X[0], "y"], 2, 1), "f[1]", "'y'"),
+        (lambda: from_formulas([X[0], lfo.signals(1, 1)[0][0]], 2, 1), "f[1]", "2 states and 1 controls"),
+        (lambda: from_formulas(X, 2, 1, state_names=["a"]), "dynamics.state_names", "2 different names"),
+        (lambda: from_formulas([X[0] * X[1], 0], 2, 1), "f[0]", "got 'x_0 * (x_1)'"),
+        (lambda: from_formulas([X[0], 1 / X[0]], 2, 1), "f[1]", "PiecewiseSmoothDynamics"),
+        (lambda: from_formulas([X[0], lfo.maximum(X[0] ** 2, X[1])], 2, 1), "f[1]", "affine functions of x and u"),
+        (lambda: from_formulas([lfo.maximum(X[0], 0) * X[0], 0], 2, 1), "f[0]", "affine functions of x and u"),
+        (lambda: from_formulas(np.exp(X), 2, 1), "f[0]", "got 'exp(x_0)'"),
+        (lambda: from_formulas([lfo.norm(X), 0], 2, 1), "f[0]", "got 'norm(x_0, x_1)'"),
+        (lambda: from_formulas(lfo.DifferentiableFunction(np.add, np.add, outputs=2)(X, X), 2, 1), "f[0]", "got 'add("),
     ],
 )
-def test_what_is_no_expression_is_refused(make, field, words):
+def test_what_is_not_piecewise_affine_is_refused(make, field, words):
     with pytest.raises(lfo.ProblemError) as caught:
         make()
     assert caught.value.field == field
@@ -224,7 +206,7 @@ def test_what_is_no_expression_is_refused(make, field, words):
 
 def test_too_many_combinations_are_refused(monkeypatch):
     monkeypatch.setattr("lin_freq_ocp.problem.dynamics.max_min.MOST_PIECES", 8)
-    x, u = lfo.affine_signals(4, 1)
-    from_max_min([sum(abs(one) for one in x[:3]), *x[1:]])
+    x, u = lfo.signals(4, 1)
+    from_formulas([sum(abs(one) for one in x[:3]), *x[1:]], 4, 1)
     with pytest.raises(lfo.ProblemError, match="more than 8 combinations"):
-        from_max_min([sum(abs(one) for one in x) + u[0], *x[1:]])
+        from_formulas([sum(abs(one) for one in x) + u[0], *x[1:]], 4, 1)

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lin_freq_ocp.problem.terms.penalties import Below, Cone, Norm, Penalty
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.problem.terms.penalty import Penalty
 
 GROUPS, DIM = 7, 4
 SEEDS = st.integers(0, 2**32 - 1)
@@ -19,22 +20,22 @@ def limits(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return np.where(rng.random(shape) < 0.2, np.inf, rng.uniform(0.2, 2.0, shape))
 
 
-def below(rng: np.random.Generator, soft: bool) -> Below:
+def below(rng: np.random.Generator, soft: bool) -> HalfSpaces:
     weight = rng.uniform(0.1, 2.0, (GROUPS, 1)) if soft else np.asarray(np.inf)
-    return Below(limits(rng, DIM) - 1 if soft else limits(rng, GROUPS, DIM), weight)
+    return HalfSpaces(limits(rng, DIM) - 1 if soft else limits(rng, GROUPS, DIM), weight)
 
 
 def norm(order: float):
-    def make(rng: np.random.Generator, soft: bool) -> Norm:
+    def make(rng: np.random.Generator, soft: bool) -> NormBall:
         radius = np.zeros(()) if rng.random() < 0.3 else limits(rng, GROUPS)
-        return Norm(order, radius, rng.uniform(0.1, 2.0, GROUPS) if soft else np.asarray(np.inf))
+        return NormBall(order, radius, rng.uniform(0.1, 2.0, GROUPS) if soft else np.asarray(np.inf))
 
     make.__name__ = f"norm {order}"
     return make
 
 
-def cone(rng: np.random.Generator, soft: bool) -> Cone:
-    return Cone()
+def cone(rng: np.random.Generator, soft: bool) -> StandardCone:
+    return StandardCone()
 
 
 KINDS = [
@@ -48,11 +49,11 @@ named = pytest.mark.parametrize(("make", "soft"), KINDS, ids=lambda value: getat
 
 def inside(penalty: Penalty, v: np.ndarray) -> np.ndarray:
     """Return values as near zero as it takes for the hard part to hold."""
-    if isinstance(penalty, Cone):
+    if isinstance(penalty, StandardCone):
         v = v.copy()
         v[:, 0] = np.linalg.norm(v[:, 1:], axis=1) * (1 + np.abs(v[:, 0]))
         return v
-    if isinstance(penalty, Below):
+    if isinstance(penalty, HalfSpaces):
         return np.minimum(v, np.where(np.isinf(penalty.weight), penalty.limit, np.inf))
     size = np.linalg.norm(v, penalty.order, axis=1)
     allowed = np.where(np.isinf(penalty.weight), penalty.radius, np.inf)
@@ -61,13 +62,13 @@ def inside(penalty: Penalty, v: np.ndarray) -> np.ndarray:
 
 def h(penalty: Penalty, v: np.ndarray) -> np.ndarray:
     """Return the penalty of each group by its definition: infinity where a hard one does not hold."""
-    if isinstance(penalty, Cone):
+    if isinstance(penalty, StandardCone):
         return np.where(v[:, 0] >= np.linalg.norm(v[:, 1:], axis=1) * (1 - 1e-12), 0.0, np.inf)
-    if isinstance(penalty, Below):
+    if isinstance(penalty, HalfSpaces):
         excess = np.maximum(v - penalty.limit, 0.0)
     else:
         excess = np.maximum(np.linalg.norm(v, penalty.order, axis=1) - penalty.radius, 0.0)[:, None]
-    weight = penalty.weight if isinstance(penalty, Below) else np.reshape(penalty.weight, (-1, 1))
+    weight = penalty.weight if isinstance(penalty, HalfSpaces) else np.reshape(penalty.weight, (-1, 1))
     return np.where(excess > 1e-12, np.where(excess > 1e-12, excess, 1.0) * weight, 0.0).sum(1)
 
 
@@ -129,10 +130,10 @@ def test_the_gap_of_the_gradient_is_zero(make, seed):
 def normals(penalty: Penalty, v: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return points on the border of a hard penalty, and a normal of each."""
     size = rng.uniform(0.1, 3.0, GROUPS)[:, None]
-    if isinstance(penalty, Cone):
+    if isinstance(penalty, StandardCone):
         v[:, 0] = np.linalg.norm(v[:, 1:], axis=1)
         return v, size * np.column_stack([-v[:, 0], v[:, 1:]])
-    if isinstance(penalty, Below):
+    if isinstance(penalty, HalfSpaces):
         active = np.isfinite(penalty.limit) & (rng.random(v.shape) < 0.5)
         return np.where(active, penalty.limit, np.minimum(v, penalty.limit)), np.where(active, size, 0.0)
     length = np.linalg.norm(v, penalty.order, axis=1)
@@ -165,7 +166,7 @@ def test_the_gap_of_a_normal_is_zero_and_that_of_its_opposite_is_not(make, seed)
 
 
 def test_what_lies_across_a_norm_is_misfit_to_first_order_and_gap_to_second():
-    ball, v, angle = Norm(2, np.ones(1), np.asarray(np.inf)), np.array([[1.0, 0.0]]), 1e-4
+    ball, v, angle = NormBall(2, np.ones(1), np.asarray(np.inf)), np.array([[1.0, 0.0]]), 1e-4
     turned = np.array([[np.cos(angle), np.sin(angle)]])
     assert ball.misfit(v, turned)[0, 0] == pytest.approx(np.sin(angle))
     assert ball.gap(v, turned, 1.0)[0, 0] == pytest.approx(angle**2 / 2, rel=1e-6)

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.terms.maps import SpectrumMap, StageMap, SumMap, TrajectoryMap
+from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
+from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 
 N, M = 3, 2
 DIM = 4
@@ -56,7 +57,7 @@ def sum_map(rng: np.random.Generator, T: int) -> SumMap:
 MAPS = (stage_map, spectrum_map, together, sum_map)
 
 
-def plain_values(one: TrajectoryMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the values by the definition, one sum after the other."""
     if isinstance(one, SumMap):
         v = one.constant.copy()

@@ -18,8 +18,8 @@ from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt.bordered import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
@@ -182,7 +182,7 @@ def test_a_large_border_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyP
     def never(self: Any) -> None:
         raise AssertionError("a Hessian was made")
 
-    monkeypatch.setattr("lin_freq_ocp.methods.spectral.kkt.bordered.Border._set_hessian", never)
+    monkeypatch.setattr("lin_freq_ocp.methods.spectral.kkt.bordered_system.BorderedSystem._set_hessian", never)
     problem = lfo.library.double_integrator(horizon=2 * LARGEST_BORDER)
     lower, upper = np.full((2 * LARGEST_BORDER, 1), -1.0), np.full((2 * LARGEST_BORDER, 1), 1.0)
     lower[::2] = upper[::2] = 0.0

@@ -29,10 +29,10 @@ def block(smooth=False, horizon=HORIZON):
     if smooth:
         dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(FRICTION, 2, 1, STEP)
     else:
-        x, u = lfo.affine_signals(2, 1)
+        x, u = lfo.signals(2, 1)
         pushed = x[1] + STEP * u[0]
         speed = lfo.maximum(pushed - STEP, lfo.minimum(0, pushed + STEP, names=["stick", "left"]), names=["right", ""])
-        dynamics = lfo.PiecewiseAffineDynamics.from_max_min([x[0] + STEP * x[1], speed], STEP)
+        dynamics = lfo.PiecewiseAffineDynamics.from_formulas([x[0] + STEP * x[1], speed], 2, 1, STEP)
     return lfo.OptimalControlProblem(
         dynamics,
         horizon,

@@ -10,9 +10,9 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypedDict
 
+from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.comparison.sweep.grid import Parameters, Source, plain_parameters, problem_at
 from lin_freq_ocp.errors import BandWarning, LinFreqOCPError
-from lin_freq_ocp.methods.spectral.solver import one_blas_thread
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.interchange.cvxpy.terms import constraints_of, costs_of, stage_products
+from lin_freq_ocp.interchange.cvxpy.terms import stage_products, terms_of
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box, stacked
@@ -32,7 +32,8 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     then "control set fixed"), "mask on ...", "energy bound on ...". Rows and equations have the multipliers as their
     dual value, only finite limits, in the order of time or bin, then row. Euclidean norms and cones are ``cvxpy.SOC``,
     one cone per time or bin, whose dual values are a number sigma >= |z| and a vector z of each: the multiplier is -z
-    of a norm, and (-sigma, -z) of a cone. Soft constraints and nonsmooth costs are in the objective.
+    of a norm, and (-sigma, -z) of a cone. Soft constraints and nonsmooth costs are in the objective, with a variable of
+    their own: "slacks of " and their name, bounded by constraints of that name with " slack".
 
     Parameters
     ----------
@@ -52,10 +53,10 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
     states = stacked("state_set", problem.state_set, n, T + 1)
-    terms = constraints_of(problem, x, u)
+    costs, terms = terms_of(problem, x, u)
     taken = {constraint.label for constraint in terms}
     return cp.Problem(
-        cp.Minimize(sum(costs_of(problem, x, u), _cost(problem.quadratic, x, u))),
+        cp.Minimize(sum(costs, _cost(problem.quadratic, x, u))),
         [
             _dynamics(problem, x, u),
             *_within(problem.initial_box, x[0], "initial state", taken),

@@ -9,8 +9,9 @@ import numpy as np
 
 from lin_freq_ocp.interchange.locations import located
 from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, Value
+from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
-from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Intersection, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
@@ -40,9 +41,9 @@ def _read_end(location: str, given: Any) -> Any:
 
 
 def _write_end(location: str, value: Any) -> Any:
-    if isinstance(value, Box) and value.fixed.all():
+    if not value.members and value.fixed.all():
         return value.lower
-    free = isinstance(value, Box) and np.isinf(value.lower).all() and np.isinf(value.upper).all()
+    free = not value.members and np.isinf(value.lower).all() and np.isinf(value.upper).all()
     return None if free else SETS.write(location, value)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, checked
-from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 
 BINS = checked(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
 

@@ -9,10 +9,9 @@ from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, c
 from lin_freq_ocp.interchange.problem_file.dynamics import DYNAMICS, without_zeros
 from lin_freq_ocp.interchange.problem_file.sets import END_SET, SET_OR_SETS
 from lin_freq_ocp.interchange.problem_file.spectrum import OUTPUTS, SPECTRUM
-from lin_freq_ocp.problem.costs.norms import CostSum, L1Cost, LInfCost
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 SCHEMA = 1
@@ -25,16 +24,16 @@ NORM_COSTS.records |= {
 }
 
 
-def _cost(norms: Any = None, **terms: Any) -> QuadraticCost | CostSum:
+def _cost(norms: Any = None, **terms: Any) -> Cost:
     quadratic = QuadraticCost(**terms)
     if norms is None:
         return quadratic
     return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
 
 
-def _terms(cost: QuadraticCost | CostSum) -> dict[str, Any]:
-    quadratic, norms = (cost.quadratic, cost.norms) if isinstance(cost, CostSum) else (cost, ())
-    return {key: getattr(quadratic, key) for key in COST.optional if key != "norms"} | {"norms": norms}
+def _terms(cost: Cost) -> dict[str, Any]:
+    terms = {key: getattr(cost.quadratic, key) for key in COST.optional if key != "norms"}
+    return terms | {"norms": cost.norms}
 
 
 COST = Record(
@@ -65,7 +64,7 @@ def _fields(problem: OptimalControlProblem) -> dict[str, Any]:
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key != "schema"}
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
-        if isinstance(given, (list, tuple)) and all(isinstance(one, Box) for one in given):
+        if isinstance(given, (list, tuple)) and not any(one.members for one in given):
             fields[key] = boxes
     return fields
 

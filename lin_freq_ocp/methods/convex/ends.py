@@ -9,8 +9,6 @@ import numpy as np
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import NO_BOUND
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Below
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 
@@ -36,12 +34,8 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
 def _rows_at(problem: OptimalControlProblem, t: int) -> Iterator[tuple[str, int, Array, Array]]:
     """Yield every term of hard rows C x_t <= limit: its name, the place of t in it, C and limit."""
     for term in problem.terms:
-        rows, penalty = term.map, term.penalty
-        if not isinstance(rows, StageMap) or not isinstance(penalty, Below) or not term.hard:
-            continue
-        if rows.C is None or rows.D is not None or t not in rows.times:
+        rows = term.polyhedron(problem.state_dim, problem.control_dim)
+        if rows is None or t not in rows.times or len(term.map.control_times):
             continue
         k = int(np.flatnonzero(rows.times == t)[0])
-        C = rows.C if rows.C.ndim == 2 else rows.C[k]
-        constant = rows.constant if rows.constant.ndim == 1 else rows.constant[k]
-        yield term.name, k, C, np.broadcast_to(penalty.limit, term.shape)[k] - constant
+        yield term.name, k, rows.matrix(k)[:, : problem.state_dim], rows.e[k]

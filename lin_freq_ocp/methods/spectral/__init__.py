@@ -1,9 +1,10 @@
-"""The Fourier-domain method for linear time-invariant problems (SPECTRAL.md): read in the order of its steps.
+"""The Fourier-domain method for linear time-invariant problems, as docs/spectral.md derives it.
 
-``lti`` states the problem, ``resolvent`` and ``spaces`` solve the dynamics at every bin, ``border`` holds what no bin
-owns, ``kernels`` and ``working_set`` what pointwise rows do to each other, ``structure`` ties these together;
-``violations`` and ``exchange`` find the active rows with the small QPs of ``dual_qp``, from ``first_set``'s guess;
-``rays`` prove infeasibility, ``recovery`` returns the theorem's multipliers, ``optimality`` checks the answer.
+``model``      the problem in units of order 1, its null spaces at every bin, and kernels of pointwise rows
+``kkt``        the bordered KKT system, and the small QPs with it
+``rows``       the working set, violated rows, and responses of nearby or of all values without FFTs
+``algorithm``  what is kept between solves (``structure``), the first working set, the exchange, rays, multipliers
+``solver``     SpectralSolver, which puts these together
 """
 
 from lin_freq_ocp.methods.spectral.model.row_form import row_form

@@ -1,19 +1,17 @@
-"""SpectralSolver: set up once, solve for many ends, references and bounds (SPECTRAL.md, section 2)."""
+"""SpectralSolver: set up once, solve for many ends, references and bounds (docs/spectral.md)."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from lin_freq_ocp.arrays import positive_number
+from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
@@ -24,8 +22,7 @@ from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, STRICT_SLOP
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, trajectory
-from lin_freq_ocp.methods.spectral.kkt.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import (
     Lti,
     Units,
@@ -36,6 +33,7 @@ from lin_freq_ocp.methods.spectral.model.lti import (
     with_ends,
 )
 from lin_freq_ocp.methods.spectral.model.row_form import row_form
+from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.program import Residuals
@@ -276,7 +274,7 @@ class SpectralSolver:
             status, words = "numerical_error", f"{words}, with numbers that are not finite"
         infeasible = status == "infeasible"
         if status == "optimal" and measured is not None and not answer.accurate:
-            status, words = "numerical_error", f"settled with residuals of {measured.worst:.1e}"
+            status, words = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
         active = outcome.working.weights > 0
         t, f, sign = outcome.working.rows()
         return SpectralSolution(
@@ -291,47 +289,6 @@ class SpectralSolver:
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
-
-
-class _BlasThreads:
-    """Counts who wants one BLAS thread; the last one to leave restores what the first one found."""
-
-    def __init__(self) -> None:
-        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
-
-    def enter(self) -> None:
-        with self._lock:
-            self._users += 1
-            if self._users == 1:
-                threads = [(library, library.num_threads) for library in _blas_libraries()]
-                self._before = [(library, before) for library, before in threads if before != 1]
-                for library, _ in self._before:
-                    library.set_num_threads(1)
-
-    def leave(self) -> None:
-        with self._lock:
-            self._users -= 1
-            if not self._users:
-                for library, before in self._before:
-                    library.set_num_threads(before)
-
-
-_blas_threads = _BlasThreads()
-
-
-@contextmanager
-def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread, as long as any thread of this process is within."""
-    _blas_threads.enter()
-    try:
-        yield
-    finally:
-        _blas_threads.leave()
-
-
-@cache
-def _blas_libraries() -> list[Any]:
-    return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def _structure(lti: Lti) -> Structure:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, brief, real_array, shaped
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, real_array, shaped, with_columns
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import datum, listed, span, vector
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost, Summable
+from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Norm
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class _NormCost(Summable):
+class _NormCost(NonsmoothCost):
     """What L1Cost and LInfCost share: weights of deviations from references."""
 
     x: Array
@@ -26,6 +26,8 @@ class _NormCost(Summable):
     terminal: Array
     x_ref: Array
     u_ref: Array
+    kind: ClassVar[str]
+    order: ClassVar[float]
 
     def __init__(
         self,
@@ -48,7 +50,6 @@ class _NormCost(Summable):
         parts = [_weighted(what, weights) for what, weights in weighted if weights.any()]
         if not parts:
             return ""
-        kind = "the sum of absolute values" if isinstance(self, L1Cost) else "the largest absolute value"
         references = [
             datum(field, values, 1)
             for field, values, used in (
@@ -58,26 +59,40 @@ class _NormCost(Summable):
             if used and values.any()
         ]
         deviations = f" of deviations from {listed(references)}" if references else ""
-        return f"{kind}{deviations} at each time: {listed(parts)}"
+        return f"{self.kind}{deviations} at each time: {listed(parts)}"
 
-    def terms(self, n: int, m: int, horizon: int, place: str, name: str) -> list[Term]:
+    def extended(self, n: int, k: int) -> Self:
+        """Return the cost of (x, w), w in R^k without weight."""
+        x, terminal, x_ref = (
+            with_columns(np.full(n, one) if one.ndim == 0 else one, k) for one in (self.x, self.terminal, self.x_ref)
+        )
+        return type(self)(x, self.u, terminal, x_ref, self.u_ref)
+
+    def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask]:
+        """Return the references, and at which times the deviation of a state or control has a weight."""
+        weights, reference = (self.x, self.x_ref) if is_state else (self.u, self.u_ref)
+        end = [_component(self.terminal, index) != 0] if is_state else []
+        counts = np.append(np.broadcast_to(_component(weights, index) != 0, horizon), end).astype(bool)
+        return reference, counts
+
+    def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
         """Return its terms with v = weight * deviation, checked against the problem's dimensions."""
-        T, order = horizon, (1 if isinstance(self, L1Cost) else np.inf)
+        T = horizon
 
-        def array(field: str, size: int, times: int | None) -> Array:
-            value: Array = getattr(self, field)
+        def array(entry: str, size: int, times: int | None) -> Array:
+            value: Array = getattr(self, entry)
             complete = np.full(size, value) if value.ndim == 0 else value
-            return shaped(f"{place}.{field}", complete, (size,), times)
+            return shaped(f"{field}.{entry}", complete, (size,), times)
 
         x, u, terminal = array("x", n, T), array("u", m, T), array("terminal", n, None)
         x_ref = np.broadcast_to(array("x_ref", n, T + 1), (T + 1, n))
         u_ref = np.broadcast_to(array("u_ref", m, T), (T, m))
-        norm, stages = Norm(order, np.zeros(()), np.ones(())), np.arange(T)
+        norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)
         found: list[Term] = []
         for weights, reference, times, kind, of_state, what in (
-            (x, x_ref[:-1], stages, "stage cost", True, "states"),
-            (u, u_ref, stages, "stage cost", False, "controls"),
-            (terminal, x_ref[-1:], np.array([T]), "terminal cost", True, "terminal state"),
+            (x, x_ref[:-1], stages, TermKind.STAGE_COST, True, "states"),
+            (u, u_ref, stages, TermKind.STAGE_COST, False, "controls"),
+            (terminal, x_ref[-1:], np.array([T]), TermKind.TERMINAL_COST, True, "terminal state"),
         ):
             if weights.any():
                 scale = weights[..., None] * np.eye(weights.shape[-1])
@@ -104,6 +119,10 @@ class L1Cost(_NormCost):
         If a weight is below zero, or, when it meets a problem, a shape does not fit.
     """
 
+    label = "L1 cost"
+    kind = "the sum of absolute values"
+    order = 1
+
 
 class LInfCost(_NormCost):
     """sum_{t<T} max_i x_i |x_t,i - x_ref,i| + max_j u_j |u_t,j - u_ref,j|, plus max_i terminal_i |x_T,i - x_ref,i|.
@@ -111,69 +130,17 @@ class LInfCost(_NormCost):
     Parameters are those of ``L1Cost``.
     """
 
+    label = "Linf cost"
+    kind = "the largest absolute value"
+    order = np.inf
 
-@dataclass(frozen=True, eq=False, init=False)
-class CostSum(Summable):
-    """The sum of costs; written ``QuadraticCost(R=1) + L1Cost(u=0.1)``.
 
-    Parameters
-    ----------
-    costs : list of costs
-        At most one of them quadratic.
-
-    Raises
-    ------
-    ProblemError
-        If one is no cost, or two are quadratic.
-    """
-
-    quadratic: QuadraticCost
-    norms: tuple[_NormCost, ...]
-
-    def __init__(self, costs: list[Any]):
-        if not isinstance(costs, (list, tuple)):
-            raise ProblemError("cost", brief(costs), "a list of costs")
-        quadratic: list[QuadraticCost] = []
-        norms: list[_NormCost] = []
-        for cost in costs:
-            if not isinstance(cost, (QuadraticCost, _NormCost, CostSum)):
-                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
-            if isinstance(cost, CostSum):
-                quadratic.append(cost.quadratic)
-                norms.extend(cost.norms)
-            elif isinstance(cost, QuadraticCost):
-                quadratic.append(cost)
-            else:
-                norms.append(cost)
-        quadratic = [cost for cost in quadratic if not cost.zero]
-        if len(quadratic) > 1:
-            raise ProblemError("cost", "a sum of two quadratic costs", "at most one", "Add their matrices.")
-        assign(self, quadratic=quadratic[0] if quadratic else QuadraticCost(), norms=tuple(norms))
-
-    def at_dimensions(self, n: int, m: int, horizon: int) -> CostSum:
-        """Return the same cost with the quadratic part completed, checked."""
-        complete = CostSum(list(self.norms))
-        assign(complete, quadratic=self.quadratic.at_dimensions(n, m, horizon))
-        return complete
-
-    def terms(self, n: int, m: int, horizon: int) -> list[Term]:
-        """Return the nonsmooth terms."""
-        found: list[Term] = []
-        for i, cost in enumerate(self.norms):
-            kind = "L1 cost" if isinstance(cost, L1Cost) else "Linf cost"
-            before = sum(type(other) is type(cost) for other in self.norms[:i])
-            found += cost.terms(n, m, horizon, f"cost.norms[{i}]", kind + (f" {before + 1}" if before else ""))
-        return found
+def _component(values: Array, index: int) -> Array:
+    """Return the entry of a component, () or (times,), from a number for all, one entry each, or these per time."""
+    return values if values.ndim == 0 else values[..., index]
 
 
 def _weighted(what: str, weights: Array) -> str:
     if weights.ndim == 2 and (weights != weights[0]).any():
         return f"{what} with weights that depend on time,{span(weights)}"
     return f"{what} with weights {vector(weights[0] if weights.ndim == 2 else weights)}"
-
-
-def as_cost(cost: Any) -> QuadraticCost | CostSum | None:
-    """Return a quadratic cost or a sum, or None if it is neither."""
-    if isinstance(cost, _NormCost):
-        return CostSum([cost])
-    return cost if isinstance(cost, (QuadraticCost, CostSum)) else None

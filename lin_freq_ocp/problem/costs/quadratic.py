@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import datum
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.problem.costs.norms import CostSum
+from lin_freq_ocp.problem.terms.term import Term
 
 SYMMETRY_TOLERANCE = 1e-12
 """Relative asymmetry of Q, R or P that is rounding and not a mistake."""
@@ -22,24 +21,83 @@ CONVEXITY_TOLERANCE = 1e-12
 """Negative eigenvalue, relative to the largest, that is rounding of a positive semidefinite matrix."""
 
 
-class Summable:
-    """Costs whose sums are costs; ``sum`` of a list of them is one, too."""
+class Cost(ABC):
+    """A convex cost; sums of costs are costs, and ``sum`` of a list of them, too.
+
+    A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
+    listed in ``NORM_COSTS`` of ``interchange/problem_file/problem_tables.py``. ``tests/problem/test_new_term.py`` shows
+    a complete one.
+    """
+
+    @property
+    @abstractmethod
+    def quadratic(self) -> QuadraticCost:
+        """Return the quadratic part."""
+
+    @property
+    @abstractmethod
+    def norms(self) -> tuple[NonsmoothCost, ...]:
+        """Return the nonsmooth parts."""
+
+    def at_dimensions(self, n: int, m: int, horizon: int) -> Cost:
+        """Return the same cost with every term an array of the right shape, checked."""
+        complete = CostSum(list(self.norms))
+        assign(complete, smooth=self.quadratic.at_dimensions(n, m, horizon))
+        return complete
+
+    def terms(self, n: int, m: int, horizon: int) -> list[Term]:
+        """Return the nonsmooth terms."""
+        found, kinds = list[Term](), [cost.label for cost in self.norms]
+        for i, (cost, kind) in enumerate(zip(self.norms, kinds, strict=True)):
+            before = kinds[:i].count(kind)
+            name = f"{kind} {before + 1}" if before else kind
+            found += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
+        return found
 
     def __add__(self, other: Any) -> CostSum:
-        from lin_freq_ocp.problem.costs.norms import CostSum
-
         return CostSum([self, other])
 
-    def __radd__(self, other: Any) -> Self | CostSum:
+    def __radd__(self, other: Any) -> Cost:
         if type(other) is int and other == 0:  # what sum() begins with
             return self
-        from lin_freq_ocp.problem.costs.norms import CostSum
-
         return CostSum([other, self])
 
 
+class NonsmoothCost(Cost):
+    """A cost that is a sum of terms h(L(x, u))."""
+
+    label: ClassVar[str]
+    """The name of its terms."""
+
+    @property
+    def quadratic(self) -> QuadraticCost:
+        """Return zero."""
+        return QuadraticCost()
+
+    @property
+    def norms(self) -> tuple[NonsmoothCost, ...]:
+        """Return the cost itself."""
+        return (self,)
+
+    @abstractmethod
+    def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
+        """Return its terms, checked against the problem's dimensions; errors name the field."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """Return a text of what is summed; empty if that is nothing."""
+
+    @abstractmethod
+    def extended(self, n: int, k: int) -> NonsmoothCost:
+        """Return the cost of (x, w), w in R^k without cost."""
+
+    def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask] | None:
+        """Return the references of states or controls, and when the deviation of a component counts; None without."""
+        return None
+
+
 @dataclass(frozen=True, eq=False, init=False)
-class QuadraticCost(Summable):
+class QuadraticCost(Cost):
     """sum_{t<T} 1/2 a'Q a + 1/2 b'R b + a'S b + q'x_t + r'u_t, plus 1/2 a'P a + p'x_T at T.
 
     Here a = x_t - x_ref and b = u_t - u_ref. The 1/2 is part of the definition. Q, R, S, q, r may be given one per
@@ -95,6 +153,16 @@ class QuadraticCost(Summable):
     ):
         given = {"Q": Q, "R": R, "S": S, "q": q, "r": r, "P": P, "p": p, "x_ref": x_ref, "u_ref": u_ref}
         assign(self, **{field: real_array(f"cost.{field}", value) for field, value in given.items()})
+
+    @property
+    def quadratic(self) -> QuadraticCost:
+        """Return the cost itself."""
+        return self
+
+    @property
+    def norms(self) -> tuple[NonsmoothCost, ...]:
+        """Return nothing."""
+        return ()
 
     @property
     def zero(self) -> bool:
@@ -221,6 +289,47 @@ class QuadraticCost(Summable):
         if smallest[worst] == 0:
             return None
         return (worst if worst < len(stage) else -1), float(smallest[worst])
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class CostSum(Cost):
+    """The sum of costs; written ``QuadraticCost(R=1) + L1Cost(u=0.1)``.
+
+    Parameters
+    ----------
+    costs : list of costs
+        At most one of them quadratic.
+
+    Raises
+    ------
+    ProblemError
+        If one is no cost, or two are quadratic.
+    """
+
+    smooth: QuadraticCost
+    nonsmooth: tuple[NonsmoothCost, ...]
+
+    def __init__(self, costs: list[Any]):
+        if not isinstance(costs, (list, tuple)):
+            raise ProblemError("cost", brief(costs), "a list of costs")
+        for cost in costs:
+            if not isinstance(cost, Cost):
+                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+        quadratic = [cost.quadratic for cost in costs if not cost.quadratic.zero]
+        if len(quadratic) > 1:
+            raise ProblemError("cost", "a sum of two quadratic costs", "at most one", "Add their matrices.")
+        norms = tuple(norm for cost in costs for norm in cost.norms)
+        assign(self, smooth=quadratic[0] if quadratic else QuadraticCost(), nonsmooth=norms)
+
+    @property
+    def quadratic(self) -> QuadraticCost:
+        """Return the quadratic part."""
+        return self.smooth
+
+    @property
+    def norms(self) -> tuple[NonsmoothCost, ...]:
+        """Return the nonsmooth parts."""
+        return self.nonsmooth
 
 
 def _eigenvalues(matrices: Array) -> Array:

@@ -1,9 +1,9 @@
-"""The smooth pieces of formulas with maxima and minima: one for each choice of arguments that can hold."""
+"""The pieces of formulas with maxima and minima: a piece for each choice of arguments that can hold."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,18 +11,8 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.interval_jets import interval_jets
 from lin_freq_ocp.formulas.jets import values_of
-from lin_freq_ocp.formulas.nodes import (
-    EXTERNAL,
-    MAXIMUM,
-    MINIMUM,
-    PRODUCT,
-    SUM,
-    VARIABLE,
-    Formula,
-    in_order,
-    kinks,
-    rebuilt,
-)
+from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks, rebuilt
+from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
 from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
 from lin_freq_ocp.problem.dynamics.labels import unique_names
 
@@ -32,7 +22,7 @@ MOST_MODES = 64
 
 @dataclass(frozen=True, eq=False)
 class FormulaPiece:
-    """A choice of arguments, and what the formulas are where it holds.
+    """A choice of arguments, and the formulas where it holds.
 
     Attributes
     ----------
@@ -41,15 +31,22 @@ class FormulaPiece:
     region : tuple of Formula
         Zero or below where the choice holds.
     name : str
+    rows : (rows, n + m + 1)
+        The switching functions of the region that are affine: coefficients and constant.
+    choices, arguments : mappings from a maximum or minimum
+        To the number of the chosen argument, and to the argument, without maxima and minima.
     """
 
     formulas: tuple[Formula, ...]
     region: tuple[Formula, ...]
     name: str
+    rows: Array
+    choices: Mapping[Formula, int]
+    arguments: Mapping[Formula, Formula]
 
 
-def formula_pieces(formulas: Sequence[Formula]) -> list[FormulaPiece]:
-    """Return one piece for each choice of arguments, without those that never hold.
+def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
+    """Return a piece for each choice of arguments, without those that never hold.
 
     Left out are choices whose affine switching functions leave no interior, or whose other ones are above zero
     everywhere, as intervals tell: pieces are closed, so that the rest covers everything. Of arguments that are the same
@@ -58,36 +55,29 @@ def formula_pieces(formulas: Sequence[Formula]) -> list[FormulaPiece]:
     Raises
     ------
     ProblemError
-        If there are more than ``MOST_MODES``.
+        If there are more than ``most``.
     """
-    chosen = [_Choice({}, (), np.zeros((0, sum(formulas[0].dimensions) + 1)), ())] if formulas else []
+    chosen = [_Choice({}, {}, (), np.zeros((0, sum(formulas[0].dimensions) + 1)), ())] if formulas else []
     for branching in kinks(formulas, MAXIMUM, MINIMUM):
         chosen = [further for one in chosen for further in one.split(branching)]
-        if len(chosen) > MOST_MODES:
-            got = f"more than {MOST_MODES} combinations of arguments of maxima and minima that can hold"
-            raise ProblemError("f", got, f"at most {MOST_MODES}")
+        if len(chosen) > most:
+            got = f"more than {most} combinations of arguments of maxima and minima that can hold"
+            advice = "Use a formula that occurs several times as one object, and fewer maxima and minima."
+            raise ProblemError("f", got, f"at most {most}", advice)
     short, long = [one.short_name for one in chosen], [", ".join(one.labels) for one in chosen]
     names = unique_names(short if len({*short}) == len(short) else long)
     return [
-        FormulaPiece(tuple(rebuilt(formulas, one.changed)), one.region, name)
+        FormulaPiece(tuple(rebuilt(formulas, one.arguments)), one.region, name, one.rows, one.choices, one.arguments)
         for one, name in zip(chosen, names, strict=True)
     ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """The arguments chosen so far.
+    """The arguments chosen so far; attributes as of ``FormulaPiece``, with the label of each argument."""
 
-    Attributes
-    ----------
-    changed : mapping from a maximum or minimum to the chosen argument
-    region : tuple of Formula
-    rows : (rows, n + m + 1)
-        The switching functions that are affine: coefficients and constant.
-    labels : tuple of str
-    """
-
-    changed: Mapping[Formula, Formula]
+    choices: Mapping[Formula, int]
+    arguments: Mapping[Formula, Formula]
     region: tuple[Formula, ...]
     rows: Array
     labels: tuple[str, ...]
@@ -98,7 +88,7 @@ class _Choice:
 
     def split(self, branching: Formula) -> Iterator[_Choice]:
         """Yield the choice with each argument chosen that can be."""
-        arguments = rebuilt(branching.arguments, self.changed)
+        arguments = rebuilt(branching.arguments, self.arguments)
         affine = [affine_row(one) for one in arguments]
         sign = 1.0 if branching.kind == MAXIMUM else -1.0
         for choice, argument in enumerate(arguments):
@@ -111,14 +101,13 @@ class _Choice:
                 if not equal
             ]
             label = branching.names[choice] if branching.names else f"{'max' if sign > 0 else 'min'} {choice}"
-            chosen = self._with(branching, argument, differences, label)
+            chosen = self._restricted(differences)
             if chosen is not None:
-                yield chosen
+                choices, taken = {**self.choices, branching: choice}, {**self.arguments, branching: argument}
+                yield replace(chosen, choices=choices, arguments=taken, labels=(*self.labels, label))
 
-    def _with(
-        self, branching: Formula, argument: Formula, differences: Sequence[tuple[Formula, Array | None]], label: str
-    ) -> _Choice | None:
-        """Return the choice with one more; None if it never holds."""
+    def _restricted(self, differences: Sequence[tuple[Formula, Array | None]]) -> _Choice | None:
+        """Return the choice where further switching functions are zero or below; None if they never are."""
         further = [row for _, row in differences if row is not None]
         flat = [row for row in further if not row[:-1].any()]
         rows = np.array([*self.rows, *(row for row in further if row[:-1].any())]).reshape(-1, self.rows.shape[1])
@@ -127,7 +116,7 @@ class _Choice:
         if _above_zero([one for one, row in differences if row is None]):
             return None
         region = (*self.region, *(one for one, row in differences if row is None or row[:-1].any()))
-        return _Choice({**self.changed, branching: argument}, region, rows, (*self.labels, label))
+        return replace(self, region=region, rows=rows)
 
 
 def affine_row(formula: Formula) -> Array | None:
@@ -136,21 +125,14 @@ def affine_row(formula: Formula) -> Array | None:
     found: dict[Formula, Array | None] = {}
     for one in in_order([formula]):
         parts = [found[argument] for argument in one.arguments]
-        found[one] = None
-        if one.kind == VARIABLE:
-            found[one] = np.eye(k + 1)[int(one.data[0])]
-            continue
         rows = [part for part in parts if part is not None]
+        found[one] = None
         if len(rows) < len(parts):
             continue
-        if one.kind == SUM:
-            found[one] = np.array(one.data[:-1]) @ np.array(rows).reshape(-1, k + 1) + one.data[-1] * np.eye(k + 1)[k]
-        elif all(not row[:-1].any() for row in rows) and one.kind != EXTERNAL:
+        found[one] = OPERATIONS[one.kind].affine(one, rows)
+        if found[one] is None and one.kind != EXTERNAL and not any(row[:-1].any() for row in rows):
             value = float(values_of([one], np.zeros((1, k)))[0, 0])
             found[one] = value * np.eye(k + 1)[k] if np.isfinite(value) else None
-        elif one.kind == PRODUCT:
-            constant = next((i for i, row in enumerate(rows) if not row[:-1].any()), None)
-            found[one] = None if constant is None else rows[constant][-1] * rows[1 - constant]
     return found[formula]
 
 

@@ -77,7 +77,7 @@ def linearisation(
 
 
 def clock(field: str, system: Any, sampling_time: float | None) -> tuple[bool, float | None]:
-    """Return whether a python-control model is continuous, and the seconds per step; None if nobody says.
+    """Return whether a python-control model is continuous, and the seconds per step; None if it is unknown.
 
     Raises
     ------
@@ -169,13 +169,13 @@ def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value
     allowed = (SMOOTH * effect.max(axis=1) + NO_EFFECT * np.maximum(1.0, np.abs(value)))[:, None]
     change = np.abs(slope - closer) * size - allowed
     if change.max() > 0:
-        i, j = (int(place) for place in np.unravel_index(np.argmax(change), change.shape))
+        i, j = (int(index) for index in np.unravel_index(np.argmax(change), change.shape))
         texts = [f"{one[i, j]:.6g} by steps of {step[j]:.2g}" for one, step in zip((slope, closer), steps, strict=True)]
         raise _kink(i, j, len(value), t, ", ".join(texts))
     jump, closer_jump = np.abs(sides[1] - sides[0]), np.abs(closer_sides[1] - closer_sides[0])
     lasting = np.where(closer_jump > LASTING * jump, closer_jump * size, 0.0) - allowed
     if lasting.max() > 0:
-        i, j = (int(place) for place in np.unravel_index(np.argmax(lasting), lasting.shape))
+        i, j = (int(index) for index in np.unravel_index(np.argmax(lasting), lasting.shape))
         below, above = closer_sides[:, i, j]
         raise _kink(i, j, len(value), t, f"{below:.6g} behind the point, {above:.6g} ahead of it")
     return slope

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,85 +11,74 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask, brief, names
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.formulas.nodes import MAXIMUM
-from lin_freq_ocp.geometry.polyhedra import (
-    SAME_FUNCTION,
-    SMALLEST_PIECE,
-    Cell,
-    cell_of,
-    has_interior,
-    irredundant,
-    natural_sizes,
-)
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.operations import MAXIMUM
+from lin_freq_ocp.formulas.text import listed_formulas, text_of
+from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.expressions import Expression, affine_text
+from lin_freq_ocp.problem.dynamics.formula_modes import FormulaPiece, affine_row, formula_pieces
 from lin_freq_ocp.problem.dynamics.labels import unique_names
 
 MOST_PIECES = 256
-"""Of the combinations of branches that are polyhedra with an interior: finding them, and checking the regions of so
-many modes, takes seconds; a search over them takes longer."""
+"""Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
+them takes longer."""
+
+LONGEST_TEXT = 40
+"""Characters of an affine function in the name of a mode."""
 
 
 def modes_of(
-    expressions: Any, state_names: Sequence[str] | None, control_names: Sequence[str] | None
+    f: Any, dimensions: tuple[int, int], state_names: Sequence[str] | None, control_names: Sequence[str] | None
 ) -> list[AffineMode]:
-    """Return the modes of x_{t+1} = expressions, one for each state; see ``PiecewiseAffineDynamics.from_max_min``."""
-    listed = list(expressions) if isinstance(expressions, (Sequence, np.ndarray)) else []
-    given = [one for one in listed if isinstance(one, Expression)]
-    if not given:
-        raise ProblemError("expressions", brief(expressions), "a list of expressions made of lfo.affine_signals(n, m)")
-    n, m = given[0].dimensions
-    if len(listed) != n:
-        raise ProblemError("expressions", f"{len(listed)}", f"{n}, one for each state of the signals")
-    zero = given[0] * 0.0
-    states = [zero + one for one in listed]
+    """Return the modes of x_{t+1} = f(x_t, u_t); see ``PiecewiseAffineDynamics.from_formulas``."""
+    n, m = dimensions
+    formulas = listed_formulas("f", f, dimensions)
+    if len(formulas) != n:
+        raise ProblemError("f", f"{len(formulas)} formulas", f"{n}, one for each state")
     labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
-    pieces = _merged([_without_idle_rows(piece) for piece in _pieces(states)])
-    found = unique_names([piece.name([label.split(" [")[0] for label in labels]) for piece in pieces])
-    return [piece.mode(n, n + m, name) for piece, name in zip(pieces, found, strict=True)]
+    labels = [label.split(" [")[0] for label in labels]
+    pieces = [_affine(piece, labels) for piece in formula_pieces(formulas, MOST_PIECES)]
+    pieces = _merged([_without_idle_rows(piece) for piece in pieces])
+    unique = unique_names([piece.name(labels) for piece in pieces])
+    return [piece.mode(n, n + m, name) for piece, name in zip(pieces, unique, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A choice for every branching that was met, and what it comes to.
+    """A choice of an argument for every maximum and minimum.
 
     Attributes
     ----------
     choices : mapping from a maximum or minimum to the number of the chosen argument
     values : mapping from a maximum or minimum to the affine function (n + m + 1,)
     rows : (rows, n + m + 1)
-        Affine functions that are zero or below there.
+        Affine functions that are zero or below where the choice holds.
     states : (n, n + m + 1)
-        The map; empty until all choices are made.
+        The map.
     """
 
-    choices: dict[Expression, int]
-    values: dict[Expression, Array]
+    choices: Mapping[Formula, int]
+    values: Mapping[Formula, Array]
     rows: Array
     states: Array
-
-    def value(self, one: Expression) -> Array:
-        return one.affine + sum(factor * self.values[branching] for factor, branching in one.branchings)
 
     @cached_property
     def sizes(self) -> Array:
         return natural_sizes(self.rows[:, :-1], -self.rows[:, -1], np.full(self.rows.shape[1] - 1, np.inf), 0.0)
 
-    def cell(self, sizes: Array) -> Cell | None:
-        return cell_of(self.rows[:, :-1] * sizes, -self.rows[:, -1])
-
-    @property
-    def has_interior(self) -> bool:
-        return has_interior(self.rows[:, :-1], -self.rows[:, -1], SMALLEST_PIECE)
+    def cell(self, sizes: Array) -> Cell:
+        cell = cell_of(self.rows[:, :-1] * sizes, -self.rows[:, -1])
+        assert cell is not None  # it has an interior
+        return cell
 
     def name(self, labels: Sequence[str]) -> str:
         parts: list[str] = []
         for branching, choice in self.choices.items():
-            if not branching.names:
+            if branching.names:
+                parts.append(branching.names[choice])
+            else:
                 text = affine_text(self.values[branching], labels)
                 parts.append(f"{'max' if branching.kind == MAXIMUM else 'min'} is {text}")
-            else:
-                parts.append(branching.names[choice])
         return ", ".join(dict.fromkeys(part for part in parts if part))
 
     def mode(self, n: int, signals: int, name: str) -> AffineMode:
@@ -100,77 +89,55 @@ class _Piece:
         return AffineMode(A, B, offset[:, 0], G, H, -constant[:, 0] + 0.0, name)
 
 
-def _pieces(states: Sequence[Expression]) -> list[_Piece]:
-    """Return all combinations of choices whose polyhedron has an interior."""
-    length = len(states[0].affine)
-    pieces = [_Piece({}, {}, np.zeros((0, length)), np.zeros((0, length)))]
-    for branching in _in_order(states):
-        pieces = [chosen for piece in pieces for chosen in _choices(piece, branching)]
-        if len(pieces) > MOST_PIECES:
-            raise ProblemError(
-                "expressions",
-                f"more than {MOST_PIECES} combinations of the arguments of maxima and minima",
-                f"at most {MOST_PIECES}",
-                "Use an expression that occurs several times as one object, and fewer maxima and minima.",
-            )
-    return [replace(piece, states=np.array([piece.value(state) for state in states])) for piece in pieces]
+def _affine(piece: FormulaPiece, labels: Sequence[str]) -> _Piece:
+    """Return a piece whose map and region are affine.
+
+    Raises
+    ------
+    ProblemError
+        If they are not.
+    """
+    others = dict.fromkeys((*piece.region, *piece.arguments.values()), "f")
+    fields = {one: f"f[{i}]" for i, one in enumerate(piece.formulas)}
+    fields = fields | {one: field for one, field in others.items() if one not in fields}
+    found = {one: affine_row(one) for one in fields}
+    for one, row in found.items():
+        if row is None:
+            expected = "affine functions of x and u, and maxima and minima of them"
+            advice = "PiecewiseSmoothDynamics takes other formulas."
+            raise ProblemError(fields[one], brief(text_of(one, labels)), expected, advice)
+    rows = {one: row for one, row in found.items() if row is not None}
+    values = {branching: rows[argument] for branching, argument in piece.arguments.items()}
+    return _Piece(piece.choices, values, piece.rows, np.array([rows[one] for one in piece.formulas]))
 
 
-def _in_order(states: Sequence[Expression]) -> list[Expression]:
-    """Return all branchings, those within others first."""
-    found: dict[Expression, None] = {}
-
-    def visit(one: Expression) -> None:
-        for _, branching in one.branchings:
-            if branching not in found:
-                for argument in branching.arguments:
-                    visit(argument)
-                found[branching] = None
-
-    for state in states:
-        visit(state)
-    return list(found)
-
-
-def _choices(piece: _Piece, branching: Expression) -> Iterator[_Piece]:
-    """Yield the piece with each argument chosen where that leaves an interior."""
-    values = np.array([piece.value(argument) for argument in branching.arguments])
-    for choice, value in enumerate(values):
-        excess = values - value if branching.kind == MAXIMUM else value - values
-        same = (np.abs(excess) <= SAME_FUNCTION * (np.abs(values) + np.abs(value))).all(axis=1)
-        if same[:choice].any():
-            continue  # an earlier argument, which is the same
-        rows = np.where(np.abs(excess) <= SAME_FUNCTION * (np.abs(values) + np.abs(value)), 0.0, excess)[~same]
-        chosen = _Piece(
-            {**piece.choices, branching: choice},
-            {**piece.values, branching: value},
-            np.vstack([piece.rows, rows]),
-            piece.states,
-        )
-        if chosen.has_interior:
-            yield chosen
+def affine_text(affine: Array, labels: Sequence[str]) -> str:
+    """Return an affine function as text, shortened: "-x_0 + 2 u_0 - 1"."""
+    terms = [(value, label) for value, label in zip(affine, [*labels, ""], strict=True) if value]
+    text = "" if terms else "0"
+    for value, label in terms:
+        size = "" if label and abs(value) == 1 else f"{abs(value):.4g}"
+        sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
+        text += sign + " ".join(part for part in (size, label) if part)
+    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
 
 
 def _without_idle_rows(piece: _Piece) -> _Piece:
-    """Return the piece without the rows that the others imply, nor those without coefficients, which hold."""
-    rows = piece.rows[piece.rows[:, :-1].any(axis=1)]
-    piece = replace(piece, rows=rows)
-    cell = piece.cell(piece.sizes)
-    assert cell is not None  # it has an interior
-    return replace(piece, rows=rows[irredundant(cell, SMALLEST_PIECE)])
+    """Return the piece without the rows that the others imply."""
+    return replace(piece, rows=piece.rows[irredundant(piece.cell(piece.sizes), SMALLEST_PIECE)])
 
 
 def _merged(pieces: list[_Piece]) -> list[_Piece]:
-    """Return the pieces, those of the same map that make up a polyhedron together as one."""
+    """Return the pieces, with those of the same map whose union is a polyhedron joined."""
     merged = list(pieces)
     i = 0
     while i < len(merged):
-        j = next((j for j in range(i + 1, len(merged)) if _union(merged[i], merged[j]) is not None), None)
-        if j is None:
+        unions = ((j, _union(merged[i], merged[j])) for j in range(i + 1, len(merged)))
+        j, union = next(((j, union) for j, union in unions if union is not None), (i, None))
+        if union is None:
             i += 1
             continue
-        union = _union(merged[i], merged.pop(j))
-        assert union is not None  # found above
+        del merged[j]
         merged[i], i = union, 0
     return merged
 
@@ -184,10 +151,8 @@ def _union(one: _Piece, other: _Piece) -> _Piece | None:
     sizes = np.abs(one.states) + np.abs(other.states)
     if (np.abs(one.states - other.states) > SAME_FUNCTION * sizes).any():
         return None
-    both = replace(one, rows=np.vstack([one.rows, other.rows]))
-    cells = [piece.cell(both.sizes) for piece in (one, other)]
-    first, second = cells
-    assert first is not None and second is not None  # noqa: PT018
+    units = replace(one, rows=np.vstack([one.rows, other.rows])).sizes
+    first, second = one.cell(units), other.cell(units)
     if not first.apart_from(second, SMALLEST_PIECE):
         return None
     of_first, of_second = _holding(first, second), _holding(second, first)

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Indices, assign, brief
+from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode
-from lin_freq_ocp.problem.dynamics.expressions import Expression
 from lin_freq_ocp.problem.dynamics.guards import guarded_modes
 from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -48,8 +47,8 @@ class PiecewiseAffineDynamics:
     -------
     from_guards(...)
         Modes by the signs of guards.
-    from_max_min(...)
-        Modes of maxima and minima.
+    from_formulas(...)
+        Modes of maxima and minima of affine functions.
     sequence_of(x, u)
         The mode of every time along a trajectory.
     along(sequence)
@@ -84,35 +83,41 @@ class PiecewiseAffineDynamics:
         _ = self.mode_names  # all different
 
     @classmethod
-    def from_max_min(
+    def from_formulas(
         cls,
-        expressions: Sequence[Expression | float],
+        f: Any,
+        state_dim: int,
+        control_dim: int,
         sampling_time: float | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> PiecewiseAffineDynamics:
-        """Take x_{t+1} as maxima and minima of affine functions of (x_t, u_t): one mode for each combination.
+        """Take x_{t+1} = f(x_t, u_t) with maxima and minima of affine functions: a mode for each choice of arguments.
 
         Parameters
         ----------
-        expressions : sequence of Expression
-            One for each state, made of ``affine_signals(n, m)`` by sums, multiples, ``maximum`` and ``minimum``; a
-            number is a constant.
+        f : sequence of Formula, or function
+            A formula for each state, made of ``signals(n, m)`` by sums, multiples, ``abs``, ``maximum`` and
+            ``minimum``; a number is a constant. Or a function of (x, u) that returns them.
+        state_dim, control_dim : int
+            n and m.
         sampling_time, state_names, control_names
             As for the class.
 
         Returns
         -------
         PiecewiseAffineDynamics
-            Continuous, its regions without rows that say nothing. Combinations of the same map that make up one
-            polyhedron together are one mode.
+            Continuous, its regions without redundant rows. Choices of the same map whose union is a polyhedron are one
+            mode.
 
         Raises
         ------
         ProblemError
-            If expressions and states are not as many, or there are more than ``MOST_PIECES`` (256) combinations.
+            If a formula is not affine within a mode, formulas and states are not as many, or there are more than
+            ``MOST_PIECES`` (256) choices.
         """
-        return cls(modes_of(expressions, state_names, control_names), sampling_time, state_names, control_names)
+        dimensions = positive_integer("state_dim", state_dim), positive_integer("control_dim", control_dim)
+        return cls(modes_of(f, dimensions, state_names, control_names), sampling_time, state_names, control_names)
 
     @classmethod
     def from_guards(

@@ -12,7 +12,9 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import MAXIMUM, MINIMUM, NORM, VARIABLE, Formula, in_order, kinks, listed_formulas
+from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
+from lin_freq_ocp.formulas.text import listed_formulas
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
 from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels

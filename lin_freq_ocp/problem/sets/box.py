@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +12,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, Bound, Mask, assign, brief, frozen, one_component, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import MOST_TEXT, intervals, plural, short_name
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.problem.sets.convex import Intersection
-
+from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
 NO_BOUND = 1e20
 """A bound from here on is none: other tools write infinity so."""
@@ -25,7 +23,7 @@ INSIDE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Box:
+class Box(ConvexSet):
     """The set of all v with lower <= v <= upper, componentwise.
 
     Parameters
@@ -74,6 +72,36 @@ class Box:
             )
         low, high = _without_words(low, high)
         assign(self, lower=frozen(low), upper=frozen(high))
+
+    @property
+    def dimension(self) -> int | None:
+        """Return n; None if a number holds for every component."""
+        return self.lower.shape[-1] if self.lower.ndim else None
+
+    @property
+    def bounds(self) -> Bounds:
+        """Return both bounds."""
+        return self.lower, self.upper
+
+    @property
+    def members(self) -> tuple[ConvexSet, ...]:
+        """Return nothing: there are bounds only."""
+        return ()
+
+    def parts(self, dimension: int) -> tuple[Part, ...]:
+        """Return nothing: there are bounds only."""
+        return ()
+
+    def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
+        """Return the bounds as rows with a price."""
+        box, identity = self.at_dimension(dimension, "Soft"), np.eye(dimension)
+        limits = np.concatenate([box.upper, -box.lower], axis=-1)
+        return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), HalfSpaces(limits, weight)),)
+
+    def extended(self, n: int, k: int) -> Box:
+        """Return the box of (x, w) with x in this one and w free."""
+        box, free = self.at_dimension(n, "Box"), np.full(k, np.inf)
+        return Box(np.append(box.lower, -free), np.append(box.upper, free))
 
     def at_dimension(self, dimension: int, field: str) -> Box:
         """Return the box with bounds of shape (dimension,) or (times, dimension)."""
@@ -135,11 +163,6 @@ class Box:
         text = ", ".join(f"{short_name(name)} {words}" for name, words in found.items())
         return text if len(text) <= MOST_TEXT else f"bounds on {plural(len(found), 'component')}"
 
-    def __and__(self, other: Any) -> Intersection:
-        from lin_freq_ocp.problem.sets.convex import Intersection
-
-        return Intersection([self, other])
-
 
 class Point(Box):
     """The set {value}; its normal cone is the whole space.
@@ -171,45 +194,45 @@ class Everything(Box):
 
 def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
     """Return one box per time: bounds of shape (times, dimension), from one set, a sequence of sets, or None."""
-    if given is None:
-        given = Everything()
     if isinstance(given, Sequence) and not isinstance(given, str):
         expected = f"one set, or a sequence of {times} sets, one per time"
         if len(given) != times:
             raise ProblemError(field, f"a sequence of {len(given)}", expected)
         for t, one in enumerate(given):
-            if not isinstance(box_of(one), Box):
+            if not isinstance(one, ConvexSet):
                 raise ProblemError(field, f"{brief(one)} at place {t}", expected)
         boxes = [box_of(one).at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
         return Box(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
-    bounds = box_of(given)
-    if not isinstance(bounds, Box):
+    given = Everything() if given is None else given
+    if not isinstance(given, ConvexSet):
         raise ProblemError(field, brief(given), "a set such as Box or Polyhedron, or a sequence with one per time")
-    box = bounds.at_dimension(dimension, field)
+    box = box_of(given).at_dimension(dimension, field)
     if box.lower.ndim == 2 and len(box.lower) != times:
         raise ProblemError(field, f"bounds for {len(box.lower)} times", f"bounds for {times} times")
     return Box(np.broadcast_to(box.lower, (times, dimension)), np.broadcast_to(box.upper, (times, dimension)))
 
 
-def end_set(field: str, given: Any, dimension: int) -> Any:
+def end_set(field: str, given: Any, dimension: int) -> ConvexSet:
     """Return the set of an end of the horizon, from a point, a set, or None."""
-    if given is None:
-        given = Everything()
-    expected = f"numbers, one for each of the {dimension} states, a set, or None"
-    if not isinstance(box_of(given), Box):
-        try:
-            point = one_component(real_array(field, given), dimension)
-        except ProblemError as error:
-            if error.field == field:  # and not one of its entries
-                error = ProblemError(field, error.got, expected)
-            raise error from None
-        if point.shape != (dimension,):
-            raise ProblemError(field, f"shape {point.shape}", expected)
-        given = Point(point)
-    box = box_of(given).at_dimension(dimension, field)
+    one = Everything() if given is None else given
+    one = one if isinstance(one, ConvexSet) else _point(field, one, dimension)
+    box = box_of(one).at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
-    return box if isinstance(given, Box) else given
+    return one if one.members else box
+
+
+def _point(field: str, given: Any, dimension: int) -> Point:
+    expected = f"numbers, one for each of the {dimension} states, a set, or None"
+    try:
+        point = one_component(real_array(field, given), dimension)
+    except ProblemError as error:
+        if error.field == field:  # and not one of its entries
+            error = ProblemError(field, error.got, expected)
+        raise error from None
+    if point.shape != (dimension,):
+        raise ProblemError(field, f"shape {point.shape}", expected)
+    return Point(point)
 
 
 def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
@@ -227,9 +250,9 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
     return _checked(*map(frozen, kept)), beyond
 
 
-def box_of(given: Any) -> Any:
-    """Return a Box as it is, the bounds of any other set, and anything else for others to refuse."""
-    return given if isinstance(given, Box) else getattr(given, "box", given)
+def box_of(one: ConvexSet) -> Box:
+    """Return the bounds of a set as a box."""
+    return _checked(*one.bounds)
 
 
 def _checked(lower: Array, upper: Array) -> Box:

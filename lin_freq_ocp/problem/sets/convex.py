@@ -1,127 +1,21 @@
-"""Convex sets beyond boxes: polyhedra, balls, ellipsoids, second-order cones, their intersections, and soft sets.
-
-A set is a Box and parts {v : F v + c in a standard set}. What is asked of a single set (the nearest point, the support
-function) is a small conic program, solved by Clarabel.
-"""
+"""Convex sets beyond boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, positive_number, real_array
+from lin_freq_ocp.arrays import Array, assign, brief, frozen, positive_number, real_array, with_columns
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.phrases import AT_MOST, MOST_ROWS, MOST_TEXT, combination, datum, inequalities, number, price, vector
-from lin_freq_ocp.problem.sets import projections as set_geometry
-from lin_freq_ocp.problem.sets.box import NO_BOUND, Box, Everything
-from lin_freq_ocp.problem.terms.penalties import Below, Cone, Norm, Penalty
-
-HARD = np.asarray(np.inf)
-"""The weight of a constraint that must hold."""
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """{v : F v + c in the set of a penalty} of a set.
-
-    Attributes
-    ----------
-    F : (dim, n)
-    c : (dim,)
-    penalty : Penalty
-    """
-
-    F: Array
-    c: Array
-    penalty: Penalty
-
-
-class ConvexSet(ABC):
-    """What all sets of this page share; ``box`` and ``parts`` say what they are."""
-
-    @property
-    @abstractmethod
-    def dimension(self) -> int | None:
-        """Return n, or None if the set fits every dimension."""
-
-    @property
-    def box(self) -> Box:
-        """Return the bounds among its constraints."""
-        return Everything()
-
-    @abstractmethod
-    def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return what remains."""
-
-    @abstractmethod
-    def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return the set in words that stand alone, such as "within 2 of the origin".
-
-        Parameters
-        ----------
-        names : sequence of str
-            Of the components, with their units.
-        signal : str
-            The letter of the vector: "x" or "u".
-        """
-
-    def violation(self, v: Array) -> Array:
-        """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
-        points = np.asarray(v, dtype=float)
-        of_box = self.box.at_dimension(points.shape[-1], "v").violation(points).max(-1)
-        return np.maximum(of_box, self.violation_of_parts(points))
-
-    def violation_of_parts(self, v: Array) -> Array:
-        """Return the same without the bounds."""
-        flat = v.reshape(-1, v.shape[-1])
-        excess = [np.zeros(len(flat))]
-        for part in self.parts(flat.shape[1]):
-            excess.append(part.penalty.violation(flat @ part.F.T + part.c).max(1))
-        return np.max(excess, axis=0).reshape(v.shape[:-1])
-
-    def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
-        """Whether each v (..., n) violates no constraint of the set by more than ``tolerance``."""
-        return np.asarray(self.violation(v) <= tolerance)
-
-    def project(self, v: Array) -> Array:
-        """Return the nearest point of the set, for each v (..., n).
-
-        Raises
-        ------
-        NumericalError
-            If the set is empty, or the solver fails.
-        """
-        return self._each(v, set_geometry.nearest)
-
-    def support(self, y: Array) -> Array:
-        """Return sigma(y) = max over the set of <y, v>, for each y (..., n); inf where there is none.
-
-        Raises
-        ------
-        NumericalError
-            If the set is empty, or the solver fails.
-        """
-        return self._each(y, set_geometry.support)
-
-    def normal_gap(self, v: Array, y: Array) -> Array:
-        """Return sigma(y) - <y, v>: zero iff y lies in the normal cone of the set at v (v in the set)."""
-        return self.support(y) - (np.asarray(v) * np.asarray(y)).sum(-1)
-
-    def __and__(self, other: Any) -> Intersection:
-        return Intersection([self, other])
-
-    def _each(self, vectors: Array, ask: Any) -> Array:
-        given = np.asarray(vectors, dtype=float)
-        flat = given.reshape(-1, given.shape[-1])
-        n = flat.shape[1]
-        answers = [ask(self.box.at_dimension(n, "v"), self.parts(n), one) for one in flat]
-        return np.array(answers).reshape((*given.shape[:-1], *np.shape(answers[0])))
+from lin_freq_ocp.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
+from lin_freq_ocp.problem.sets.base import ConvexSet, Part
+from lin_freq_ocp.problem.sets.box import NO_BOUND
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.problem.terms.penalty import HARD
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -168,7 +62,11 @@ class Polyhedron(ConvexSet):
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return the rows."""
-        return (Part(self.F, np.zeros(len(self.F)), Below(self.g, HARD)),)
+        return (Part(self.F, np.zeros(len(self.F)), HalfSpaces(self.g, HARD)),)
+
+    def extended(self, n: int, k: int) -> Polyhedron:
+        """Return the polyhedron of (x, w), w in R^k."""
+        return Polyhedron(with_columns(self.F, k), self.g)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         """Return its rows."""
@@ -208,6 +106,10 @@ class Ellipsoid(ConvexSet):
         """Return |W v - W centre| <= radius."""
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
+    def extended(self, n: int, k: int) -> Ellipsoid:
+        """Return the cylinder of (x, w), w in R^k."""
+        return Ellipsoid(with_columns(self.W, k), self.radius, with_columns(np.broadcast_to(self.centre, n), k))
+
     def describe(self, names: Sequence[str], signal: str) -> str:
         """Return what measures it, its radius and its centre."""
         inside = f"({signal} - {vector(self.centre)})" if self.centre.any() else signal
@@ -241,6 +143,10 @@ class Ball(ConvexSet):
         """Return |v - centre| <= radius."""
         return (Part(np.eye(dimension), -np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
+    def extended(self, n: int, k: int) -> Ellipsoid:
+        """Return the cylinder of (x, w), w in R^k."""
+        return Ellipsoid(np.eye(n), self.radius, self.centre).extended(n, k)
+
     def describe(self, names: Sequence[str], signal: str) -> str:
         """Return its radius and its centre."""
         centre = vector(self.centre) if self.centre.any() else "the origin"
@@ -261,6 +167,7 @@ class SecondOrderCone(ConvexSet):
     g: Array
     h: Array
     d: float
+    may_be_soft: ClassVar[bool] = False
 
     def __init__(self, F: ArrayLike, g: ArrayLike, h: ArrayLike, d: float = 0.0):
         matrix, inner, slope = (
@@ -284,7 +191,11 @@ class SecondOrderCone(ConvexSet):
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return (h'v + d, F v + g) in the standard cone."""
-        return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), Cone()),)
+        return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), StandardCone()),)
+
+    def extended(self, n: int, k: int) -> SecondOrderCone:
+        """Return the cone of (x, w), w in R^k."""
+        return SecondOrderCone(with_columns(self.F, k), self.g, with_columns(self.h, k), self.d)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         """Return both sides of its inequality."""
@@ -292,51 +203,6 @@ class SecondOrderCone(ConvexSet):
         outer = combination(self.h, names) if np.count_nonzero(self.h) <= MOST_ROWS else f"h' {signal}"
         constant = f" + {number(self.d)}" if self.d else ""
         return f"a second-order cone: {inner} {AT_MOST} {outer}{constant} with {datum('F', self.F, 2)}"
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class Intersection(ConvexSet):
-    """The points that lie in all of several sets; also written ``a & b``.
-
-    Parameters
-    ----------
-    sets : sequence of sets
-        Boxes, too; at least one.
-    """
-
-    sets: tuple[Any, ...]
-
-    def __init__(self, sets: Sequence[Any]):
-        if isinstance(sets, str) or not isinstance(sets, Sequence) or not sets:
-            raise ProblemError("Intersection", brief(sets), "a list of at least one set")
-        wrong = [one for one in sets if not isinstance(one, (Box, ConvexSet))]
-        if wrong:
-            raise ProblemError("Intersection", brief(wrong[0]), "sets such as Box, Polyhedron, Ball")
-        known = {size for one in sets if (size := dimension_of(one)) is not None}
-        if len(known) > 1:
-            raise ProblemError("Intersection", f"sets in {sorted(known)} dimensions", "the same dimension for all")
-        assign(self, sets=tuple(sets))
-        _ = self.box  # which must not be empty
-
-    @property
-    def dimension(self) -> int | None:
-        """Return n, if one of the sets says it."""
-        return next((size for one in self.sets if (size := dimension_of(one)) is not None), None)
-
-    @property
-    def box(self) -> Box:
-        """Return the bounds of all sets together."""
-        return reduce(_common, (one if isinstance(one, Box) else one.box for one in self.sets))
-
-    def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return the parts of all sets."""
-        return tuple(part for one in self.sets if isinstance(one, ConvexSet) for part in one.parts(dimension))
-
-    def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return all sets one by one; of many, how many there are."""
-        text = "; and ".join(one.describe(names, signal) for one in self.sets)
-        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
-        return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -353,64 +219,42 @@ class Soft(ConvexSet):
         Above zero, in units of cost per unit of excess.
     """
 
-    soft_set: Any
+    soft_set: ConvexSet
     penalty: float
+    may_be_soft: ClassVar[bool] = False
+    soft: ClassVar[bool] = True
 
-    def __init__(self, soft_set: Any, penalty: float):
-        if not isinstance(soft_set, (Box, Polyhedron, Ball, Ellipsoid)):
+    def __init__(self, soft_set: ConvexSet, penalty: float):
+        if not isinstance(soft_set, ConvexSet) or not soft_set.may_be_soft:
             raise ProblemError("Soft", brief(soft_set), "a Box, Polyhedron, Ball or Ellipsoid")
-        if isinstance(soft_set, Box) and soft_set.lower.ndim > 1:
+        if soft_set.bounds[0].ndim > 1:
             raise ProblemError("Soft", "a box with one bound per time", "one box", "Give a list of Soft sets.")
         assign(self, soft_set=soft_set, penalty=positive_number("Soft.penalty", penalty))
 
     @property
     def dimension(self) -> int | None:
         """Return n, if the set says it."""
-        return dimension_of(self.soft_set)
+        return self.soft_set.dimension
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         """Return the parts of the set, with a finite weight."""
-        weight = np.asarray(self.penalty)
-        if isinstance(self.soft_set, Box):
-            box, identity = self.soft_set.at_dimension(dimension, "Soft"), np.eye(dimension)
-            limits = np.concatenate([box.upper, -box.lower], axis=-1)
-            return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), Below(limits, weight)),)
-        return tuple(Part(part.F, part.c, _softened(part.penalty, weight)) for part in self.soft_set.parts(dimension))
+        return self.soft_set.soft_parts(dimension, np.asarray(self.penalty))
+
+    def extended(self, n: int, k: int) -> Soft:
+        """Return the soft set of (x, w), w in R^k."""
+        return Soft(self.soft_set.extended(n, k), self.penalty)
+
+    def widened(self, amount: float, dimension: int) -> Soft:
+        """Return it as it is: it may be left already."""
+        return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         """Return the set, and the price of leaving it."""
         return f"{self.soft_set.describe(names, signal)}{price(self.penalty)}"
 
 
-def dimension_of(one: Any) -> int | None:
-    """Return the dimension of a set, or None if it fits every one."""
-    if isinstance(one, Box):
-        return one.lower.shape[-1] if one.lower.ndim else None
-    return one.dimension
-
-
-def _common(one: Box, other: Box) -> Box:
-    try:
-        lower, upper = np.maximum(one.lower, other.lower), np.minimum(one.upper, other.upper)
-    except ValueError:
-        got = f"bounds for {len(one.lower)} and {len(other.lower)} times"
-        raise ProblemError("Intersection", got, "the same times for all") from None
-    apart = lower > upper
-    if apart.any():
-        got = f"bounds {lower[apart].flat[0]:g} <= v <= {upper[apart].flat[0]:g} on a component"
-        raise ProblemError("Intersection", got, "a point within the bounds of all sets")
-    return Box(lower, upper)
-
-
-def _softened(penalty: Penalty, weight: Array) -> Penalty:
-    if isinstance(penalty, Below):
-        return Below(penalty.limit, weight)
-    assert isinstance(penalty, Norm)  # of the sets that Soft takes
-    return Norm(penalty.order, penalty.radius, weight)
-
-
-def _ball(radius: float) -> Norm:
-    return Norm(2, np.asarray(radius), HARD)
+def _ball(radius: float) -> NormBall:
+    return NormBall(2, np.asarray(radius), HARD)
 
 
 def _centre(field: str, centre: ArrayLike, n: int | None) -> Array:

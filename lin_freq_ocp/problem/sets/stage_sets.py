@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Below
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import LinearRows, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +26,6 @@ class StageSet:
     upper: Array
     matrix: Array
     limits: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows of (x_t, u_t) at some times: matrix (groups or 1, rows, n + m), limits (groups, rows), times (groups,)."""
-
-    matrix: Array
-    limits: Array
-    times: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +46,7 @@ class StageSets:
     states: Box
     controls: Box
     tube: Box
-    rows: Sequence[_Rows]
+    rows: Sequence[LinearRows]
     names: tuple[str, ...]
 
     @property
@@ -72,8 +61,8 @@ class StageSets:
         upper = np.concatenate([self.states.upper[:T].max(0), self.controls.upper.max(0)])
         fixed_start = T > 1 and (self.tube.lower[0] == self.tube.upper[0]).all()  # which lies in all sets, unsaid
         needed = set(range(int(fixed_start), T))
-        lasting = [rows for rows in self.rows if len(rows.matrix) == 1 and needed <= set(rows.times.tolist())]
-        return _stage_set(lower, upper, [(rows.matrix[0], rows.limits.max(0)) for rows in lasting])
+        lasting = [rows for rows in self.rows if len(rows.C) == 1 and needed <= set(rows.times.tolist())]
+        return _stage_set(lower, upper, [(rows.C[0], rows.e.max(0)) for rows in lasting])
 
     def at(self, t: int) -> StageSet:
         """Return the set of one time."""
@@ -84,11 +73,7 @@ class StageSets:
                 (self.tube.upper[t], self.controls.upper[t]),
             )
         )
-        there = [
-            (rows.matrix[min(k, len(rows.matrix) - 1)], rows.limits[k])
-            for rows in self.rows
-            for k in np.flatnonzero(rows.times == t)
-        ]
+        there = [(rows.matrix(int(k)), rows.e[k]) for rows in self.rows for k in np.flatnonzero(rows.times == t)]
         return _stage_set(lower, upper, there)
 
     @property
@@ -96,34 +81,19 @@ class StageSets:
         """Whether the sets, ends apart, are the same at all times."""
         T = self.horizon
         bounds = self.states.lower[:T], self.states.upper[:T], self.controls.lower, self.controls.upper
-        rows = all(len(rows.matrix) == 1 and (rows.limits == rows.limits[0]).all() for rows in self.rows)
+        rows = all(len(rows.C) == 1 and (rows.e == rows.e[0]).all() for rows in self.rows)
         return rows and all(bool((bound == bound[0]).all()) for bound in bounds)
 
 
 def stage_sets(states: Box, controls: Box, tube: Box, terms: Sequence[Term]) -> StageSets:
     """Return the sets, from the bounds of states (T+1, n), of controls (T, m), of states with ends, and from terms."""
-    T = len(controls.lower)
-    rows: list[_Rows] = []
+    T, rows = len(controls.lower), list[LinearRows]()
     for term in terms:
-        inside = isinstance(term.map, StageMap) and term.map.times < T
-        if not term.hard or not isinstance(term.map, StageMap) or not isinstance(term.penalty, Below):
-            continue
-        limits = np.broadcast_to(term.penalty.limit - term.map.constant, term.shape)
-        matrix = _matrix(term.map, states.lower.shape[1], controls.lower.shape[1])
-        if np.any(inside):
-            rows.append(_Rows(matrix if len(matrix) == 1 else matrix[inside], limits[inside], term.map.times[inside]))
+        found = term.polyhedron(states.lower.shape[1], controls.lower.shape[1])
+        if found is not None and (inside := found.times < T).any():
+            matrix = found.C if len(found.C) == 1 else found.C[inside]
+            rows.append(LinearRows(found.name, found.times[inside], matrix, found.e[inside]))
     return StageSets(states, controls, tube, rows, tuple(term.name for term in terms))
-
-
-def _matrix(of_stage: StageMap, n: int, m: int) -> Array:
-    """Return the coefficients of (x, u), (groups or 1, rows, n + m)."""
-    rows = of_stage.shape[1]
-    parts = [
-        np.zeros((1, rows, columns)) if part is None else part.reshape(-1, rows, columns)
-        for part, columns in ((of_stage.C, n), (of_stage.D, m))
-    ]
-    groups = max(map(len, parts))
-    return np.concatenate([np.broadcast_to(part, (groups, *part.shape[1:])) for part in parts], axis=-1)
 
 
 def _stage_set(lower: Array, upper: Array, rows: Sequence[tuple[Array, Array]]) -> StageSet:

@@ -6,7 +6,7 @@ A stop band sets DFT bins of this horizon to zero. What lies between the bins is
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,12 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, real_array
 from lin_freq_ocp.errors import BandWarning, ProblemError
-from lin_freq_ocp.phrases import number, runs_in_words, runs_of, split_unit
+from lin_freq_ocp.phrases import number, runs_in_words, runs_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices, component_words, listed
+from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.terms.penalty import HARD
+from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 MIRRORED = ", and their mirror images"
 """What goes with every bin of a real signal."""
@@ -25,7 +30,7 @@ BIN_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class Band:
+class Band(FrequencyConstraint):
     """A stop band on one or all components of a signal; made by low_pass, high_pass, band_pass, notch, stop_band.
 
     Parameters
@@ -69,6 +74,16 @@ class Band:
         """Return it in words, for a signal with components of these names."""
         kind = self.kind.replace("_", " ")
         return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero{MIRRORED}"
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield the stopped bins of outputs as equations."""
+        if signal.kind is not TermKind.OUTPUT_SPECTRUM:
+            return
+        for name, C, D in signal.rows(field, self.component):
+            bins = np.flatnonzero(self.stopped(signal.length, signal.sampling_time, field))
+            if len(bins):  # else a warning has been issued
+                stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, together=True)
+                yield Term(f"stop band on {name}", signal.kind, stopped, NormBall(2, np.zeros(()), HARD), source)
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
@@ -210,28 +225,18 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
 
 
 def stopped_bins(
-    field: str,
-    given: Any,
-    length: int,
-    component_names: Sequence[str],
-    sampling_time: float | None,
-    others: tuple[type, ...] = (),
+    field: str, given: Any, length: int, component_names: Sequence[str], sampling_time: float | None
 ) -> Mask:
-    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united.
-
-    ``others`` are types of further frequency constraints that may stand among the bands.
-    """
-    bands: Sequence[Any] = () if given is None else given if isinstance(given, (list, tuple)) else (given,)
+    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
-    for i, band in enumerate(bands):
-        where = f"{field}[{i}]" if given is bands else field
-        if isinstance(band, others):
-            continue
-        if not isinstance(band, Band):
-            expected = ", ".join(["a band", *(other.__name__ for other in others[:-1])])
-            expected += "".join(f" or {other.__name__}" for other in others[-1:])
+    for i, band in enumerate(listed(given)):
+        where = f"{field}[{i}]" if band is not given else field
+        if not isinstance(band, FrequencyConstraint):
+            expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
             raise ProblemError(where, brief(band), expected, advice)
+        if not isinstance(band, Band):
+            continue
         columns = component_indices(where, band.component, component_names)
         alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
         stopped[:, columns] |= alone[:, None]
@@ -246,13 +251,6 @@ def bands_of(stop: Mask) -> list[Band]:
     """Return bands that remove just these bins (k, components)."""
     components = np.flatnonzero(stop.any(0))
     return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
-
-
-def component_words(component: int | str | None, names: Sequence[str]) -> str:
-    """Return the name of a component, without its unit, or that all are meant."""
-    if component is None and len(names) > 1:
-        return "every component"
-    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
 
 
 def time_signal(rho: ComplexArray, length: int) -> Array:
@@ -277,21 +275,3 @@ def _edge(kind: str, name: str, radians: float | None, hertz: float | None) -> t
             f"In Hz it is {name}_hz=.",
         )
     return float(value), "rad/sample" if hertz is None else "Hz"
-
-
-def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
-    """Return the indices that a component (index, name, or None for all) stands for."""
-    count = len(component_names)
-    if component is None:
-        return list(range(count))
-    if isinstance(component, str):
-        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
-        if len(matches) == 1:
-            return matches
-    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
-        return [int(component)]
-    raise ProblemError(
-        f"{field}.component",
-        brief(component),
-        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
-    )

@@ -6,19 +6,35 @@ grid than the DFT's (``oversampling``), or with a window, they are the cure for 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import get_window
 
-from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.arrays import (
+    Array,
+    Indices,
+    assign,
+    brief,
+    positive_integer,
+    positive_number,
+    real_array,
+    with_columns,
+)
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.phrases import AT_MOST, datum, first_few, number, price, short_name
-from lin_freq_ocp.problem.spectrum.bands import Band, component_words, stop_band
+from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
+from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.terms.penalty import weight_of
+from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.term import Term
 
 NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
@@ -28,7 +44,7 @@ NO_LOWER_MASK = (
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class _SpectrumBound:
+class _SpectrumBound(FrequencyConstraint):
     """What MagnitudeBound and EnergyBound share: where they hold."""
 
     band: Band
@@ -72,11 +88,33 @@ class _SpectrumBound:
             oversampling=positive_integer(f"{kind}.oversampling", oversampling),
         )
 
-    def on(self, component: int | str) -> Self:
-        """Return the same bound on one component."""
-        alone = copy(self)
-        assign(alone, component=component)
-        return alone
+    @abstractmethod
+    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
+        """Return the name of a term, whether its bins are together, and their limits."""
+
+    @property
+    @abstractmethod
+    def factor(self) -> float:
+        """Return what the limit is multiplied by on the grid."""
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield a bound on the norm of every bin, or of all together, for each component."""
+        for name, C, D in signal.rows(field, self.component):
+            bins = self.bins(signal.length, signal.sampling_time, field)
+            window, points = self.samples(signal.length, field), self.points(signal.length)
+            title, together, limits = self._limited(name, len(bins), field)
+            spectrum = SpectrumMap(C, D, window, points, bins, together)
+            ball = NormBall(2, limits, weight_of(self.penalty))
+            yield Term(title, signal.kind, spectrum, ball, source, self.factor)
+
+    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+        """Return the same bounds, each on a single component."""
+        return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
+
+    def _with(self, **fields: Any) -> Self:
+        changed = copy(self)
+        assign(changed, **fields)
+        return changed
 
     @property
     def where(self) -> str:
@@ -200,6 +238,13 @@ class MagnitudeBound(_SpectrumBound):
             raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
         return np.broadcast_to(self.factor * self.limit, (count,))
 
+    def widened(self, amount: float) -> MagnitudeBound:
+        """Return it with higher limits."""
+        return self._with(limit=self.limit + amount)
+
+    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
+        return f"mask on {name}", False, self.limits(count, field)
+
     @property
     def factor(self) -> float:
         """Return what the limit is multiplied by on the grid."""
@@ -244,9 +289,13 @@ class EnergyBound(_SpectrumBound):
         square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
         return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
 
-    def root(self) -> Array:
+    def widened(self, amount: float) -> EnergyBound:
+        """Return it with a higher root of the energy."""
+        return self._with(limit=(np.sqrt(self.limit) + amount) ** 2)
+
+    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
         """Return the limit of the Euclidean norm of all bounded points of the grid."""
-        return np.asarray(self.factor * np.sqrt(self.limit))
+        return f"energy bound on {name}", True, np.asarray(self.factor * np.sqrt(self.limit))
 
     @property
     def factor(self) -> float:
@@ -255,7 +304,7 @@ class EnergyBound(_SpectrumBound):
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class LinearConstraint:
+class LinearConstraint(FrequencyConstraint):
     """constant + sum_t coefficients_t v_t = 0 for the signal v it is given for (paper, (SFC) and (CFC)).
 
     Parameters
@@ -276,6 +325,7 @@ class LinearConstraint:
     coefficients: Array
     constant: Array
     penalty: float | None
+    on_outputs: ClassVar[bool] = False
 
     def __init__(self, coefficients: ArrayLike, constant: ArrayLike | None = None, penalty: float | None = None):
         matrices = real_array("LinearConstraint.coefficients", coefficients)
@@ -294,6 +344,19 @@ class LinearConstraint:
             got = f"{right[row]:g} for row {row}, which has no coefficients"
             raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
         assign(self, coefficients=matrices, constant=right, penalty=soft)
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield the equations, or a price on their norm."""
+        expected = (signal.length, self.coefficients.shape[1], len(signal.names))
+        if self.coefficients.shape != expected:
+            raise ProblemError(f"{field}.coefficients", f"shape {self.coefficients.shape}", f"shape {expected}")
+        parts = (self.coefficients, None) if signal.D is None else (None, self.coefficients)
+        ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
+        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
+
+    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+        """Return the same equations, w apart."""
+        return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
     def describe(self, names: Sequence[str]) -> str:
         """Return it in words, for a signal with components of these names."""

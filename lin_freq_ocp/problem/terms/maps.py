@@ -1,24 +1,128 @@
 """Affine maps of a trajectory, (x, u) -> values (groups, dim): stages, spectra, and sums over all times.
 
-Each has ``values`` and ``pull_back``, its adjoint: <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>.
-``sizes`` and ``pulled_sizes`` are the same for absolute values: what rounding errors are relative to.
+A new map is a subclass of ``AffineMap`` in a file of its own: nothing else in the package tells maps apart.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices
 
 Shapes = tuple[tuple[int, ...], tuple[int, ...]]
 """The shapes of x, (T+1, n), and of u, (T, m)."""
 
 
+class AffineMap(ABC):
+    """(x, u) -> values (groups, dim), with its adjoint, its sparse rows, and the magnitudes of its terms.
+
+    The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. ``sizes`` and
+    ``pulled_sizes`` are what the rounding errors of ``values`` and ``pull_back`` are relative to.
+    """
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Return (groups, dim) of the values."""
+
+    @property
+    @abstractmethod
+    def places(self) -> Indices:
+        """Return the time of every group, or its nearest bin of the plain DFT."""
+
+    @property
+    @abstractmethod
+    def additions(self) -> float:
+        """Return the number of operations behind a value: rounding errors grow with it."""
+
+    @abstractmethod
+    def values(self, x: Array, u: Array) -> Array:
+        """Return v, (groups, dim), for x (T+1, n) and u (T, m)."""
+
+    @abstractmethod
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return the adjoint's values, of the shapes of x and u."""
+
+    @abstractmethod
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        """Return L, (groups * dim, (T+1) n + T m), and c with values = L (x, u) + c, group by group."""
+
+    @abstractmethod
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return the magnitudes of the terms of v, (groups, dim)."""
+
+    @abstractmethod
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of ``pull_back``."""
+
+    def stage_form(self, n: int, m: int) -> tuple[Array, Array] | None:
+        """Return M, (groups or 1, dim, n + m), and c, (groups, dim), with v = M (x_t, u_t) + c for every group.
+
+        t is its time; None if a group depends on several times.
+        """
+        return None
+
+    @property
+    def control_times(self) -> Indices:
+        """Return the time of every group, if each is a function of the control of a single time; else empty."""
+        return np.arange(0)
+
+    @property
+    def nearest_bins(self) -> Indices:
+        """Return the nearest bin of the plain DFT to each bin of a spectrum, (bins,); empty for other maps."""
+        return np.arange(0)
+
+    @property
+    def samples(self) -> int:
+        """Return the length of the signal of a spectrum; 0 for other maps."""
+        return 0
+
+    @property
+    def component(self) -> int:
+        """Return the state or control that a spectrum belongs to."""
+        return 0
+
+    @property
+    def frequencies(self) -> Array:
+        """Return the frequency of each group in rad/sample, (groups,); empty if groups are not single bins."""
+        return np.zeros(0)
+
+    def pairs(self, values: Array) -> Array:
+        """Return (Re, Im) of every bin of a spectrum, (bins, 2), from values or multipliers (groups, dim)."""
+        return values
+
+    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
+        """Whether this is a spectrum of y = C x + D u."""
+        return False
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        """Return how many rows are dense, and the number of their entries."""
+        return 0, 0
+
+
+class MatrixMap(AffineMap):
+    """A map given by matrices: magnitudes come from the map of their absolute values."""
+
+    @abstractmethod
+    def magnitudes(self) -> AffineMap:
+        """Return the map with the absolute values of all data."""
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return the sums of the absolute values of the terms of v, (groups, dim)."""
+        return self.magnitudes().values(np.abs(x), np.abs(u))
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of ``pull_back``."""
+        return self.magnitudes().pull_back(np.abs(weights), shapes)
+
+
 @dataclass(frozen=True, eq=False)
-class StageMap:
+class StageMap(MatrixMap):
     """v_t = C_t x_t + D_t u_t + c_t at some times, one group for each.
 
     Attributes
@@ -46,6 +150,11 @@ class StageMap:
         return self.times
 
     @property
+    def control_times(self) -> Indices:
+        """Return the times; none if the control is not part of it."""
+        return np.arange(0) if self.D is None else self.times
+
+    @property
     def additions(self) -> float:
         """Return how many operations in a row make one value: rounding errors grow with it."""
         return float(sum(part.shape[-1] for part in (self.C, self.D) if part is not None) + self.constant.shape[-1])
@@ -66,137 +175,36 @@ class StageMap:
                 np.add.at(signal, self.times, _product(np.swapaxes(matrix, -1, -2), weights))
         return pulled[0], pulled[1]
 
-    def sizes(self, x: Array, u: Array) -> Array:
-        """Return the sums of the absolute values of the terms of v, (groups, dim)."""
-        return self._absolute().values(np.abs(x), np.abs(u))
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        """Return the sparse rows, and the constant."""
+        of_x, of_u = self._blocks(self.C, horizon + 1, n), self._blocks(self.D, horizon, m)
+        return joined_rows(of_x, of_u), np.broadcast_to(self.constant, self.shape).ravel()
 
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of ``pull_back``."""
-        return self._absolute().pull_back(np.abs(weights), shapes)
+    def stage_form(self, n: int, m: int) -> tuple[Array, Array]:
+        """Return [C, D] and the constant."""
+        parts = [
+            np.zeros((1, self.shape[1], columns)) if part is None else part.reshape(-1, self.shape[1], columns)
+            for part, columns in ((self.C, n), (self.D, m))
+        ]
+        groups = max(map(len, parts))
+        matrix = np.concatenate([np.broadcast_to(part, (groups, *part.shape[1:])) for part in parts], axis=-1)
+        return matrix, np.broadcast_to(self.constant, self.shape)
 
-    def _absolute(self) -> StageMap:
+    def magnitudes(self) -> AffineMap:
+        """Return the map of |C|, |D| and |c|."""
         C, D = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return StageMap(self.times, C, D, np.abs(self.constant))
 
-
-@dataclass(frozen=True, eq=False)
-class SpectrumMap:
-    """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
-
-    One group (Re, Im) for each bin, or with ``together`` a single group of all of them. The imaginary part of bins 0
-    and N/2, always zero, is left out where all are together, and is a zero elsewhere.
-
-    Attributes
-    ----------
-    C : (n,), or None; D : (m,), or None
-        y_t is looked at for t = 0 .. T-1, and at T, too, if D is None.
-    window : (samples,)
-        w_t; ones for the plain DFT.
-    points : int
-        N: as many as there are samples, or a multiple of that for a finer grid.
-    bins : (bins,)
-        Within 0 .. N/2.
-    together : bool
-    """
-
-    C: Array | None
-    D: Array | None
-    window: Array
-    points: int
-    bins: Indices
-    together: bool = False
-
-    @property
-    def component(self) -> int:
-        """Return the state or control that it is a spectrum of, if it is that of one."""
-        row = self.C if self.C is not None else self.D
-        assert row is not None  # there is a signal
-        return int(np.flatnonzero(row)[0])
-
-    @property
-    def nearest_bins(self) -> Indices:
-        """Return the nearest bin of the plain DFT to each of the bins, (bins,)."""
-        return np.rint(self.bins * len(self.window) / self.points).astype(int)
-
-    @property
-    def single(self) -> Mask:
-        """Which of the bins are real for every signal, (bins,)."""
-        return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
-
-    @property
-    def places(self) -> Indices:
-        """Return the bins; of points between them, the nearest."""
-        return self.nearest_bins
-
-    @property
-    def additions(self) -> float:
-        """Return how many operations in a row make one value: rounding errors grow with it."""
-        return float(5 * np.log2(self.points) + 10)
-
-    def values(self, x: Array, u: Array) -> Array:
-        """Return v, (groups, dim), for x (T+1, n) and u (T, m)."""
-        spectrum = fft.rfft(self.window * self._signal(x, u), n=self.points)[self.bins]
-        return self._grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
-
-    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the adjoint's values, of the shapes of x and u."""
-        pairs = self.pairs(weights)
-        k = np.arange(self.points // 2 + 1)
-        spectrum = np.zeros(len(k), dtype=np.result_type(pairs, np.complex64))
-        spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
-        factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
-        signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
-        return self._spread(signal, shapes)
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
-        of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
-        y = SpectrumMap(of_x, of_u, self.window, self.points, self.bins)._signal(np.abs(x), np.abs(u))
-        norm = np.sqrt(((self.window * y) ** 2).sum())
-        return np.full(self.shape, norm)
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of ``pull_back``."""
-        of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
-        absolute = SpectrumMap(of_x, of_u, self.window, self.points, self.bins)
-        return absolute._spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Return (groups, dim) of the values."""
-        return (1, 2 * len(self.bins) - int(self.single.sum())) if self.together else (len(self.bins), 2)
-
-    def pairs(self, values: Array) -> Array:
-        """Return (Re, Im) of every bin, (bins, 2), from values or multipliers (groups, dim)."""
-        if not self.together:
-            return values
-        pairs = np.zeros(2 * len(self.bins), dtype=values.dtype)
-        pairs[self._kept] = values[0]
-        return pairs.reshape(-1, 2)
-
-    @property
-    def _kept(self) -> Mask:
-        kept = np.ones((len(self.bins), 2), dtype=bool)
-        kept[self.single, 1] = False
-        return kept.ravel()
-
-    def _grouped(self, pairs: Array) -> Array:
-        return pairs.reshape(-1)[self._kept][None] if self.together else pairs
-
-    def _signal(self, x: Array, u: Array) -> Array:
-        parts = [signal @ row for row, signal in ((self.C, x), (self.D, u)) if row is not None]
-        return sum((part[: len(self.window)] for part in parts[1:]), parts[0][: len(self.window)])
-
-    def _spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pulled = tuple(np.zeros(shape, dtype=signal.dtype) for shape in shapes)
-        for row, part in zip((self.C, self.D), pulled, strict=True):
-            if row is not None:
-                part[: len(signal)] += np.outer(signal, row)
-        return pulled[0], pulled[1]
+    def _blocks(self, matrix: Array | None, samples: int, columns: int) -> sp.csr_array:
+        (groups, dim), total = self.shape, samples * columns
+        if matrix is None:
+            return sp.csr_array((groups * dim, total))
+        blocks = np.broadcast_to(matrix, (groups, dim, columns))
+        return sp.csr_array(sp.bsr_array((blocks, self.times, np.arange(groups + 1)), shape=(groups * dim, total)))
 
 
 @dataclass(frozen=True, eq=False)
-class SumMap:
+class SumMap(MatrixMap):
     """v = constant + sum_t (Phi_t x_t + Psi_t u_t), a single group (paper, (SFC) and (CFC)).
 
     Attributes
@@ -240,20 +248,26 @@ class SumMap:
         )
         return of_x, of_u
 
-    def sizes(self, x: Array, u: Array) -> Array:
-        """Return the sums of the absolute values of the terms of v, (1, dim)."""
-        return self._absolute().values(np.abs(x), np.abs(u))
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        """Return the sparse rows, and the constant."""
+        dim = len(self.constant)
+        of_x, of_u = (
+            sp.csr_array((dim, columns) if matrices is None else np.swapaxes(matrices, 0, 1).reshape(dim, columns))
+            for matrices, columns in ((self.Phi, (horizon + 1) * n), (self.Psi, horizon * m))
+        )
+        return joined_rows(of_x, of_u), self.constant
 
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of ``pull_back``."""
-        return self._absolute().pull_back(np.abs(weights), shapes)
-
-    def _absolute(self) -> SumMap:
+    def magnitudes(self) -> AffineMap:
+        """Return the map of the absolute values."""
         Phi, Psi = (None if part is None else np.abs(part) for part in (self.Phi, self.Psi))
         return SumMap(Phi, Psi, np.abs(self.constant))
 
 
-TrajectoryMap = StageMap | SpectrumMap | SumMap
+def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:
+    """Return the rows on (x, u) from those on x and on u."""
+    rows = sp.csr_array(sp.hstack([of_x, of_u]))
+    rows.eliminate_zeros()
+    return rows
 
 
 def _product(matrix: Array, vectors: Array) -> Array:

@@ -1,26 +1,34 @@
-"""Convex functions h of which hard constraints, soft constraints and nonsmooth costs are made.
+"""The convex functions that sets, rows, costs and frequency constraints are made of; see ``penalty`` for the protocol.
 
-Every h acts on values v of shape (groups, dim), group by group, and is told by its weight: finite, it is a price per
-unit of excess (a cost, a soft constraint); infinite, the excess must be zero (a hard constraint). Its subgradients
-lambda are the multipliers. They are recognised by the Fenchel-Young gap
+Their conic forms, with slacks s >= 0:
 
-    h(v) + h*(lambda) - <lambda, v> >= 0,   zero iff lambda is a subgradient of h at v,
-
-where h* is the conjugate; for the indicator of a set, h* is the set's support function and the gap that of the normal
-cone. In a problem with eta_C = 0, finite weights count as zero.
+    HalfSpaces, hard         v <= limit
+    HalfSpaces, soft         v - s <= limit, s >= 0                             cost weight * s, a slack per entry
+    NormBall, 1              v - s <= 0, v + s >= 0                             cost weight * s, a slack per entry
+    NormBall, inf, hard      -radius <= v <= radius
+    NormBall, inf, soft      v - s <= radius, v + s >= -radius, s >= 0          cost weight * s, a slack per group
+    NormBall, 2, hard        (radius, v) in the second-order cone; v = 0 where the radius is 0
+    NormBall, 2, soft        (radius + s, v) in the second-order cone, s >= 0   cost weight * s, a slack per group
+    StandardCone             v in the second-order cone
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.terms.penalty import HARD, ConicForm, Penalty, selected_rows
+
+DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}
+"""The order of the dual norm."""
 
 
 @dataclass(frozen=True, eq=False)
-class Below:
+class HalfSpaces(Penalty):
     """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite.
 
     Attributes
@@ -34,34 +42,96 @@ class Below:
     limit: Array
     weight: Array
 
-    def cost(self, v: Array) -> Array:
-        """Return h(v) of every group, (groups,), without the hard part."""
-        return (_finite(self.weight) * np.maximum(v - self.limit, 0.0)).sum(1)
+    @property
+    def weights(self) -> Array:
+        """Return the weight."""
+        return self.weight
 
-    def violation(self, v: Array) -> Array:
-        """Return the excess where the constraint is hard, (groups, dim)."""
-        return np.where(np.isinf(self.weight), np.maximum(v - self.limit, 0.0), 0.0)
+    @property
+    def unlimited(self) -> Mask:
+        """Return where the limit is infinite."""
+        return np.isinf(self.limit)
+
+    @property
+    def polyhedral(self) -> bool:
+        """Half-spaces are polyhedral."""
+        return True
+
+    def excess(self, v: Array) -> Array:
+        """Return v - limit."""
+        return v - self.limit
+
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        """Return the change."""
+        return change
+
+    def recession(self, change: Array) -> Array:
+        """Return the change where there is a limit."""
+        return np.where(np.isfinite(self.limit), change, 0.0)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return the nearest multipliers that are subgradients of h somewhere."""
-        return np.clip(multipliers, 0.0, np.where(np.isfinite(self.limit), _scaled(self.weight, eta_C), 0.0))
+        """Return the nearest multipliers within 0 and eta_C times the weight."""
+        return np.clip(multipliers, 0.0, np.where(np.isfinite(self.limit), self._scaled(eta_C), 0.0))
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        """Return the Fenchel-Young gap of every entry for subgradients of h, (groups, dim)."""
+        """Return the gap of every entry, (groups, dim)."""
         slack = np.where(multipliers > 0, self.limit - v, 0.0)
-        return multipliers * slack + eta_C * _finite(self.weight) * np.maximum(v - self.limit, 0.0)
+        return multipliers * slack + eta_C * self._prices * np.maximum(v - self.limit, 0.0)
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return how far the direction of multipliers is from that of v, to first order: here they have none."""
+        """Return zeros, (groups, dim): there is no direction."""
         return np.zeros(np.broadcast_shapes(v.shape, multipliers.shape))
 
     def sizes(self) -> Array:
-        """Return the absolute values of the limits, 0 where there is none; broadcasts to (groups, dim)."""
+        """Return the absolute values of the limits, 0 where there is none."""
         return np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return no lower bounds, and the limits."""
+        return np.full(shape, -np.inf), np.broadcast_to(self.limit, shape)
+
+    def limit_multipliers(self, multipliers: Array) -> Array:
+        """Return the multipliers of the values."""
+        return multipliers
+
+    def least_slacks(self, v: Array) -> Array:
+        """Return the excess of every limited entry; nothing where it is hard."""
+        return np.zeros(0) if self.hard else np.maximum(v - self.limit, 0.0).ravel()[self._limited(v.shape)]
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        """Return v <= limit, or v - s <= limit and s >= 0."""
+        entries = self._limited((groups, dim))
+        upper, none = self.bounds((groups, dim))[1].ravel()[entries], np.full(len(entries), -np.inf)
+        if self.hard:
+            return selected_rows(entries, none, upper)
+        return ConicForm(
+            np.concatenate([entries, np.full(len(entries), -1)]),
+            np.concatenate([none, np.zeros(len(entries))]),
+            np.concatenate([upper, -none]),
+            _slack_columns(-sp.eye_array(len(entries)), sp.eye_array(len(entries))),
+            np.broadcast_to(self.weight, (groups, dim)).ravel()[entries],
+            entries[:, None],
+        )
+
+    def softened(self, weight: Array) -> Penalty:
+        """Return the same limits with another weight."""
+        return replace(self, weight=weight)
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        """Return higher limits."""
+        return c, replace(self, limit=self.limit + amount)
+
+    def stacked(self, others: list[Any]) -> Penalty:
+        """Return one with a limit for each."""
+        weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
+        return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))
+
+    def _limited(self, shape: tuple[int, ...]) -> Indices:
+        return np.flatnonzero(np.isfinite(np.broadcast_to(self.limit, shape)))
 
 
 @dataclass(frozen=True, eq=False)
-class Norm:
+class NormBall(Penalty):
     """h(v) = sum over groups of weight * max(|v| - radius, 0): |v| <= radius, where the weight is infinite.
 
     Attributes
@@ -77,67 +147,152 @@ class Norm:
     radius: Array
     weight: Array
 
-    def cost(self, v: Array) -> Array:
-        """Return h(v) of every group, (groups,), without the hard part."""
-        return _finite(self.weight) * self._excess(v)
+    @property
+    def weights(self) -> Array:
+        """Return the weights as a column."""
+        return self.weight[..., None]
 
-    def violation(self, v: Array) -> Array:
-        """Return by how much |v| exceeds the radius where the constraint is hard, (groups, 1)."""
-        return np.where(np.isinf(self.weight), self._excess(v), 0.0)[:, None]
+    @property
+    def signature(self) -> tuple[object, ...]:
+        """Return kind, order, and whether it is hard."""
+        return *super().signature, self.order
+
+    def excess(self, v: Array) -> Array:
+        """Return |v| - radius, (groups, 1)."""
+        return (_norm(v, self.order) - self.radius)[:, None]
+
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        """Return the derivative of |v|, (groups, 1); entries nearer than ``near`` to a kink count as on it."""
+        return _slope_of_norm(v, change, self.order, near)[:, None]
+
+    def recession(self, change: Array) -> Array:
+        """Return the norm of the change where there is a limit, (groups, 1)."""
+        return np.where(np.isfinite(self.radius), _norm(change, self.order), 0.0)[:, None]
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return multipliers of the same direction that are subgradients of h somewhere."""
-        largest = np.where(np.isfinite(self.radius), _scaled(self.weight, eta_C), 0.0)
-        size = self._dual_norm(multipliers)
+        """Return multipliers of the same direction with a dual norm of at most eta_C times the weight."""
+        largest = np.where(np.isfinite(self.radius), self._scaled(eta_C)[..., 0], 0.0)
+        size = _norm(multipliers, DUAL_ORDER[self.order])
         shrink = np.where(size > largest, largest / np.where(size > 0, size, 1.0), 1.0)
         return multipliers * shrink[:, None]
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        """Return the Fenchel-Young gap of every group for subgradients of h, (groups, 1)."""
-        size = self._dual_norm(multipliers)
+        """Return the gap of every group, (groups, 1)."""
+        size = _norm(multipliers, DUAL_ORDER[self.order])
         support = np.where(size > 0, self.radius, 0.0) * size
-        total = support - (multipliers * v).sum(1) + eta_C * _finite(self.weight) * self._excess(v)
-        return total[:, None]
+        return (support - (multipliers * v).sum(1) + eta_C * self.cost(v))[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
         """Return |v| times the part of the multipliers across v (the gap is of second order in it), (groups, 1)."""
         return _across(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
 
     def sizes(self) -> Array:
-        """Return the radii, 0 where there is none; broadcasts to (groups, dim)."""
+        """Return the radii, 0 where there is none."""
         return np.where(np.isfinite(self.radius), self.radius, 0.0)[..., None]
 
-    def _excess(self, v: Array) -> Array:
-        return np.maximum(self._norm(v) - self.radius, 0.0)
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return minus and plus the radius for every entry."""
+        radius = np.broadcast_to(np.broadcast_to(self.radius, shape[:1])[:, None], shape)
+        return -radius, radius
 
-    def _norm(self, v: Array) -> Array:
-        return _norm(v, self.order)
+    def limit_multipliers(self, multipliers: Array) -> Array:
+        """Return the dual norms of the multipliers, (groups, 1)."""
+        return _norm(multipliers, DUAL_ORDER[self.order])[:, None]
 
-    def _dual_norm(self, v: Array) -> Array:
-        return _norm(v, {1: np.inf, 2: 2, np.inf: 1}[self.order])
+    def least_slacks(self, v: Array) -> Array:
+        """Return |v_i| of every entry (sums of absolute values), else the excess of every limited group."""
+        if self.hard:
+            return np.zeros(0)
+        if self.order == 1:
+            return np.abs(v).ravel()
+        return np.maximum(self.excess(v), 0.0).ravel()[np.isfinite(np.broadcast_to(self.radius, v.shape[:1]))]
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        """Return the rows of the order; with a single entry a group, all norms are its absolute value."""
+        radius = np.broadcast_to(self.radius, (groups,))
+        limited = np.flatnonzero(np.isfinite(radius))
+        weight = np.broadcast_to(self.weight, (groups,))[limited]
+        entries = limited[:, None] * dim + np.arange(dim)
+        if self.order == 1:
+            return _absolute_values(entries, np.repeat(weight, dim))
+        if self.order == 2 and dim > 1:
+            return self._cones(entries, radius[limited], weight)
+        return self._largest_values(entries, np.repeat(radius[limited], dim), weight)
+
+    def softened(self, weight: Array) -> Penalty:
+        """Return the same ball with another weight."""
+        return replace(self, weight=weight)
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        """Return a larger radius."""
+        return c, replace(self, radius=self.radius + amount)
+
+    def stacked(self, others: list[Any]) -> Penalty:
+        """Return one with a radius for each."""
+        weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
+        return NormBall(self.order, np.array([one.radius for one in others]), weights)
+
+    def _largest_values(self, entries: Indices, reach: Array, weight: Array) -> ConicForm:
+        if self.hard:
+            return selected_rows(entries.ravel(), -reach, reach)
+        (count, dim), unlimited = entries.shape, np.full(entries.size, np.inf)
+        spread = sp.csr_array(sp.kron(sp.eye_array(count), np.ones((dim, 1))))
+        return ConicForm(
+            np.concatenate([entries.ravel(), entries.ravel(), np.full(count, -1)]),
+            np.concatenate([-unlimited, -reach, np.zeros(count)]),
+            np.concatenate([reach, unlimited, np.full(count, np.inf)]),
+            _slack_columns(-spread, spread, sp.eye_array(count)),
+            weight,
+            entries,
+        )
+
+    def _cones(self, entries: Indices, radius: Array, weight: Array) -> ConicForm:
+        """Return (radius + s, v) of every group in turn; the groups of radius 0 are equations if they are hard."""
+        round_, count = (radius > 0) | (not self.hard), 0 if self.hard else len(entries)
+        zero, inside = entries[~round_].ravel(), entries[round_]
+        cones, size = len(inside), entries.shape[1] + 1
+        rows = np.column_stack([np.full(cones, -1), inside]).ravel()
+        lower = np.column_stack([-radius[round_], np.zeros(inside.shape)]).ravel()
+        first = np.arange(cones) * size
+        of_cones = sp.csr_array((np.ones(count), (first[:count], np.arange(count))), shape=(len(rows), count))
+        positive = sp.csr_array(sp.eye_array(count, format="csr")[radius[:count] > 0])  # else |v| <= s implies it
+        signs = positive.shape[0]
+        return ConicForm(
+            np.concatenate([rows, np.full(signs, -1), zero]),
+            np.concatenate([lower, np.zeros(signs + len(zero))]),
+            np.concatenate([np.full(len(rows) + signs, np.inf), np.zeros(len(zero))]),
+            _slack_columns(of_cones, positive, sp.csr_array((len(zero), count))),
+            weight[:count],
+            entries[:count],
+            tuple(slice(int(row), int(row) + size) for row in first),
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Cone:
+class StandardCone(Penalty):
     """h is the indicator of the second-order cone: v_0 >= |(v_1, v_2, ...)|, group by group. Always hard."""
 
     @property
-    def weight(self) -> Array:
+    def weights(self) -> Array:
         """Return infinity."""
-        return np.asarray(np.inf)
+        return HARD
 
-    def cost(self, v: Array) -> Array:
-        """Return 0 for every group, (groups,)."""
-        return np.zeros(len(v))
+    def excess(self, v: Array) -> Array:
+        """Return |(v_1, ...)| - v_0, (groups, 1)."""
+        return (_norm(v[:, 1:], 2) - v[:, 0])[:, None]
 
-    def violation(self, v: Array) -> Array:
-        """Return by how much |(v_1, ...)| exceeds v_0, (groups, 1)."""
-        return np.maximum(np.sqrt((v[:, 1:] ** 2).sum(1)) - v[:, 0], 0.0)[:, None]
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        """Return the derivative of |(v_1, ...)| - v_0, (groups, 1)."""
+        return (_slope_of_norm(v[:, 1:], change[:, 1:], 2, near) - change[:, 0])[:, None]
+
+    def recession(self, change: Array) -> Array:
+        """Return by how much the change is outside the cone, (groups, 1)."""
+        return self.excess(change)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
         """Return multipliers in the polar cone, with -lambda_0 >= |(lambda_1, ...)|."""
         fitting = multipliers.copy()
-        fitting[:, 0] = np.minimum(fitting[:, 0], -np.sqrt((fitting[:, 1:] ** 2).sum(1)))
+        fitting[:, 0] = np.minimum(fitting[:, 0], -_norm(fitting[:, 1:], 2))
         return fitting
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
@@ -148,22 +303,33 @@ class Cone:
         """Return |(v_1, ...)| times the part of (lambda_1, ...) across it, (groups, 1)."""
         return _across(v[:, 1:], multipliers[:, 1:])[:, None]
 
-    def sizes(self) -> Array:
-        """Return 0: there is no limit."""
-        return np.zeros(1)
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        """Return a larger v_0."""
+        return c + amount * (np.arange(len(c)) == 0), self
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        """Return every group as a cone."""
+        count = groups * dim
+        cones = tuple(slice(g * dim, (g + 1) * dim) for g in range(groups))
+        return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
 
 
-Penalty = Below | Norm | Cone
+def _absolute_values(entries: Indices, weight: Array) -> ConicForm:
+    """Return v - s <= 0 and v + s >= 0."""
+    count = entries.size
+    zero, unlimited, identity = np.zeros(count), np.full(count, np.inf), sp.eye_array(count)
+    return ConicForm(
+        np.tile(entries.ravel(), 2),
+        np.concatenate([-unlimited, zero]),
+        np.concatenate([zero, unlimited]),
+        _slack_columns(-identity, identity),
+        weight,
+        entries.reshape(-1, 1),
+    )
 
 
-def weight_of(penalty: float | None) -> Array:
-    """Return the weight of a penalty as users give it: a price per unit of excess, or None for what must hold."""
-    return np.asarray(np.inf if penalty is None else penalty)
-
-
-def hard(weight: Array) -> bool:
-    """Whether anything with this weight must hold exactly."""
-    return bool(np.isinf(weight).any())
+def _slack_columns(*parts: Any) -> sp.csr_array:
+    return sp.csr_array(sp.vstack(parts))
 
 
 def _norm(v: Array, order: float) -> Array:
@@ -172,14 +338,17 @@ def _norm(v: Array, order: float) -> Array:
     return np.abs(v).sum(1) if order == 1 else np.abs(v).max(1)
 
 
-def _finite(weight: Array) -> Array:
-    """Return the weights that are prices, 0 for the infinite ones."""
-    return np.where(np.isinf(weight), 0.0, weight)
-
-
-def _scaled(weight: Array, eta_C: float) -> Array:
-    """Return weight * eta_C, with infinity what it is."""
-    return np.where(np.isinf(weight), np.inf, eta_C * _finite(weight))
+def _slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
+    """Return the derivative of |v| along a change, per group; entries nearer than ``near`` to a kink count as on it."""
+    if order == 2:
+        size = _norm(v, 2)
+        along = (v * change).sum(1) / np.where(size > 0, size, 1.0)
+        return np.where(size > near, along, _norm(change, 2))
+    by_entry = np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
+    if order == 1:
+        return by_entry.sum(1)
+    largest = np.abs(v) >= np.abs(v).max(1, keepdims=True) - near
+    return np.where(largest, by_entry, -np.inf).max(1)
 
 
 def _across(v: Array, multipliers: Array) -> Array:

@@ -3,16 +3,59 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.problem.terms.maps import TrajectoryMap
-from lin_freq_ocp.problem.terms.penalties import Penalty, hard
+import numpy as np
 
-KINDS = (
-    *("state set", "control set", "stage rows", "state spectrum", "control spectrum", "output spectrum"),
-    *("stage cost", "terminal cost"),
-)
-"""Where a term comes from: the field of the problem that it was given in."""
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.problem.terms.maps import AffineMap
+from lin_freq_ocp.problem.terms.penalty import Penalty
+
+
+class TermKind(StrEnum):
+    """Where a term comes from: the field of the problem that it was given in."""
+
+    STATE_SET = "state set"
+    CONTROL_SET = "control set"
+    STAGE_ROWS = "stage rows"
+    STATE_SPECTRUM = "state spectrum"
+    CONTROL_SPECTRUM = "control spectrum"
+    OUTPUT_SPECTRUM = "output spectrum"
+    STAGE_COST = "stage cost"
+    TERMINAL_COST = "terminal cost"
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether it is part of the cost as the user stated it."""
+        return self in (TermKind.STAGE_COST, TermKind.TERMINAL_COST)
+
+    @property
+    def is_spectrum(self) -> bool:
+        """Whether it is a frequency constraint."""
+        return self in (TermKind.STATE_SPECTRUM, TermKind.CONTROL_SPECTRUM, TermKind.OUTPUT_SPECTRUM)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRows:
+    """C (x_t, u_t) <= e at some times.
+
+    Attributes
+    ----------
+    name : str
+        Of the term that they come from.
+    times : (groups,)
+    C : (groups or 1, rows, n + m)
+    e : (groups, rows)
+    """
+
+    name: str
+    times: Indices
+    C: Array
+    e: Array
+
+    def matrix(self, group: int) -> Array:
+        """Return C of one group, (rows, n + m)."""
+        return self.C[min(group, len(self.C) - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,21 +66,20 @@ class Term:
     ----------
     name : str
         Under which its multipliers stand, of shape (groups, dim) like its values.
-    kind : str
-        One of KINDS.
-    map : StageMap, SpectrumMap or SumMap
+    kind : TermKind
+    map : AffineMap
         L.
-    penalty : Below, Norm or Cone
+    penalty : Penalty
         h.
     source : (field, index) or None
-        The field of the problem that it was given in, and its place there.
+        The field of the problem that it was given in, and its index there.
     per_limit : float
         Change of the penalty's limit for each unit of the limit (of an energy, of its root) that was given.
     """
 
     name: str
-    kind: str
-    map: TrajectoryMap
+    kind: TermKind
+    map: AffineMap
     penalty: Penalty
     source: tuple[str, int] | None = None
     per_limit: float = 1.0
@@ -45,7 +87,7 @@ class Term:
     @property
     def hard(self) -> bool:
         """Whether it is a constraint that must hold."""
-        return hard(self.penalty.weight)
+        return self.penalty.hard
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -59,3 +101,23 @@ class Term:
     def violation(self, x: Array, u: Array) -> Array:
         """Return by how much it is violated where it is hard, (groups, dim) or (groups, 1)."""
         return self.penalty.violation(self.map.values(x, u))
+
+    def polyhedron(self, n: int, m: int) -> LinearRows | None:
+        """Return the rows of a hard term that is nothing but rows of (x_t, u_t), one for each value; else None."""
+        form = self.map.stage_form(n, m) if self.hard and self.penalty.polyhedral else None
+        if form is None:
+            return None
+        return LinearRows(self.name, self.map.places, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
+
+    def implied_rows(self, n: int, m: int) -> LinearRows | None:
+        """Return rows of (x_t, u_t) that follow from a hard term, as from a ball those around it; None without any."""
+        form = self.map.stage_form(n, m) if self.hard else None
+        if form is None:
+            return None
+        lower, upper = self.penalty.hard_bounds(self.shape)
+        sides = [(form[0], upper - form[1]), (-form[0], form[1] - lower)]
+        kept = [(matrix, limits) for matrix, limits in sides if np.isfinite(limits).any()]
+        if not kept:
+            return None
+        matrices, limits = zip(*kept, strict=True)
+        return LinearRows(self.name, self.map.places, np.concatenate(matrices, 1), np.concatenate(limits, 1))

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.problem.costs.norms import CostSum
+from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.maps import SpectrumMap, StageMap
-from lin_freq_ocp.problem.terms.penalties import Below, Norm
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +34,7 @@ def references(problem: OptimalControlProblem, index: int, is_state: bool) -> li
     found = list[Line]()
     for reference, weighed in _weighed(problem, index, is_state):
         if reference.any():
-            values = reference[..., index] * np.ones(length)
+            values = (reference if reference.ndim == 0 else reference[..., index]) * np.ones(length)
             line = Line(np.arange(length, dtype=np.float64), np.where(weighed, values, np.nan))
             if weighed.any() and not any(np.array_equal(line.values, other.values, equal_nan=True) for other in found):
                 found.append(line)
@@ -46,38 +43,37 @@ def references(problem: OptimalControlProblem, index: int, is_state: bool) -> li
 
 def bounds_of_rows(problem: OptimalControlProblem, index: int, is_state: bool) -> list[Line]:
     """Return the limits of rows that are about this state, or control, alone: of polyhedra, soft boxes, stage rows."""
-    found = list[Line]()
+    found, n = list[Line](), problem.state_dim
     for term in problem.terms:
-        if isinstance(term.map, StageMap) and isinstance(term.penalty, Below) and not term.kind.endswith("cost"):
-            found += _limits(term, term.map, term.penalty, index, is_state)
+        if term.penalty.polyhedral and not term.kind.is_cost:
+            found += _limits(term, n, problem.control_dim, index if is_state else n + index)
     return found
 
 
-def mask_levels(problem: OptimalControlProblem, kind: str, row: Array | None, other: Array | None = None) -> list[Line]:
+def mask_levels(
+    problem: OptimalControlProblem, kind: TermKind, row: Array | None, other: Array | None = None
+) -> list[Line]:
     """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
     found = list[Line]()
     for term in problem.terms:
-        of = term.map
-        if term.kind == kind and isinstance(of, SpectrumMap) and isinstance(term.penalty, Norm) and not of.together:
-            if same_row(of.C, row) and same_row(of.D, other):
-                levels = np.broadcast_to(term.penalty.radius, of.bins.shape) / term.per_limit
-                found.append(Line(2 * np.pi * of.bins / of.points, levels, not term.hard))
+        frequencies = term.map.frequencies
+        if term.kind == kind and len(frequencies) and term.map.spectrum_of(row, other):
+            levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+            found.append(Line(frequencies, levels, not term.hard))
     return found
 
 
-def _weighed(problem: OptimalControlProblem, index: int, is_state: bool) -> Iterator[tuple[Array, Array]]:
-    """Yield references, (components,) or one per time, and at which times the deviation of the component counts."""
+def _weighed(problem: OptimalControlProblem, index: int, is_state: bool) -> Iterator[tuple[Array, Mask]]:
+    """Yield references, (), (components,) or one per time, and at which times the deviation of the component counts."""
     horizon, cost = problem.horizon, problem.quadratic
     yield cost.x_ref if is_state else cost.u_ref, _counts(cost, index, is_state, horizon)
-    for norm in problem.cost.norms if isinstance(problem.cost, CostSum) else ():
-        stage = np.broadcast_to(_own(norm.x if is_state else norm.u, index) != 0, horizon)
-        end = [bool(_own(norm.terminal, index))] if is_state else []
-        reference = norm.x_ref if is_state else norm.u_ref
-        size = problem.state_dim if is_state else problem.control_dim
-        yield reference if reference.ndim else np.full(size, reference), np.append(stage, end).astype(bool)
+    for norm in problem.cost.norms:
+        found = norm.references(index, is_state, horizon)
+        if found is not None:
+            yield found
 
 
-def _counts(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Array:
+def _counts(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
     if not is_state:
         weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
         return np.asarray(np.broadcast_to(weights > 0, horizon))
@@ -85,29 +81,17 @@ def _counts(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Ar
     return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
 
 
-def _own(weights: Array, index: int) -> Array:
-    """Return the weight of a component, () or (times,), of one for all, one each, or one each per time."""
-    return weights if weights.ndim == 0 else weights[..., index]
-
-
-def _limits(term: Term, of: StageMap, below: Below, index: int, is_state: bool) -> Iterator[Line]:
-    own, other = (of.C, of.D) if is_state else (of.D, of.C)
-    if own is None:
+def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
+    """Yield the limits of the rows that are about one column of (x_t, u_t) alone."""
+    form = term.map.stage_form(n, m)
+    if form is None:
         return
-    alone = np.count_nonzero(own, axis=-1) == 1
-    if other is not None:
-        alone = alone & ~other.any(axis=-1)
-    coefficients = np.where(alone, own[..., index], 0.0)
-    sloped = np.broadcast_to(coefficients, term.shape)
-    distance = np.broadcast_to(below.limit, term.shape) - np.broadcast_to(of.constant, term.shape)
+    alone = (np.count_nonzero(form[0], axis=-1) == 1) & (form[0][..., column] != 0)
+    slopes = np.broadcast_to(np.where(alone, form[0][..., column], 0.0), term.shape)
+    distance = term.penalty.bounds(term.shape)[1] - form[1]
     distance = np.where(np.isfinite(distance), distance, np.nan)
-    for row in map(int, np.flatnonzero(sloped.any(axis=0))):
-        used = sloped[:, row] != 0
-        values = np.divide(distance[:, row], sloped[:, row], out=np.full(len(sloped), np.nan), where=used)
+    for row in map(int, np.flatnonzero(slopes.any(axis=0))):
+        used = slopes[:, row] != 0
+        values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
         if np.isfinite(values).any():
-            yield Line(of.times.astype(np.float64), values, not term.hard)
-
-
-def same_row(one: Array | None, other: Array | None) -> bool:
-    """Whether both are the same coefficients, or none."""
-    return one is other or (one is not None and other is not None and bool(np.array_equal(one, other)))
+            yield Line(term.map.places.astype(np.float64), values, not term.hard)

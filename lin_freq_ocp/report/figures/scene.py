@@ -12,11 +12,11 @@ from lin_freq_ocp.analysis.measures import amplification
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.phrases import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_terms import OutputSpectrum
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import SpectrumMap
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.report.entries import state_bounds
-from lin_freq_ocp.report.figures.marks import Line, bounds_of_rows, mask_levels, references, same_row
+from lin_freq_ocp.report.figures.marks import Line, bounds_of_rows, mask_levels, references
 from lin_freq_ocp.report.figures.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.figures.style import Note, Trace
 from lin_freq_ocp.report.modes.spans import STOPPED, Span, spans
@@ -80,8 +80,8 @@ class Component:
         """Return the limits on the magnitude of its spectrum, over frequencies in rad/sample."""
         row = np.eye(self.problem.state_dim if self.is_state else self.problem.control_dim)[self.index]
         if self.is_state:
-            return mask_levels(self.problem, "state spectrum", row)
-        return mask_levels(self.problem, "control spectrum", None, row)
+            return mask_levels(self.problem, TermKind.STATE_SPECTRUM, row)
+        return mask_levels(self.problem, TermKind.CONTROL_SPECTRUM, None, row)
 
     def of(self, trace: Trace) -> Array:
         """Return its values over time."""
@@ -106,9 +106,8 @@ class Output(Component):
         length = self.problem.horizon + (self.outputs.D is None)
         stop = np.zeros(length // 2 + 1, dtype=bool)
         for term in self.problem.terms:
-            if term.kind == "output spectrum" and isinstance(term.map, SpectrumMap):
-                if same_row(term.map.C, self._rows[0]) and same_row(term.map.D, self._rows[1]):
-                    stop[term.map.nearest_bins] = True
+            if term.kind == TermKind.OUTPUT_SPECTRUM and term.map.spectrum_of(*self._rows):
+                stop[term.map.nearest_bins] = True
         return stop
 
     @property
@@ -124,7 +123,7 @@ class Output(Component):
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum, over frequencies in rad/sample."""
-        return mask_levels(self.problem, "output spectrum", *self._rows)
+        return mask_levels(self.problem, TermKind.OUTPUT_SPECTRUM, *self._rows)
 
     def of(self, trace: Trace) -> Array:
         """Return its values over time."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from lin_freq_ocp.memory import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.maps import SpectrumMap
 
 BYTES_PER_ENTRY = 100.0
 """Of a dense row at the peak: its value, places while it is put in, and the scaled copies that solvers are given."""
@@ -64,10 +63,8 @@ def dense_rows(problem: OptimalControlProblem) -> DenseRows:
     of_u, of_x = 2 * int(problem.control_stop.sum()), 2 * int(problem.state_stop.sum())
     count, entries = of_u + of_x, of_u * T + of_x * (T + 1)
     for term in problem.terms:
-        if isinstance(term.map, SpectrumMap):
-            rows = 2 * len(term.map.bins)
-            columns = sum(1 for part in (term.map.C, term.map.D) if part is not None and part.any())
-            count, entries = count + rows, entries + rows * len(term.map.window) * columns
+        rows, size = term.map.dense_size
+        count, entries = count + rows, entries + size
     return DenseRows(count, entries, (T + 1) * n + T * m)
 
 

@@ -26,8 +26,6 @@ from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Below, Norm
 
 RELAXATION = 1e-6
 """Rows of a domain, in half widths, are relaxed by this much, ten times what a linear program or a mixed-integer solver
@@ -272,22 +270,11 @@ def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
     for term in problem.terms:
-        if isinstance(term.map, StageMap) and term.hard and isinstance(term.penalty, (Below, Norm)):
-            rows, limits = _term_rows(term.map, term.penalty, term.shape, n, m)
-            for g, t in enumerate(term.map.times):
-                finite = np.isfinite(limits[g])
-                if t < T and finite.any():
-                    parts[t].append((rows[g][finite], limits[g][finite]))
+        rows = term.implied_rows(n, m)
+        if rows is None:
+            continue
+        for g, t in enumerate(rows.times):
+            finite = np.isfinite(rows.e[g])
+            if t < T and finite.any():
+                parts[t].append((rows.matrix(g)[finite], rows.e[g][finite]))
     return [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
-
-
-def _term_rows(stage: StageMap, penalty: Below | Norm, shape: tuple[int, int], n: int, m: int) -> Rows:
-    """Return rows (groups, rows, n+m) and limits (groups, rows) that a hard term implies; inf where there is none."""
-    parts = (stage.C, n), (stage.D, m)
-    matrices = [np.broadcast_to(0.0 if part is None else part, (*shape, columns)) for part, columns in parts]
-    rows, constant = np.concatenate(matrices, axis=-1), np.broadcast_to(stage.constant, shape)
-    if isinstance(penalty, Below):
-        limit = np.where(np.isinf(penalty.weight), penalty.limit, np.inf)
-        return rows, np.broadcast_to(limit, shape) - constant
-    radius = np.broadcast_to(np.where(np.isinf(penalty.weight), penalty.radius, np.inf), shape[:1])[:, None]
-    return np.concatenate([rows, -rows], axis=1), np.concatenate([radius - constant, radius + constant], axis=1)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
 from lin_freq_ocp.methods.spectral.algorithm import exchange
-from lin_freq_ocp.methods.spectral.kkt.structure import Structure
+from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 
@@ -212,7 +212,7 @@ def test_a_loose_tolerance_ends_earlier_and_is_not_called_optimal():
     assert loose.rounds < tight.rounds
     assert 1e-6 < relative_violation(single.problem, loose.trajectory) < 1e-3
     assert (loose.status, tight.status) == ("numerical_error", "optimal")
-    assert "settled with residuals" in loose.words
+    assert "converged with residuals" in loose.words
 
 
 def in_other_units(

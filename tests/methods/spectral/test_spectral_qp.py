@@ -89,18 +89,18 @@ def independent_value(qp: Qp) -> float:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_answer_is_optimal(family, count):
     qp = FAMILIES[family](count)
-    lam, content = nonnegative_qp(*qp, np.zeros(len(qp[1])))
+    lam, accurate = nonnegative_qp(*qp, np.zeros(len(qp[1])))
     violation, complementarity = errors(qp, lam)
-    assert content
+    assert accurate
     assert violation < 2e-9
     assert complementarity < 1e-9
     assert value(qp, lam) == pytest.approx(independent_value(qp), rel=1e-7, abs=1e-9)
 
 
 def test_a_textbook_answer():
-    lam, content = nonnegative_qp(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
+    lam, accurate = nonnegative_qp(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
     np.testing.assert_allclose(lam, [1, 0, 5], rtol=1e-14)
-    assert content
+    assert accurate
 
 
 def test_an_answer_is_that_of_nonnegative_least_squares():
@@ -116,8 +116,8 @@ def test_units_of_rows_do_not_matter(family):
     S, d = FAMILIES[family](40)
     units = 10.0 ** np.random.default_rng(2).uniform(-6, 6, 40)
     plain, _ = nonnegative_qp(S, d, np.zeros(40))
-    scaled, content = nonnegative_qp(1e3 * S * units * units[:, None], d * units, np.zeros(40))
-    assert content
+    scaled, accurate = nonnegative_qp(1e3 * S * units * units[:, None], d * units, np.zeros(40))
+    assert accurate
     assert value((S, d), 1e3 * scaled * units) == pytest.approx(value((S, d), plain), rel=1e-8)
 
 
@@ -151,16 +151,16 @@ def test_an_active_set_is_accurate(family):
 
 def test_a_conflict_is_no_answer():
     """Two opposite rows with a gap between them: the QP has no lower bound, and its weights say so."""
-    lam, content = nonnegative_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
+    lam, accurate = nonnegative_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
     assert np.isfinite(lam).all()
-    assert not content or lam.min() > 1e9
+    assert not accurate or lam.min() > 1e9
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_interior_point_is_polished_to_rounding(family):
     qp = FAMILIES[family](150)
-    lam, content = interior_point(*qp, None)
-    assert content
+    lam, accurate = interior_point(*qp, None)
+    assert accurate
     assert max(errors(qp, lam)) < 1e-7
 
 
@@ -169,8 +169,8 @@ def test_the_factor_of_low_rank_gives_the_same_answer():
     S = low_passed(600)[np.ix_(arcs(300), arcs(300))]
     qp = S, -S @ (np.random.default_rng(0).standard_normal(300) + 0.5)
     assert np.linalg.matrix_rank(np.eye(300) - S, tol=1e-12) < 150
-    for lam, content in (interior_point(*qp, np.ones(300)), interior_point(*qp, None)):
-        assert content
+    for lam, accurate in (interior_point(*qp, np.ones(300)), interior_point(*qp, None)):
+        assert accurate
         assert max(errors(qp, lam)) < 1e-9
     cheap, _ = nonnegative_qp(*qp, np.zeros(300), np.ones(300))
     assert value(qp, cheap) == pytest.approx(independent_value(qp), rel=1e-9)
@@ -210,8 +210,8 @@ def bordered_errors(qp: BorderedQp, step: np.ndarray, weights: np.ndarray) -> fl
 @pytest.mark.parametrize(("size", "equations", "count"), [(3, 2, 10), (8, 8, 40), (2, 4, 60), (6, 0, 25)])
 def test_a_bordered_answer_is_optimal(size, equations, count, hessian):
     qp, data = bordered(size, equations, count, hessian)
-    step, weights, content = qp.solve()
-    assert content
+    step, weights, accurate = qp.solve()
+    assert accurate
     assert bordered_errors(qp, step, weights) < 1e-9
     v = -data["F"].T @ step[size:] - data["W"].T @ weights
     cost = 0.5 * step[:size] @ data["H"] @ step[:size] + data["h"] @ step[:size] + 0.5 * v @ v
@@ -231,8 +231,8 @@ def test_a_bordered_answer_does_not_depend_on_the_weights_before():
     step, weights, _ = qp.solve()
     before = np.random.default_rng(1).random(30) * weights.max()
     warm = replace(qp, r=qp.r - qp.C @ before, slack=qp.slack + qp.S @ before, weights=before)
-    same_step, same, content = warm.solve()
-    assert content
+    same_step, same, accurate = warm.solve()
+    assert accurate
     np.testing.assert_allclose(same, weights, atol=1e-9 * weights.max())
     np.testing.assert_allclose(same_step, step, atol=1e-9 * np.abs(step).max())
 
@@ -242,7 +242,7 @@ def test_a_bordered_step_from_its_answer_is_none():
     step, weights, _ = qp.solve()
     change = qp.C @ weights
     again = replace(qp, r=qp.r - qp.K @ step - change, slack=qp.slack - qp.C.T @ step + qp.S @ weights, weights=weights)
-    further, same, content = again.solve()
-    assert content
+    further, same, accurate = again.solve()
+    assert accurate
     assert np.abs(further).max() < 1e-8 * np.abs(step).max()
     np.testing.assert_allclose(same, weights, atol=1e-8 * weights.max())

@@ -1,7 +1,7 @@
-"""The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated (SPECTRAL.md, 2).
+"""The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated.
 
-Every round corrects the defects of the true signals (section 1.8), so that its fixed point has true slacks whatever the
-errors of the small QP. What stops it is optimality, not only feasibility (section 1.9).
+docs/spectral.md, sections 7 and 8. Every round corrects the defects of the true signals (section 6), so that its fixed
+point has true slacks in spite of errors of the small QP. It stops at an optimum, not only at a feasible point.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, row_ray, stiffened_ray
+from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
-from lin_freq_ocp.methods.spectral.kkt.neighbourhood import around
-from lin_freq_ocp.methods.spectral.kkt.structure import Data, Signals, Structure, equation_residual, signals
-from lin_freq_ocp.methods.spectral.kkt.whole_horizon import WholeHorizon, settled
-from lin_freq_ocp.methods.spectral.kkt.working_set import Rows, WorkingSet, bounded
 from lin_freq_ocp.methods.spectral.model.lti import LEAST_SIZE
+from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
+from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
+from lin_freq_ocp.methods.spectral.rows.working_set import Rows, WorkingSet, bounded
 
 ROUNDS = 60
 """Rounds after which an exchange ends; 1 to 12 are usual."""
@@ -33,7 +33,7 @@ LARGE_QP = 1000
 """Rows of a small QP from which its time is estimated: with fewer, it takes less than 0.1 s."""
 
 LOCAL_ROUNDS = 6
-"""Times that a step is found again with the rows nearby that it violates, before all signals are evaluated."""
+"""Times that a step is computed again with the rows nearby that it violates, before all signals are evaluated."""
 
 LOCAL_ROWS = 300
 """Working rows beyond which the small QP costs more than the signals."""
@@ -81,7 +81,7 @@ INCONSISTENT = 1e-7
 """Relative residual of the equations from which their dependent rows are asked for a proof of infeasibility."""
 
 ASK_FOR_RAY = 8
-"""Every so many rounds, and whenever the small QP is not content, the working rows are asked for such a proof."""
+"""Every so many rounds, and whenever the small QP is not accurate, the working rows are asked for such a proof."""
 
 LENIENT = 1e-3
 """Relative violation from which on longer steps are taken along directions without cost."""
@@ -183,7 +183,7 @@ class Exchange:
             added = self._exchange_rows(count)
         if self._accurate():
             return self._outcome("optimal")
-        return self._outcome("numerical_error", f"not settled after {self.rounds} rounds")
+        return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
@@ -199,12 +199,12 @@ class Exchange:
         self.farthest = max(self.farthest, far)
         if self.stalled >= STALLED_ROUNDS:
             return self._accurate()
-        return worst < self.tolerance and level and self._settled(SLACK_TOLERANCE)
+        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is good enough; its residuals say how good."""
         flat = self._relative_slope() < ACCEPTED_SLOPE or self._worthless()
-        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._settled(ACCEPTED_SLACK)
+        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
 
     def _shorten_proximal(self) -> None:
         """Let the next step go farther along directions of little cost."""
@@ -246,10 +246,10 @@ class Exchange:
             base += whole.response(places, mu)
             step += whole.through[:, places] @ mu
         start, self.first = whole.multiplied(self.first or Rows(*working.rows(), working.weights)), None
-        found = settled(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        found = exchanged(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.places], whole.f[found.places], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
-        if not found.content:
+        if not found.accurate:
             working.add(rows.t, rows.f, rows.sign)
             self.values = working.values(self.signals.y, self.signals.last)
             return None
@@ -264,8 +264,8 @@ class Exchange:
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
             step, new, ray = self._eliminated_step(right, guess, ask)
-            settled = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
-            if settled or not 0 < len(working) <= LOCAL_ROWS:
+            converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
+            if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
             near = near or around(self.border, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
@@ -288,9 +288,11 @@ class Exchange:
         )  # symmetric to the last bit: else it stalls at rounding
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, content = nonnegative_qp(S, d, guess, unconstrained, self.stop)
-        asked = (ask or not content) and self.stop() is None
+        new, accurate = nonnegative_qp(S, d, guess, unconstrained, self.stop)
+        asked = (ask or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
+        if ray is None and asked:
+            ray = stiffened_ray(self.structure, self.data, working, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
@@ -301,8 +303,8 @@ class Exchange:
         K = border.proximal_matrix(self.proximal)
         slack = working.limits(self.data.lti) - self.values
         qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights)
-        step, new, content = qp.solve(self.stop)
-        if not (ask or not content) or self.stop():
+        step, new, accurate = qp.solve(self.stop)
+        if not (ask or not accurate) or self.stop():
             return step, new, None
         return step, new, stiffened_ray(self.structure, self.data, working, self.stop)
 
@@ -340,7 +342,7 @@ class Exchange:
         """Return what a difference in cost is small against."""
         return max(self.data.lti.cost_level, abs(self._cost()))
 
-    def _settled(self, allowed: float) -> bool:
+    def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
         if self._relative_residual() >= EQUATION_TOLERANCE:
             return False

@@ -1,4 +1,4 @@
-"""A first working set from a cheaper problem: a shorter horizon, or samples held together (SPECTRAL.md, section 3)."""
+"""A first working set from a cheaper problem: a shorter horizon, or samples held together (docs/spectral.md, 11)."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, Exchange, Stop
-from lin_freq_ocp.methods.spectral.kkt.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 
 LEAST_HORIZON = 600
 """Horizon from which a first guess costs less than the rounds it saves."""
 
-HELD = 8
-"""Samples held together on the coarse problem."""
+HOLD_FACTOR = 8
+"""Hold factor: samples of a control that are one on the coarse problem."""
 
 SPREAD = 2
 """Samples by which a coarse active control spreads beyond its own ones."""
 
-FORGOTTEN = 40.0
-"""Decay exp(-FORGOTTEN) of the slowest mode off the circle at which the two ends no longer see each other."""
+DECAY_EXPONENT = 40.0
+"""Decay exp(-DECAY_EXPONENT) of the slowest mode off the circle at which the two ends no longer act on each other."""
 
 ON_CIRCLE = 1e-6
-"""|log |lambda|| of a mode that never forgets: it is not counted."""
+"""|log |lambda|| of a mode that does not decay: it is not counted."""
 
 LEAST_SHORTENING = 2
-"""How many times shorter that horizon must be at least; HELD times, where samples may be held together instead."""
+"""How many times shorter that horizon must be at least; HOLD_FACTOR times where samples may be held instead."""
 
-HELD_GROWTH = 4.0
+HOLD_GROWTH = 4.0
 """Growth of the fastest mode over held samples up to which they may be held together."""
 
 SHORTEST = 10
 """The shortened horizon is at least this fraction of the whole."""
 
 SHORT_TOLERANCE = 1e-6
-HELD_TOLERANCE = 1e-4
+HOLD_TOLERANCE = 1e-4
 """Relative violations that are good enough for a guess."""
 
 
@@ -57,10 +57,10 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     if lti.horizon < LEAST_HORIZON:
         return None
     shorter = _shortened_horizon(lti)
-    hold = shorter * HELD > lti.horizon and _may_be_held(lti)
+    hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
     if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
-    coarse, tolerance = (_held(lti), HELD_TOLERANCE) if hold else (_shortened(lti, shorter), SHORT_TOLERANCE)
+    coarse, tolerance = (_held(lti), HOLD_TOLERANCE) if hold else (_shortened(lti, shorter), SHORT_TOLERANCE)
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
@@ -81,15 +81,15 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
 
 def _may_be_held(lti: Lti) -> bool:
     """Whether the dynamics hardly grow while a control is held: else it could not hold them back."""
-    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HELD <= HELD_GROWTH
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
 
 
 def _shortened_horizon(lti: Lti) -> int:
-    """Return the horizon at which the ends no longer see each other; as it is if they always do."""
+    """Return the horizon at which the ends no longer act on each other; the given one if they always do."""
     rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
     rate = rate[rate > ON_CIRCLE]
-    memory = int(FORGOTTEN / rate.min()) if len(rate) else lti.horizon
-    return max(2 * memory, lti.horizon // SHORTEST)
+    decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
+    return max(2 * decay_time, lti.horizon // SHORTEST)
 
 
 def _shortened(lti: Lti, T: int) -> Lti:
@@ -104,17 +104,17 @@ def _shortened(lti: Lti, T: int) -> Lti:
 
 
 def _held(lti: Lti) -> Lti:
-    """Return the problem in which HELD samples of the control are one."""
-    T, n = lti.horizon // HELD, lti.state_dim
+    """Return the problem in which HOLD_FACTOR samples of the control are one."""
+    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
     A, B = np.eye(n), np.zeros_like(lti.B)
     offset = None if lti.offset is None else np.zeros((n, T))
-    for j in range(HELD):
+    for j in range(HOLD_FACTOR):
         A, B = lti.A @ A, lti.A @ B + lti.B
         if offset is not None and lti.offset is not None:
-            offset = lti.A @ offset + lti.offset[:, j : HELD * T : HELD]
-    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HELD * T : HELD])
-    linear = None if lti.linear is None else lti.linear[:, : HELD * T].reshape(len(lti.M), T, HELD).sum(2)
-    return replace(coarse, A=A, B=B, M=lti.M * HELD, linear=linear, offset=offset)
+            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
+    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
+    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
+    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset)
 
 
 def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Array]) -> Lti:
@@ -136,12 +136,12 @@ def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Ar
 def _spread(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
     """Return held samples as samples: a control's with its neighbours, a state's first one, x_T as x_T."""
     n, T = lti.state_dim, lti.horizon
-    last = t == T // HELD
+    last = t == T // HOLD_FACTOR
     states = ~last & ~lti.F[f, n:].any(1)
     controls = ~last & ~states
-    around = np.arange(-SPREAD, HELD + SPREAD)
-    many = (t[controls, None] * HELD + around).clip(0, T - 1).ravel()
-    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HELD, many])
+    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
+    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
+    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
     rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
     signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
     _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)

@@ -32,10 +32,12 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     missed = max(_missed_values(lti, y, x), outcome.violation, 0.0)
     adjoint, terms = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
-    gap = _complementarity(outcome, lti) + float(np.abs(adjoint * x).sum() + found.leak * np.abs(y[n:]).sum())
+    gap = _complementarity(outcome, lti) + float(np.abs(adjoint * x).sum() + found.stationarity * np.abs(y[n:]).sum())
     return Residuals(
         primal=max(float(np.abs(dynamics).max()) / size, float(band) / energy, missed),
-        dual=max(float(np.abs(adjoint).max()) / terms, found.leak / max(through_u, LEAST_SIZE * lti.curvature_unit)),
+        dual=max(
+            float(np.abs(adjoint).max()) / terms, found.stationarity / max(through_u, LEAST_SIZE * lti.curvature_unit)
+        ),
         gap=gap / max(lti.cost_level, abs(outcome.cost)),
     )
 

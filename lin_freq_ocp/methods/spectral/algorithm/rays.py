@@ -1,4 +1,4 @@
-"""Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (SPECTRAL.md, 2.6).
+"""Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (docs/spectral.md, 10).
 
 A ray (l >= 0, y) proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in theta) and the constraints,
 weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c that satisfies the dynamics.
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
-from lin_freq_ocp.methods.spectral.kkt.structure import Data, Signals, Structure, equation_residual, signals
-from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
 RAY_TOLERANCE = 1e-6
 """Stationarity of a ray, relative to its multipliers."""

@@ -1,4 +1,4 @@
-"""The multipliers of the maximum principle from the final spectra, without any recursion in time (SPECTRAL.md, 1.10).
+"""The multipliers of the maximum principle from the final spectra, without any recursion in time (docs/spectral.md, 9).
 
 With the spectrum p_k of M y + h + forces, the adjoint is eta_k = -(zI - A)^{-*} p_k at every bin; near eigenvalues its
 part along small singular values is the multiplier of that bin's compatibility equation. A recursion would multiply
@@ -14,9 +14,9 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
-from lin_freq_ocp.methods.spectral.kkt.structure import Data, Structure
-from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
+from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers
@@ -43,8 +43,8 @@ class Recovered:
         Of F y_t: the states' mu, the controls' nu, the stage rows'; at T of x_T.
     band : (m, bins)
         Spectrum of the stop bands' forces R'rho_u; zero at passed bins.
-    leak : float
-        Amplitude in time of B'eta - (gradient in u) at passed bins, where it should vanish.
+    stationarity : float
+        Stationarity residual: amplitude in time of B'eta - (gradient in u) at passed bins, which should vanish.
     rho_x : ((T+1)//2 + 1, n)
     """
 
@@ -52,7 +52,7 @@ class Recovered:
     eta: Array
     on_rows: Array
     band: ComplexArray
-    leak: float
+    stationarity: float
     rho_x: ComplexArray
 
 
@@ -68,11 +68,11 @@ def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:
         working, y, gradient, eta_C = ray.working, ray.multipliers, ray.force.force, 0.0
     eta_hat = _adjoint_spectrum(structure, y, gradient)
     band = lti.B.T @ eta_hat - gradient[n:]
-    leak = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
+    stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
     eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, lti, working, y)
     _set_ends(structure, lti, outcome, eta_C, eta, on_rows, y)
-    return Recovered(eta_C, eta, on_rows, band, leak, _state_band_multipliers(structure, lti, y))
+    return Recovered(eta_C, eta, on_rows, band, stationarity, _state_band_multipliers(structure, lti, y))
 
 
 def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:

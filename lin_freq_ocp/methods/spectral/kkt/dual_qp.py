@@ -1,4 +1,4 @@
-"""The small QP over the working rows: min lam'S lam / 2 + d'lam over lam >= 0, S often singular (SPECTRAL.md, 2.5).
+"""The small QP over the working rows: min lam'S lam / 2 + d'lam over lam >= 0, S often singular (docs/spectral.md, 6).
 
 S is positive semidefinite, and numerically singular wherever a state or a saturated control rides a bound. Nothing here
 is trusted: the exchange judges every answer from the signals it leads to.
@@ -19,7 +19,7 @@ PIVOTING_ROWS = 300
 """Rows up to which exchanging all wrong rows at once is tried first."""
 
 PIVOTING_STEPS = 12
-"""Steps after which that has not settled."""
+"""Steps after which that has not converged."""
 
 PATIENCE = 2
 """Steps in a row without fewer wrong rows after which it will not."""
@@ -34,12 +34,12 @@ ACTIVE_SET_CONTROLS = 120
 """The same where nearly all are controls: an interior point is faster from there on."""
 
 ACTIVE_SET_STEPS = 10
-"""Steps per row after which that has not settled."""
+"""Steps per row after which that has not converged."""
 
 RIDGE = 1e-13
 """Added to the diagonal, which is 1: nearly parallel rows then share their multipliers."""
 
-CONTENT = 1e-9
+ACCURATE_ERROR = 1e-9
 """Slope left at which its answer is good."""
 
 MOSTLY_CONTROLS = 0.9
@@ -55,7 +55,7 @@ TINY = 1e-300
 def nonnegative_qp(
     S: Array, d: Array, start: Array, unconstrained: Array | None = None, stop: Callable[[], str | None] = lambda: None
 ) -> tuple[Array, bool]:
-    """Return (lam, whether the method that found it was content).
+    """Return (lam, whether the method that found it was accurate).
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def nonnegative_qp(
     unconstrained : (count,), optional
         A diagonal with diag - S >= 0 and of low rank, zero where there is none: 1/R for control rows.
     stop : callable
-        Says why to stop early, or None: then it returns the best that there is, with which it is not content.
+        Says why to stop early, or None: then it returns the best that there is, with which it is not accurate.
     """
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
     size = max(float((np.abs(d) * unit).max()), TINY)
@@ -76,14 +76,14 @@ def nonnegative_qp(
     controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
     if len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
         lam = active_set(A, b)
-    content = lam is not None
+    accurate = lam is not None
     if lam is None:
-        lam, content = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop)
-    return lam * unit * size, content
+        lam, accurate = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop)
+    return lam * unit * size, accurate
 
 
 def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
-    """Exchange all wrong rows at once; None if that does not settle, or if the rows are nearly dependent."""
+    """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
     active, fewest, patience = (start > 0) | (A @ start + b < 0), len(b) + 1, PATIENCE
     for _ in range(PIVOTING_STEPS):
         lam, rows = np.zeros(len(b)), active.nonzero()[0]
@@ -114,4 +114,4 @@ def active_set(A: Array, b: Array) -> Array | None:
         lam, _ = nnls(factor.T, dtrtrs(factor, -b, lower=1)[0], maxiter=ACTIVE_SET_STEPS * len(b))
     except RuntimeError:
         return None
-    return lam if (A @ lam + b).min() > -CONTENT * max(1.0, float(lam.max())) else None
+    return lam if (A @ lam + b).min() > -ACCURATE_ERROR * max(1.0, float(lam.max())) else None

@@ -2,7 +2,7 @@
 
 On saturated control arcs A has eigenvalues 0 and 1 and little between, and multipliers are not unique: every active set
 cycles there. There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band
-times the length of the arcs: each step is then a small system (SPECTRAL.md, section 2.5).
+times the length of the arcs: each step is then a small system (docs/spectral.md, 6).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.methods.spectral.kkt.mehrotra import TO_BOUNDARY, predictor_corrector
 
 STEPS = 60
 """Steps after which what was best is returned; 10 to 25 are usual."""
@@ -24,7 +25,7 @@ SOLVED = 1e-13
 DIVERGED = 1e3
 """Growth of the error over the best one at which it stops."""
 
-CONTENT = 1e-8
+ACCURATE_ERROR = 1e-8
 """Error up to which the answer is good."""
 
 RIDGE = 1e-14
@@ -36,9 +37,6 @@ LARGEST_RIDGE = 1e-8
 FAR = 1e14
 """Diagonal that holds a row at zero in the polish."""
 
-TO_BOUNDARY = 0.995
-"""Part of the way to the boundary that a step goes at least."""
-
 LOW_RANK_ROWS = 200
 """Rows from which a factor of low rank is worth looking for."""
 
@@ -49,6 +47,9 @@ LOW_RANK_ERROR = 1e-10
 """Diagonal that the factor may miss; more means that diag - A has negative eigenvalues, and no such factor."""
 
 POLISHES = 3
+"""Refinements of the polish: each squares the relative error of the factor."""
+
+NOTHING = np.zeros(0)
 
 
 def interior_point(
@@ -70,29 +71,17 @@ def interior_point(
             if ridge > LARGEST_RIDGE:
                 break
             continue
-        lam, z, length = _step(system, lam, z, defect, mu)
-        if length < CONTENT:
+        newton = _newton(system, lam, defect)
+        _, lam, z, length = predictor_corrector(newton, lam, z, mu, max(TO_BOUNDARY, 1 - mu))
+        if length < ACCURATE_ERROR:
             break
     error, lam, z = best
-    return _polished(system, b, lam, np.asarray(lam > z)), error < CONTENT
+    return _polished(system, b, lam, np.asarray(lam > z)), error < ACCURATE_ERROR
 
 
-def _step(system: _System, lam: Array, z: Array, defect: Array, mu: float) -> tuple[Array, Array, float]:
-    def direction(target: Array) -> tuple[Array, Array]:
-        dlam = system.solve(defect + target / lam)
-        return dlam, (target - z * dlam) / lam
-
-    dlam, dz = direction(-lam * z)
-    length = min(1.0, _reach(lam, dlam), _reach(z, dz))
-    after = float((lam + length * dlam) @ (z + length * dz)) / float(lam @ z)
-    dlam, dz = direction(after**3 * mu - lam * z - dlam * dz)
-    length = min(1.0, max(TO_BOUNDARY, 1 - mu) * min(_reach(lam, dlam), _reach(z, dz)))
-    return lam + length * dlam, z + length * dz, length
-
-
-def _reach(v: Array, dv: Array) -> float:
-    """Return the step at which the first entry of v + step dv becomes zero."""
-    return 1 / max(1e-300, float((-dv / v).max()))
+def _newton(system: _System, lam: Array, defect: Array) -> Callable[[Array], tuple[Array, Array]]:
+    """Return what solves the Newton equations; there are no other unknowns than lam and z."""
+    return lambda target: (NOTHING, system.solve(defect + target / lam))
 
 
 def _polished(system: _System, b: Array, lam: Array, active: Mask) -> Array:

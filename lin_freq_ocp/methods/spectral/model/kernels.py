@@ -1,4 +1,4 @@
-"""How a unit force on one row at one time moves another row at another time: circulant kernels (SPECTRAL.md, 1.6)."""
+"""Circulant kernels: how a unit force on one row at one time moves another row at another (docs/spectral.md, 5)."""
 
 from __future__ import annotations
 

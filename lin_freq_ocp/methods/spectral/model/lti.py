@@ -1,4 +1,4 @@
-"""A linear time-invariant problem in units of order 1, with time as the last axis (SPECTRAL.md, section 1.1).
+"""A linear time-invariant problem in units of order 1, with time as the last axis (docs/spectral.md, 1).
 
     minimise    sum_{t<T} 1/2 y'M y + h_t'y  +  1/2 x_T'P x_T + p'x_T,    y_t = (x_t, u_t),  M = [[Q, S], [S', R]]
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.analysis.measures import given_sizes, stated_sizes
+from lin_freq_ocp.analysis.measures import FAR_BEYOND, given_sizes, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -28,7 +28,8 @@ MUCH_SMALLER = 1e-5
 """Largest value of a component, in its unit, below which that unit was wrong."""
 
 MUCH_LARGER = 30.0
-"""Factor between what is said of a state's size and what those that it swings with say, from which they are right."""
+"""Factor between what is said of a component's size and what others say (states that it swings with; a control's
+bounds) from which they are right."""
 
 NEGLIGIBLE = 1e-13
 """Largest value below which the component only holds rounding."""
@@ -147,7 +148,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 def natural_units(problem: OptimalControlProblem) -> Units:
     """Return units in which the data are of order 1."""
-    x, u = _power_of_two(_state_sizes(problem)), _power_of_two(stated_sizes(problem)[1])
+    x, u = _power_of_two(_state_sizes(problem)), _power_of_two(_control_sizes(problem))
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
     norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
@@ -173,6 +174,19 @@ def _state_sizes(problem: OptimalControlProblem) -> Array:
         wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
         sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
     return sizes
+
+
+def _control_sizes(problem: OptimalControlProblem) -> Array:
+    """Return sizes of the controls, (m,): as stated, but of their bounds where a small reference is all that is stated.
+
+    A reference near zero says little of a control whose bounds are much larger, and do not stand for none.
+    """
+    sizes, tube = stated_sizes(problem)[1], problem.control_tube
+    bounds = np.maximum(
+        *(np.median(np.where(np.isfinite(one), np.abs(one), 0.0), axis=0) for one in (tube.lower, tube.upper))
+    )
+    larger = (bounds > MUCH_LARGER * sizes) & (bounds <= FAR_BEYOND * sizes)
+    return np.where(larger, bounds, sizes)
 
 
 def revised_units(units: Units, y: Array) -> Units | None:

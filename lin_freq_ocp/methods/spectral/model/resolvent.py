@@ -1,4 +1,4 @@
-"""(zI - A)^{-1} at all bins at once, by back substitution in one complex Schur form A = U T U^* (SPECTRAL.md, 1.3)."""
+"""(zI - A)^{-1} at all bins at once, by back substitution in a complex Schur form A = U T U^* (docs/spectral.md, 2)."""
 
 from __future__ import annotations
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import Below
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 AT_THE_END = " at the end"
@@ -30,40 +28,38 @@ class RowForm:
     ----------
     given, problem : OptimalControlProblem
         Before and after.
-    polyhedra : tuple of Term
+    polyhedra : tuple of LinearRows
         Of the given problem, those that became rows.
     """
 
     given: OptimalControlProblem
     problem: OptimalControlProblem
-    polyhedra: tuple[Term, ...]
+    polyhedra: tuple[LinearRows, ...]
 
     def multipliers(self, found: Multipliers) -> Multipliers:
         """Return multipliers of the given problem from those of the problem in rows."""
         if not self.polyhedra:
             return found
         eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
-        for term in self.polyhedra:
-            one = term.map
-            assert isinstance(one, StageMap)  # that is what polyhedra are
-            weights, before = np.zeros(term.shape), one.times < T
+        for rows in self.polyhedra:
+            weights, before = np.zeros(rows.e.shape), rows.times < T
             if before.any():
-                weights[before] = stage.pop(term.name)[one.times[before]]
+                weights[before] = stage.pop(rows.name)[rows.times[before]]
             if not before.all():
-                weights[~before] = stage.pop(term.name + AT_THE_END)[-1:]
-                assert one.C is not None  # it is a set of states
-                eta[-1] -= one.C.T @ weights[~before][0]
-            stage[term.name] = weights
+                weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
+                eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
+            stage[rows.name] = weights
         return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
 
 
 def row_form(problem: OptimalControlProblem) -> RowForm:
     """Return the problem with its hard polyhedral sets as joint rows; as it is if it has none, or other sets, too."""
-    others = [term for term in problem.terms if term.kind != "stage rows"]
-    if not others or problem.linear.time_varying or not all(map(_is_polyhedron, others)):
+    sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
+    polyhedra = tuple(rows for term in sets if (rows := _polyhedron(problem, term)) is not None)
+    if not sets or problem.linear.time_varying or len(polyhedra) < len(sets):
         return RowForm(problem, problem, ())
     try:
-        rows = [one for term in others for one in _rows(problem, term)]
+        rows = [one for given in polyhedra for one in _stage_rows(problem, given)]
         changed = replace(
             problem,
             state_set=problem.state_boxes,
@@ -74,31 +70,27 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
         )
     except ProblemError:  # a row on x_T that no control and no state before it can change
         return RowForm(problem, problem, ())
-    return RowForm(problem, changed, tuple(others))
+    return RowForm(problem, changed, polyhedra)
 
 
-def _is_polyhedron(term: Term) -> bool:
-    one = term.map
-    if not isinstance(one, StageMap) or not isinstance(term.penalty, Below) or not term.hard:
-        return False
-    constant = all(part is None or part.ndim == 2 for part in (one.C, one.D))
-    return term.kind in ("state set", "control set") and constant and len(set(one.times)) == len(one.times)
+def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
+    """Return the rows of a polyhedral set that is the same at all its times; None of other terms."""
+    rows = term.polyhedron(problem.state_dim, problem.control_dim)
+    if rows is None or term.kind not in (TermKind.STATE_SET, TermKind.CONTROL_SET) or len(rows.C) > 1:
+        return None
+    return rows if len(set(rows.times)) == len(rows.times) else None
 
 
-def _rows(problem: OptimalControlProblem, term: Term) -> list[StageRows]:
-    one, T, dynamics = term.map, problem.horizon, problem.linear
-    assert isinstance(one, StageMap)
-    assert isinstance(term.penalty, Below)
-    limits = np.broadcast_to(term.penalty.limit, term.shape) - one.constant
-    before, rows = one.times < T, list[StageRows]()
+def _stage_rows(problem: OptimalControlProblem, given: LinearRows) -> list[StageRows]:
+    T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
+    before, rows = given.times < T, list[StageRows]()
+    C, D = given.C[0, :, :n], given.C[0, :, n:]
     if before.any():
-        e = np.full((T, limits.shape[1]), np.inf)
-        e[one.times[before]] = limits[before]
-        rows.append(StageRows(one.C, one.D, e, term.name))
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[given.times[before]] = given.e[before]
+        rows.append(StageRows(C, D, e, given.name))
     if not before.all():
-        assert one.C is not None
-        e = np.full((T, limits.shape[1]), np.inf)
-        offset = dynamics.at(T - 1)[2]
-        e[-1] = limits[~before][0] - one.C @ offset
-        rows.append(StageRows(one.C @ dynamics.A, one.C @ dynamics.B, e, term.name + AT_THE_END))
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
+        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END))
     return rows

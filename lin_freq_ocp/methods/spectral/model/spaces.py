@@ -1,4 +1,4 @@
-"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (SPECTRAL.md, 1.3 to 1.5).
+"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2 and 3).
 
     F_k y_k = z w + d_k,  F_k = [zI - A, -B_allowed]   <=>   y_k = N_k v_k + (particular response to z w + d_k) + border
 
@@ -23,7 +23,7 @@ NEAR = 1e2
 """Size of the resolvent from which a bin is near an eigenvalue: what is divided by loses two digits there."""
 
 NEAR_RADIUS = 0.3
-"""Distance to an eigenvalue beyond which a bin is not near one, whatever the resolvent."""
+"""Distance to an eigenvalue beyond which a bin is far, however large the resolvent."""
 
 SMALL_SINGULAR_VALUE = 1e-5
 """Relative singular value of F_k below which its direction may become a border unknown instead of being divided by."""
@@ -47,7 +47,7 @@ LEAST_HESSIAN = 1e-10
 """Cost below which it does so however many there are."""
 
 MOST_BORDER = 128
-"""Border directions of small cost beyond which only the smallest become ones: the border matrix is dense."""
+"""BorderedSystem directions of small cost beyond which only the smallest become ones: the border matrix is dense."""
 
 SINGULAR_HESSIAN = 1e-13
 """Relative eigenvalue of N^*MN at which the cost does not see a direction, and the method refuses."""

@@ -1,4 +1,4 @@
-"""The pointwise rows that hold with equality for now, and how they act on each other (SPECTRAL.md, 1.7)."""
+"""The pointwise rows that hold with equality for now, and how they act on each other (docs/spectral.md, 5)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.memory import require_memory
-from lin_freq_ocp.methods.spectral.kkt.bordered import Border
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 
 COPIES = 6
@@ -52,7 +52,7 @@ class WorkingSet:
         C = [dG/dtheta'; -S_EW].
     """
 
-    def __init__(self, border: Border):
+    def __init__(self, border: BorderedSystem):
         self._border = border
         self.t: Indices = np.zeros(0, dtype=np.intp)
         self.f: Indices = np.zeros(0, dtype=np.intp)

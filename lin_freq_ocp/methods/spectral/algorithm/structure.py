@@ -1,4 +1,4 @@
-"""Everything that a solve needs: once per problem (Structure), and once per set of data (Data); SPECTRAL.md, 1."""
+"""What a solve needs, once per problem (Structure) and once per set of data (Data); docs/spectral.md, 1 to 5."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.memory import require_memory
-from lin_freq_ocp.methods.spectral.kkt.bordered import Border
-from lin_freq_ocp.methods.spectral.kkt.violations import Violations
-from lin_freq_ocp.methods.spectral.kkt.whole_horizon import LARGEST, WholeHorizon
-from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.rows.violations import Violations
+from lin_freq_ocp.methods.spectral.rows.whole_horizon import LARGEST, WholeHorizon
+from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
 TEMPORARIES = 2.0
 """Memory at the peak over that of the arrays that are kept; 1.9 was measured."""
@@ -26,7 +26,7 @@ class Structure:
 
     Attributes
     ----------
-    spaces : BinSpaces; kernels : Kernels; border : Border
+    spaces : BinSpaces; kernels : Kernels; border : BorderedSystem
     jumps : (n, (n+m) bins) or None
         On short horizons: what the jumps x_0 - x_T of one unit make of y.
     unconstrained : (rows of F,) or None
@@ -37,7 +37,7 @@ class Structure:
         _require_memory(lti)
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
-        self.border = Border(lti, self.spaces, self.kernels)
+        self.border = BorderedSystem(lti, self.spaces, self.kernels)
         self.jumps = None if len(lti.M) * lti.horizon > LARGEST else _unit_jumps(lti, self.spaces)
         self.unconstrained = _unconstrained_response(lti)
         self._whole: WholeHorizon | None = None
@@ -156,7 +156,7 @@ class Signals:
 
 
 def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
-    """Return the optimum over all bins for given border variables and forces (SPECTRAL.md, 1.7)."""
+    """Return the optimum over all bins for given border variables and forces (docs/spectral.md, (3))."""
     lti, spaces, border = data.lti, structure.spaces, structure.border
     force, used = _forces(structure, lti, multipliers, working)
     spectrum = data.base.copy()

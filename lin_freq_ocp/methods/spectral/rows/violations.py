@@ -1,4 +1,4 @@
-"""Which rows a point violates, and which of them enter the working set (SPECTRAL.md, section 2.4)."""
+"""Which rows a point violates, and which of them enter the working set (docs/spectral.md, 7)."""
 
 from __future__ import annotations
 

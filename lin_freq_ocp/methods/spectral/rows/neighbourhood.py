@@ -1,4 +1,4 @@
-"""Rows near the working ones, whose values a step changes as kernels say: rounds without FFTs (SPECTRAL.md, section 4).
+"""Rows near the working ones, whose values a step changes as kernels say: rounds without FFTs (docs/spectral.md, 7).
 
 Between two evaluations of all signals, the small QP is repeated with the rows that its own step violates.
 """
@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.spectral.kkt.bordered import Border
-from lin_freq_ocp.methods.spectral.kkt.violations import Violations, nearly_active
-from lin_freq_ocp.methods.spectral.kkt.working_set import WorkingSet
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
+from lin_freq_ocp.methods.spectral.rows.violations import Violations, nearly_active
+from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
 WORTHWHILE = 10_000
 """Horizon from which looking here costs less than FFTs."""
@@ -31,7 +31,7 @@ class Neighbourhood:
         In the order of f, then t.
     """
 
-    def __init__(self, border: Border, violations: Violations, t: Indices, f: Indices):
+    def __init__(self, border: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
         bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
         free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
@@ -69,7 +69,7 @@ class Neighbourhood:
         return chosen
 
 
-def around(border: Border, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
+def around(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
     """Return the samples around the working rows; None if they are many or none, or not worthwhile."""
     T, inner = violations.lti.horizon, working.inner
     if T < WORTHWHILE:

@@ -1,4 +1,4 @@
-"""The few unknowns and equations that no single bin owns (SPECTRAL.md, 1.2, 1.5, 1.6).
+"""The bordered KKT system: the few unknowns and equations that belong to no single bin (docs/spectral.md, 4).
 
 Border variables theta: the free components of x_0 and x_T, then real coordinates of the border directions, each with a
 signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that bounds
@@ -46,8 +46,8 @@ LARGEST_BORDER = 3000
 """Rows of the border matrix beyond which its dense decomposition takes longer than the sparse program."""
 
 
-class Border:
-    """Border variables, equations, and the pseudo-inverse of K_b.
+class BorderedSystem:
+    """BorderedSystem variables, equations, and the pseudo-inverse of K_b.
 
     Attributes
     ----------

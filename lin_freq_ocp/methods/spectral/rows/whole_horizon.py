@@ -1,7 +1,7 @@
 """Rounds on a model of all bounded values, short horizons only: a round then costs little but its FFTs.
 
-With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu, with S as in SPECTRAL.md,
-1.7, for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
+With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu (docs/spectral.md, 5), with
+S for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.methods.spectral.kkt.bordered import Border
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
-from lin_freq_ocp.methods.spectral.kkt.violations import Violations
-from lin_freq_ocp.methods.spectral.kkt.working_set import Rows
+from lin_freq_ocp.methods.spectral.rows.violations import Violations
+from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 
 LARGEST = 10_000
 """Bounded values up to which what they need of the border is made at once."""
@@ -46,7 +46,7 @@ class WholeHorizon:
         K_b^{-1} times that.
     """
 
-    def __init__(self, border: Border, rows: Indices):
+    def __init__(self, border: BorderedSystem, rows: Indices):
         lti, T, n = border.lti, border.lti.horizon, border.lti.state_dim
         self._border, self.rows, self._inner = border, rows, len(rows) * T
         self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
@@ -109,17 +109,17 @@ class WholeHorizon:
 class Multiplied(NamedTuple):
     """Values with multipliers: flat indices, +1 at upper and -1 at lower bounds, weights >= 0; rounds to get there.
 
-    If not ``content``, values conflict or depend on each other, and the weights mean nothing.
+    If not ``accurate``, values conflict or depend on each other, and the weights mean nothing.
     """
 
     places: Indices
     sign: Array
     weights: Array
     rounds: int = 0
-    content: bool = True
+    accurate: bool = True
 
 
-def settled(
+def exchanged(
     whole: WholeHorizon,
     violations: Violations,
     start: Multiplied,
@@ -128,7 +128,7 @@ def settled(
     unconstrained: Array | None,
     stop: Callable[[], str | None],
 ) -> Multiplied:
-    """Exchange until no value violates its bound by more than the tolerance, for ROUNDS, or until told to stop.
+    """Exchange until no value violates its bound by more than the tolerance, for ROUNDS, or until asked to stop.
 
     ``base`` is v_0, shape (values,); ``unconstrained`` has a figure per row of F, see ``nonnegative_qp``.
     """
@@ -140,9 +140,9 @@ def settled(
         if len(index):
             d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
             free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            weights, content = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
-            found = Multiplied(index, sign, weights, count, content)
-            if not content:
+            weights, accurate = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
+            found = Multiplied(index, sign, weights, count, accurate)
+            if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():

@@ -1,0 +1,381 @@
+"""The operations of formulas: of each its values, derivatives, enclosures over boxes, affine form and text.
+
+``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.formulas import interval_jet_rules, intervals, jet_rules
+from lin_freq_ocp.formulas.interval_jet_rules import IntervalJet
+from lin_freq_ocp.formulas.intervals import Interval, inverse, multiply, power, scale
+from lin_freq_ocp.formulas.jet_rules import Jet
+
+VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
+MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
+
+
+class External(Protocol):
+    """A smooth function of (x, u) that is no formula, evaluated at points: x (points, n) and u (points, m)."""
+
+    @property
+    def title(self) -> str:
+        """Return its name, for messages."""
+        ...
+
+    def values_at(self, x: Array, u: Array) -> Array:
+        """Return (points, outputs); not a number where it is undefined."""
+        ...
+
+    def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Node:
+    """A node of a formula.
+
+    Attributes
+    ----------
+    dimensions : (n, m)
+    kind : str
+        The key of its operation in ``OPERATIONS``.
+    arguments : tuple of nodes
+    data : tuple of float
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
+        external function the number of the output, and how many of the arguments are its x.
+    names : tuple of str
+        Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
+    function : External, optional
+        The external function that the node calls.
+    """
+
+    dimensions: tuple[int, int]
+    kind: str
+    arguments: tuple[Node, ...] = ()
+    data: tuple[float, ...] = ()
+    names: tuple[str, ...] = ()
+    function: External | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points y = (x, u), (points, n + m), at which formulas are evaluated.
+
+    Attributes
+    ----------
+    y : (points, n + m)
+    selections : mapping from norms to (points, components)
+        The derivatives of norms by their arguments, where these are numbers.
+    calls : mapping
+        What external functions returned: each is evaluated once for all its outputs.
+    """
+
+    y: Array
+    selections: Mapping[Any, Array]
+    calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How numbers and signals are written; without labels, signals are x_0, ..., u_0, ...."""
+
+    number: Callable[[float], str]
+    labels: Sequence[str] | None = None
+
+
+class Operation:
+    """An operation; what it does not say is refused."""
+
+    bracketed = False
+    """Whether its text needs brackets within a product, a quotient or a multiple."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        """Return the values, (points,), from those of the arguments."""
+        raise self._refused(node)
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        """Return the values with first and second derivatives."""
+        raise self._refused(node)
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        """Return enclosures over boxes lower <= (x, u) <= upper, (boxes, n + m); ``curved``: also of the Hessian."""
+        raise self._refused(node)
+
+    def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
+        """Return coefficients and constant, (n + m + 1,), from those of the arguments; None if it is not affine."""
+        return None
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        """Return the text from those of the arguments, of which some are ``whole``: they need no brackets."""
+        return f"{node.kind}({', '.join(parts)})"
+
+    def _refused(self, node: Node) -> ProblemError:
+        return ProblemError("formula", f"a {node.kind}", "a formula without maxima and minima: a mode of it")
+
+
+class _Variable(Operation):
+    """A component of (x, u), whose number is the data."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return at.y[:, int(node.data[0])]
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        _, slope, hessian = jet_rules.constant(0.0, *at.y.shape)
+        slope[:, int(node.data[0])] = 1.0
+        return self.value(node, (), at), slope, hessian
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        i = int(node.data[0])
+        slope = np.zeros(box[0].shape)
+        slope[:, i] = 1.0
+        return (box[0][:, i], box[1][:, i]), (slope, slope), None
+
+    def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
+        return np.eye(sum(node.dimensions) + 1)[int(node.data[0])]
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        n, i = node.dimensions[0], int(node.data[0])
+        return notation.labels[i] if notation.labels else f"x_{i}" if i < n else f"u_{i - n}"
+
+
+class _Sum(Operation):
+    """A sum of multiples; the data are the factors and the constant."""
+
+    bracketed = True
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        total = np.full(len(at.y), node.data[-1])
+        for factor, argument in zip(node.data[:-1], arguments, strict=True):
+            total += factor * argument
+        return total
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        value, slope, hessian = jet_rules.constant(node.data[-1], *at.y.shape)
+        for factor, argument in zip(node.data[:-1], arguments, strict=True):
+            value += factor * argument[0]
+            slope += factor * argument[1]
+            hessian += factor * argument[2]
+        return value, slope, hessian
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        return interval_jet_rules.combination(node.data[:-1], arguments, node.data[-1], box)
+
+    def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
+        k = sum(node.dimensions)
+        return np.array(node.data[:-1]) @ np.array(rows).reshape(-1, k + 1) + node.data[-1] * np.eye(k + 1)[k]
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        text, number, constant = "", notation.number, node.data[-1]
+        for i, (factor, part) in enumerate(zip(node.data[:-1], parts, strict=True)):
+            size = "" if abs(factor) == 1 else f"{number(abs(factor))} * "
+            sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
+            text += sign + size + (part if factor == 1 else _factor(node, parts, i, whole))
+        if constant or not text:
+            text += f" {'-' if constant < 0 else '+'} {number(abs(constant))}" if text else number(constant)
+        return text
+
+
+class _Product(Operation):
+    """A product of two formulas."""
+
+    bracketed = True
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return arguments[0] * arguments[1]
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        return jet_rules.product(arguments[0], arguments[1])
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        return interval_jet_rules.product(arguments[0], arguments[1], curved)
+
+    def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
+        constant = next((i for i, row in enumerate(rows) if not row[:-1].any()), None)
+        return None if constant is None else rows[constant][-1] * rows[1 - constant]
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"{_factor(node, parts, 0, whole)} * ({parts[1]})"
+
+
+class _Quotient(Operation):
+    """A quotient of two formulas."""
+
+    bracketed = True
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return arguments[0] / arguments[1]
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        over, under = arguments
+        d = under[0]
+        return jet_rules.product(over, jet_rules.chained(under, 1 / d, -(d**-2.0), 2 * d**-3.0))
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        over, under = arguments
+        once = inverse(under[0])
+        twice = multiply(once, once)
+        derivatives = scale(-1.0, twice), scale(2.0, multiply(twice, once))
+        return interval_jet_rules.product(over, interval_jet_rules.chained(under, once, *derivatives, curved), curved)
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"{_factor(node, parts, 0, whole)} / ({parts[1]})"
+
+
+class _Power(Operation):
+    """A whole power; the data are the exponent."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return arguments[0] ** node.data[0]
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        p, base = node.data[0], arguments[0][0]
+        return jet_rules.chained(arguments[0], base**p, p * base ** (p - 1), p * (p - 1) * base ** (p - 2))
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        p, base = int(node.data[0]), arguments[0][0]
+        first, second = scale(p, power(base, p - 1)), scale(p * (p - 1), power(base, p - 2))
+        return interval_jet_rules.chained(arguments[0], power(base, p), first, second, curved)
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"({parts[0]})**{node.data[0]:g}"
+
+
+class _Norm(Operation):
+    """A Euclidean norm; at zero its derivative is the selected one."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return np.linalg.norm(np.stack(arguments, axis=1), axis=1)
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        return jet_rules.norm(arguments, at.selections.get(node))
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        return interval_jet_rules.norm(arguments, curved)
+
+
+class _Extreme(Operation):
+    """A maximum or minimum: only its modes have values and derivatives."""
+
+    def __init__(self, name: str):
+        self._name = name
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"{self._name}({', '.join(parts)})"
+
+
+class _ExternalOutput(Operation):
+    """An output of an external function; the data are its number, and how many of the arguments are states."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        function, key = _call(node)
+        output, states = map(int, node.data)
+        if key not in at.calls:
+            a = np.stack(arguments, axis=1)
+            at.calls[key] = (function.values_at(a[:, :states], a[:, states:]),)
+        return at.calls[key][0][:, output]
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        function, key = _call(node)
+        output, states = map(int, node.data)
+        if key not in at.calls:
+            stacked = jet_rules.stacked(arguments)
+            derivatives = function.derivatives_at(stacked[0][:, :states], stacked[0][:, states:])
+            at.calls[key] = jet_rules.composed(stacked, *derivatives)
+        value, slope, hessian = at.calls[key]
+        return value[:, output], slope[:, output], hessian[:, output]
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        name = _call(node)[0].title
+        raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"{_call(node)[0].title}({', '.join(parts)})[{int(node.data[0])}]"
+
+
+@dataclass(frozen=True)
+class ScalarFunction(Operation):
+    """A smooth function of one variable, called by its name in the table, in texts and as ``np.name(formula)``.
+
+    Parameters
+    ----------
+    function : function of an array
+        Its values.
+    derivatives : function of two arrays
+        Its first and second derivative, of the argument and the value.
+    enclosures : function of an interval
+        Enclosures of its values and of its first and second derivative.
+    """
+
+    function: Callable[[Array], Array]
+    derivatives: Callable[[Array, Array], tuple[Array, Array]]
+    enclosures: Callable[[Interval], tuple[Interval, Interval, Interval]]
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        """Return the values."""
+        return self.function(arguments[0])
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        """Return the values with derivatives, by the chain rule."""
+        value = self.function(arguments[0][0])
+        return jet_rules.chained(arguments[0], value, *self.derivatives(arguments[0][0], value))
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+        """Return enclosures, by the chain rule."""
+        return interval_jet_rules.chained(arguments[0], *self.enclosures(arguments[0][0]), curved)
+
+
+def _call(node: Node) -> tuple[External, Hashable]:
+    """Return an external function, and what its outputs of the same arguments share."""
+    assert node.function is not None  # nodes of this kind have one
+    return node.function, (node.function, node.arguments)
+
+
+def _factor(node: Node, parts: Sequence[str], i: int, whole: Set[int]) -> str:
+    """Return the text of an argument as a factor."""
+    bracketed = i not in whole and OPERATIONS[node.arguments[i].kind].bracketed
+    return f"({parts[i]})" if bracketed else parts[i]
+
+
+def _tanh(a: Array, value: Array) -> tuple[Array, Array]:
+    slope = np.cosh(a) ** -2.0
+    return slope, -2 * value * slope
+
+
+def _arctan(a: Array, _: Array) -> tuple[Array, Array]:
+    slope = 1 / (1 + a**2)
+    return slope, -2 * (a * slope) * slope
+
+
+OPERATIONS: dict[str, Operation] = {
+    VARIABLE: _Variable(),
+    SUM: _Sum(),
+    PRODUCT: _Product(),
+    QUOTIENT: _Quotient(),
+    POWER: _Power(),
+    NORM: _Norm(),
+    MAXIMUM: _Extreme("max"),
+    MINIMUM: _Extreme("min"),
+    EXTERNAL: _ExternalOutput(),
+    "exp": ScalarFunction(np.exp, lambda _, value: (value, value), intervals.exponential),
+    "log": ScalarFunction(np.log, lambda a, _: (1 / a, -(a**-2.0)), intervals.logarithm),
+    "sqrt": ScalarFunction(np.sqrt, lambda a, value: (0.5 / value, -0.25 / (value * a)), intervals.square_root),
+    "sin": ScalarFunction(np.sin, lambda a, value: (np.cos(a), -value), intervals.sine),
+    "cos": ScalarFunction(np.cos, lambda a, value: (-np.sin(a), -value), intervals.cosine),
+    "tanh": ScalarFunction(np.tanh, _tanh, intervals.hyperbolic_tangent),
+    "arctan": ScalarFunction(np.arctan, _arctan, intervals.arc_tangent),
+}
+"""All operations by the kind of their nodes."""
+
+
+def scalar_functions() -> dict[str, ScalarFunction]:
+    """Return the functions of one variable by name."""
+    return {name: one for name, one in OPERATIONS.items() if isinstance(one, ScalarFunction)}

@@ -1,0 +1,1 @@
+"""Pointwise rows: those of the working set, those that a point violates, and responses of all or nearby ones."""

@@ -1,0 +1,206 @@
+"""The protocol of convex sets, and their intersections.
+
+A set is bounds on the components and parts {v : F v + c in the set of a penalty}. Solvers, certificates, descriptions
+and the CVXPY export need nothing else of it.
+
+A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
+takes any penalty of ``problem/terms``. To be written to problem files it is listed in ``PLAIN`` of
+``interchange/problem_file/set_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import ClassVar
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import MOST_TEXT
+from lin_freq_ocp.problem.terms.penalty import Penalty
+
+Bounds = tuple[Array, Array]
+"""Lower and upper bounds, of no, one or two dimensions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """{v : F v + c in the set of a penalty} of a set.
+
+    Attributes
+    ----------
+    F : (dim, n)
+    c : (dim,)
+    penalty : Penalty
+    """
+
+    F: Array
+    c: Array
+    penalty: Penalty
+
+    def values(self, v: Array) -> Array:
+        """Return F v + c for points (points, n)."""
+        return v @ self.F.T + self.c
+
+
+class ConvexSet(ABC):
+    """A convex set of vectors: its bounds and its parts beyond them."""
+
+    may_be_soft: ClassVar[bool] = True
+    """Whether ``Soft`` takes it."""
+    soft: ClassVar[bool] = False
+    """Whether it may be left at a price."""
+
+    @property
+    @abstractmethod
+    def dimension(self) -> int | None:
+        """Return n, or None if the set fits every dimension."""
+
+    @abstractmethod
+    def parts(self, dimension: int) -> tuple[Part, ...]:
+        """Return what constrains v in R^dimension beyond the bounds."""
+
+    @abstractmethod
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return a text that stands alone, such as "within 2 of the origin".
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of the components, with their units.
+        signal : str
+            The letter of the vector: "x" or "u".
+        """
+
+    @property
+    def bounds(self) -> Bounds:
+        """Return lower and upper bounds on the components."""
+        return np.asarray(-np.inf), np.asarray(np.inf)
+
+    @property
+    def members(self) -> tuple[ConvexSet, ...]:
+        """Return the sets that it is the intersection of, boxes left out."""
+        return (self,)
+
+    def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
+        """Return the parts with a price per unit of excess."""
+        softened = [(part, part.penalty.softened(weight)) for part in self.parts(dimension)]
+        return tuple(Part(part.F, part.c, penalty) for part, penalty in softened if penalty is not None)
+
+    def extended(self, n: int, k: int) -> ConvexSet:
+        """Return the set of (x, w), w in R^k, with x in R^n in this set, bounds left out."""
+        parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
+        return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
+
+    def widened(self, amount: float, dimension: int) -> ConvexSet:
+        """Return the set with limits, bounds apart, that are higher by an amount; a soft set stays as it is."""
+        parts = tuple(Part(part.F, *part.penalty.widened(part.c, amount)) for part in self.parts(dimension))
+        return PartSet(parts, dimension, f"wider by {amount:g}")
+
+    def violation(self, v: Array) -> Array:
+        """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
+        points = np.asarray(v, dtype=float)
+        lower, upper = self.bounds
+        excess = np.maximum(np.maximum(lower - points, points - upper), 0.0).max(-1)
+        flat = points.reshape(-1, points.shape[-1])
+        for part in self.parts(flat.shape[1]):
+            excess = np.maximum(excess, part.penalty.violation(part.values(flat)).max(1).reshape(excess.shape))
+        return excess
+
+    def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
+        """Whether each v (..., n) violates no constraint of the set by more than ``tolerance``."""
+        return np.asarray(self.violation(v) <= tolerance)
+
+    def __and__(self, other: ConvexSet) -> Intersection:
+        return Intersection([self, other])
+
+
+@dataclass(frozen=True, eq=False)
+class PartSet(ConvexSet):
+    """A set given by its parts: what is derived from a set of another class."""
+
+    given: tuple[Part, ...]
+    size: int
+    text: str
+
+    @property
+    def dimension(self) -> int:
+        """Return n."""
+        return self.size
+
+    def parts(self, dimension: int) -> tuple[Part, ...]:
+        """Return the parts."""
+        return self.given
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return the text."""
+        return self.text
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Intersection(ConvexSet):
+    """The points that lie in all of several sets; also written ``a & b``.
+
+    Parameters
+    ----------
+    sets : sequence of sets
+        Boxes, too; at least one.
+    """
+
+    sets: tuple[ConvexSet, ...]
+    may_be_soft: ClassVar[bool] = False
+
+    def __init__(self, sets: Sequence[ConvexSet]):
+        if isinstance(sets, str) or not isinstance(sets, Sequence) or not sets:
+            raise ProblemError("Intersection", brief(sets), "a list of at least one set")
+        wrong = [one for one in sets if not isinstance(one, ConvexSet)]
+        if wrong:
+            raise ProblemError("Intersection", brief(wrong[0]), "sets such as Box, Polyhedron, Ball")
+        known = {one.dimension for one in sets} - {None}
+        if len(known) > 1:
+            sizes = sorted(size for size in known if size is not None)
+            raise ProblemError("Intersection", f"sets in {sizes} dimensions", "the same dimension for all")
+        assign(self, sets=tuple(sets))
+        _ = self.bounds  # which must not be empty
+
+    @property
+    def dimension(self) -> int | None:
+        """Return n, if one of the sets says it."""
+        return next((one.dimension for one in self.sets if one.dimension is not None), None)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Return the bounds of all sets together."""
+        return reduce(_common_bounds, (one.bounds for one in self.sets))
+
+    @property
+    def members(self) -> tuple[ConvexSet, ...]:
+        """Return the members of all sets."""
+        return tuple(member for one in self.sets for member in one.members)
+
+    def parts(self, dimension: int) -> tuple[Part, ...]:
+        """Return the parts of all sets."""
+        return tuple(part for one in self.sets for part in one.parts(dimension))
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        """Return all sets one by one; of many, how many there are."""
+        text = "; and ".join(one.describe(names, signal) for one in self.sets)
+        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
+        return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"
+
+
+def _common_bounds(one: Bounds, other: Bounds) -> Bounds:
+    try:
+        lower, upper = np.maximum(one[0], other[0]), np.minimum(one[1], other[1])
+    except ValueError:
+        got = f"bounds for {len(one[0])} and {len(other[0])} times"
+        raise ProblemError("Intersection", got, "the same times for all") from None
+    apart = lower > upper
+    if apart.any():
+        got = f"bounds {lower[apart].flat[0]:g} <= v <= {upper[apart].flat[0]:g} on a component"
+        raise ProblemError("Intersection", got, "a point within the bounds of all sets")
+    return frozen(lower), frozen(upper)

@@ -1,0 +1,103 @@
+"""The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
+
+A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe`` and
+``terms``. To be written to problem files it is listed in ``interchange/problem_file/spectrum_tables.py``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, brief
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import split_unit
+from lin_freq_ocp.problem.terms.term import Term, TermKind
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """The signal y_t = C x_t + D u_t that frequency constraints of one field are about.
+
+    Attributes
+    ----------
+    kind : TermKind
+    C : (components, n), or None; D : (components, m), or None
+    names : sequence of str
+        Of the components.
+    length : int
+        Number of samples, from time 0.
+    sampling_time : float or None
+    """
+
+    kind: TermKind
+    C: Array | None
+    D: Array | None
+    names: Sequence[str]
+    length: int
+    sampling_time: float | None
+
+    def rows(self, field: str, component: int | str | None) -> Iterator[tuple[str, Array | None, Array | None]]:
+        """Yield name and coefficients of a component, or of all for None; errors name the field."""
+        for j in component_indices(field, component, self.names):
+            yield self.names[j], None if self.C is None else self.C[j], None if self.D is None else self.D[j]
+
+
+class FrequencyConstraint(ABC):
+    """A constraint, or a price, on the spectrum of a signal."""
+
+    component: int | str | None = None
+    """Index or name of the component it is about; None: all."""
+
+    on_outputs: ClassVar[bool] = True
+    """Whether it may be asked of linear outputs."""
+
+    @abstractmethod
+    def describe(self, names: Sequence[str]) -> str:
+        """Return a text for a signal with components of these names."""
+
+    @abstractmethod
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield its terms; errors name ``field``, and ``source`` is the entry of the problem's field."""
+
+    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+        """Return constraints of the signal (x, w) that say the same of x in R^n; w in R^k."""
+        return []
+
+    def widened(self, amount: float) -> FrequencyConstraint:
+        """Return it with a limit that is higher by an amount, if it has one."""
+        return self
+
+
+def listed(given: Any) -> Sequence[Any]:
+    """Return the content of a field, one entry or several or None, as a sequence."""
+    return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
+
+
+def component_words(component: int | str | None, names: Sequence[str]) -> str:
+    """Return the name of a component, without its unit, or that all are meant."""
+    if component is None and len(names) > 1:
+        return "every component"
+    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
+
+
+def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
+    """Return the indices that a component (index, name, or None for all) stands for."""
+    count = len(component_names)
+    if component is None:
+        return list(range(count))
+    if isinstance(component, str):
+        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
+        if len(matches) == 1:
+            return matches
+    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
+        return [int(component)]
+    raise ProblemError(
+        f"{field}.component",
+        brief(component),
+        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
+    )

@@ -1,0 +1,196 @@
+"""The protocol of convex functions h, of which hard constraints, soft constraints and nonsmooth costs are made.
+
+Every h acts on values v of shape (groups, dim), group by group. It has a weight: finite, it is a price per unit of
+excess (a cost, a soft constraint); infinite, the excess must be zero (a hard constraint). Its subgradients lambda are
+the multipliers. They are recognised by the Fenchel-Young gap
+
+    h(v) + h*(lambda) - <lambda, v> >= 0,   zero iff lambda is a subgradient of h at v,
+
+where h* is the conjugate; for the indicator of a set, h* is the support function of the set and the gap that of the
+normal cone. In a problem with eta_C = 0, finite weights count as zero.
+
+A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``weights``, ``excess``,
+``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not of the form weight * excess, also
+``cost`` and ``slope``, and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
+methods and tell penalties apart by nothing else. ``tests/problem/test_new_term.py`` shows a complete one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.errors import UnsupportedError
+
+HARD = np.asarray(np.inf)
+"""The weight of a constraint that must hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConicForm:
+    """h(v) = min { prices's : lower <= v[entries] + slacks s <= upper, cones hold }.
+
+    Every row holds at most one value and any slacks. In a cone the rows, less their lower limits, are
+    (t, z) with t >= |z|; rows of cones come first.
+
+    Attributes
+    ----------
+    entries : (rows,)
+        The value in each row, counted through the groups; -1: none. Its multiplier is the sum of the rows' duals.
+    lower, upper : (rows,)
+    slacks : sparse (rows, slacks)
+    prices : (slacks,)
+    paid : (slacks, k)
+        The values whose excess a slack measures: it is given their unit.
+    cones : tuple of slice
+    """
+
+    entries: Indices
+    lower: Array
+    upper: Array
+    slacks: sp.csr_array
+    prices: Array
+    paid: Indices
+    cones: tuple[slice, ...] = ()
+
+
+class Penalty(ABC):
+    """h(v) = sum of weight * max(excess, 0): a convex function of values (groups, dim), of which some may be hard."""
+
+    @property
+    @abstractmethod
+    def weights(self) -> Array:
+        """Return the prices per unit of excess, infinite where it must not be positive; broadcasts to the excess."""
+
+    @property
+    def hard(self) -> bool:
+        """Whether anything of it must hold exactly."""
+        return bool(np.isinf(self.weights).any())
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        """Return what penalties of different times must share to be stacked."""
+        return type(self), bool(np.isinf(self.weights).all())
+
+    @property
+    def unlimited(self) -> Mask:
+        """Return which values have no limit, and so no multiplier; broadcasts to (groups, dim)."""
+        return np.zeros(1, dtype=bool)
+
+    @property
+    def polyhedral(self) -> bool:
+        """Whether the bounds on the values are all that it says."""
+        return False
+
+    @abstractmethod
+    def excess(self, v: Array) -> Array:
+        """Return by how much values exceed the limits (below 0 inside), (groups, dim) or (groups, 1)."""
+
+    @abstractmethod
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        """Return the derivative of the excess along a change of v; nearer than ``near`` to a kink, the larger one."""
+
+    @abstractmethod
+    def recession(self, change: Array) -> Array:
+        """Return the slope of the excess along a change of v far away, where limits no longer matter."""
+
+    @abstractmethod
+    def subgradient(self, multipliers: Array, eta_C: float) -> Array:
+        """Return the nearest multipliers that are subgradients of eta_C h somewhere."""
+
+    @abstractmethod
+    def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
+        """Return the Fenchel-Young gap for subgradients of eta_C h, (groups, dim) or (groups, 1)."""
+
+    @abstractmethod
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        """Return it as rows and second-order cones."""
+
+    def cost(self, v: Array) -> Array:
+        """Return h(v) of every group, (groups,), without the hard part."""
+        return (self._prices * np.maximum(self.excess(v), 0.0)).sum(1)
+
+    def violation(self, v: Array) -> Array:
+        """Return the excess where the constraint is hard, (groups, dim) or (groups, 1)."""
+        return np.where(np.isinf(self.weights), np.maximum(self.excess(v), 0.0), 0.0)
+
+    def slope(self, v: Array, change: Array, near: float) -> float:
+        """Return the derivative of the soft part along a change of v; nearer than ``near`` to a kink, the larger one.
+
+        A value counts as on the limit where its excess is within ``near`` of zero.
+        """
+        excess, rise = self.excess(v), self.excess_slope(v, change, near)
+        rise = np.where(excess > near, rise, np.where(excess < -near, 0.0, np.maximum(rise, 0.0)))
+        return float((self._prices * rise).sum())
+
+    def leaving(self, v: Array, change: Array, near: float) -> float:
+        """Return by how much a change of v leads out of what is hard and active, or violated, to first order."""
+        active = np.isinf(self.weights) & (self.excess(v) >= -near)
+        return float(np.max(np.where(active, self.excess_slope(v, change, near), 0.0), initial=0.0))
+
+    def unbounded(self, change: Array) -> tuple[float, float]:
+        """Return by how much multiples of a change of v leave the hard part, and what they cost, per unit."""
+        rising = np.maximum(self.recession(change), 0.0)
+        left = np.where(np.isinf(self.weights), rising, 0.0)
+        return float(np.max(left, initial=0.0)), float((self._prices * rising).sum())
+
+    def misfit(self, v: Array, multipliers: Array) -> Array:
+        """Return how far the directions of multipliers and values differ, to first order (the gap: to second)."""
+        return np.zeros((len(v), 1))
+
+    def sizes(self) -> Array:
+        """Return the absolute values of the limits, 0 where there is none; broadcasts to (groups, dim)."""
+        return np.zeros(1)
+
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return bounds on the values that follow from no excess, (groups, dim), hard or soft."""
+        return np.full(shape, -np.inf), np.full(shape, np.inf)
+
+    def hard_bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return the bounds where the weight is infinite."""
+        lower, upper = self.bounds(shape)
+        return np.where(np.isinf(self.weights), lower, -np.inf), np.where(np.isinf(self.weights), upper, np.inf)
+
+    def limit_multipliers(self, multipliers: Array) -> Array | None:
+        """Return minus the derivatives of h by its limits, from the multipliers of the values; None without limits."""
+        return None
+
+    def least_slacks(self, v: Array) -> Array:
+        """Return the least slacks of the conic form with which values fit, (slacks,)."""
+        return np.zeros(0)
+
+    def softened(self, weight: Array) -> Penalty | None:
+        """Return it with another weight; None if there is no such penalty."""
+        return None
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
+        raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
+
+    def stacked(self, others: list[Penalty]) -> Penalty:
+        """Return a penalty of several groups, one for each of these, which share its signature."""
+        return self
+
+    @property
+    def _prices(self) -> Array:
+        """Return the finite weights, 0 for the infinite ones."""
+        return np.where(np.isinf(self.weights), 0.0, self.weights)
+
+    def _scaled(self, eta_C: float) -> Array:
+        """Return weight * eta_C, with infinity what it is."""
+        return np.where(np.isinf(self.weights), np.inf, eta_C * self._prices)
+
+
+def weight_of(penalty: float | None) -> Array:
+    """Return the weight of a penalty as users give it: a price per unit of excess, or None for what must hold."""
+    return HARD if penalty is None else np.asarray(penalty)
+
+
+def selected_rows(entries: Indices, lower: Array, upper: Array, cones: tuple[slice, ...] = ()) -> ConicForm:
+    """Return rows without slacks."""
+    none = sp.csr_array((len(entries), 0))
+    return ConicForm(entries, lower, upper, none, np.zeros(0), np.zeros((0, 1), dtype=int), cones)
