@@ -88,6 +88,17 @@ def filter_stop(problem: OptimalControlProblem) -> Mask:
     return np.repeat(removed[:, None], problem.control_dim, axis=1)
 
 
+def has_frequency_constraint(problem: OptimalControlProblem) -> bool:
+    """Whether the spectrum of a control, a state or an output is constrained."""
+    stopped = bool(problem.control_stop.any() or problem.state_stop.any())
+    return stopped or any(term.kind.is_spectrum for term in problem.terms)
+
+
+def can_be_filtered(problem: OptimalControlProblem) -> bool:
+    """Whether there is a bin that a filter of the controls removes."""
+    return bool(filter_stop(problem).any())
+
+
 def filter_limits(problem: OptimalControlProblem) -> str:
     """Say which frequency constraints filters of the controls do not act on; nothing where they act on all."""
     kinds = {"state": "states", "output": "outputs"}

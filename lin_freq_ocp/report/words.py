@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.measures import stopped_runs
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Mask
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.filters import filter_limits
+from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
+from lin_freq_ocp.comparison.replay import STOPPED
+from lin_freq_ocp.comparison.signals import Signal, controls_of
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
 from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.figures.scales import frequency_scale
-from lin_freq_ocp.report.modes.spans import STOPPED
 from lin_freq_ocp.report.modes.words import border_sentences
 from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.solving.outcome import Outcome
@@ -29,9 +30,6 @@ FILTERING = "Filtering afterwards"
 
 RIGOROUS = "rigorous"
 """The kind of a bound that holds for every trajectory; any other says nothing global."""
-
-SAME_PEAK = 1e-2
-"""Peaks that differ by less than this fraction are named together."""
 
 DEARER = 1e-2
 """A filtered control that costs at most this fraction more than the constrained one costs no more in words."""
@@ -63,14 +61,14 @@ class Finding:
 
 def finding(comparison: ComparisonOutcome) -> Finding:
     """Return what filtering afterwards does, and what the constraint in the problem does."""
-    result, one = comparison.constrained, shown_filter(comparison)
+    result, one = comparison.constrained, comparison.shown_filter()
     if not has_frequency_constraint(comparison.problem):
         return Finding("", "No frequency constraint, so nothing to filter", _without_constraint(result))
     filtering, limits = "", filter_limits(comparison.problem)
     if one is None and limits and comparison.filtered:
         filtering = f"does not apply: {limits}"
     if one is not None:
-        entry = filtered_entry(comparison.problem, one)
+        entry = comparison.replayed(one)
         filtering = (
             ", ".join(faults(entry, comparison))
             or f"breaks no constraint{'' if entry.replayed else ' on the controls'}"
@@ -82,18 +80,18 @@ def finding(comparison: ComparisonOutcome) -> Finding:
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
-def faults(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
+def faults(entry: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Return in words everything that a filtered control does and should not."""
     problem, words = entry.problem, list[str]()
     if entry.trajectory is None or entry.measures is None:
         return words
-    words += _exceeded(entry.controls, problem.control_names, entry.trajectory.u)
+    words += _exceeded(entry)
     if entry.replayed:
         words += _left(entry.states, problem.state_names)
-        words += _violated(entry.rows, [term.name for term in problem.terms if term.hard])
+        words += _violated(entry.terms, [term.name for term in problem.terms if term.hard])
         words += _missed(entry.end, problem.state_names)
     for of_states, what in ((False, "control"), (True, "state")):
-        if entry.leaves_band_empty(of_states) is False:
+        if entry.empties_band(of_states) is False:
             energy = entry.measures.state_stopband_energy if of_states else entry.measures.stopband_energy
             words.append(f"leaves an energy of {number(energy, 3)} at the bins of the {what} stop band")
     return [*words, *_dearer(entry, comparison)]
@@ -184,48 +182,47 @@ def conflict_in_words(result: Outcome) -> list[str]:
     return [str(one) for one in result.conflict or ()]
 
 
-def _exceeded(excess: Excess | None, names: tuple[str, ...], u: Array) -> list[str]:
-    if excess is None or excess.passed.all():
+def _exceeded(entry: MeasuredTrajectory) -> list[str]:
+    if entry.controls is None or entry.controls.passed.all():
         return []
-    broken = np.flatnonzero(~excess.passed)
+    broken, controls = np.flatnonzero(~entry.controls.passed), controls_of(entry.problem)
     bounds = [
-        f"the {short_name(names[j])} bound by {quantity(float(excess.values[j]), names[j])} "
-        f"({_peak(u[:, j], names[j])})"
+        f"the {short_name(controls[j].name)} bound by {quantity(float(entry.controls.values[j]), controls[j].name)} "
+        f"({_peak(entry, controls[j])})"
         for j in broken[:NAMED]
     ]
     return [f"exceeds {listed(bounds)}{_others(len(broken), 'other control')}"]
 
 
-def _left(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
-    if excess is None or excess.passed.all():
+def _left(violation: Violation | None, names: tuple[str, ...]) -> list[str]:
+    if violation is None or violation.passed.all():
         return []
-    broken = np.flatnonzero(~excess.passed)
+    broken = np.flatnonzero(~violation.passed)
     states = listed([short_name(names[i]) for i in broken[:NAMED]])
     return [f"leaves the bounds on {states}{_others(len(broken), 'other state')}"]
 
 
-def _violated(excess: Excess | None, names: Sequence[str]) -> list[str]:
-    if excess is None or excess.passed.all():
+def _violated(violation: Violation | None, names: Sequence[str]) -> list[str]:
+    if violation is None or violation.passed.all():
         return []
-    broken = np.flatnonzero(~excess.passed)
+    broken = np.flatnonzero(~violation.passed)
     words = list[str]()
     for i in map(int, broken[:NAMED]):
-        words.append(f"{short_name(names[i])} by {quantity(float(excess.values[i]), names[i])}")
+        words.append(f"{short_name(names[i])} by {quantity(float(violation.values[i]), names[i])}")
     return [f"violates {listed(words)}{_others(len(broken), 'other constraint')}"]
 
 
-def _peak(signal: Array, name: str) -> str:
-    size = np.abs(signal)
-    times = np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())
+def _peak(entry: MeasuredTrajectory, signal: Signal) -> str:
+    times = entry.peak_times(signal)
     where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
-    return f"peaks at {quantity(float(size.max()), name)}, {where}"
+    return f"peaks at {quantity(entry.largest(signal) or 0.0, signal.name)}, {where}"
 
 
-def _missed(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
-    if excess is None or excess.passed.all():
+def _missed(violation: Violation | None, names: tuple[str, ...]) -> list[str]:
+    if violation is None or violation.passed.all():
         return []
-    missed = np.flatnonzero(~excess.passed)
-    words = [f"{quantity(float(excess.values[i]), names[i])} in {short_name(names[i])}" for i in missed[:NAMED]]
+    missed = np.flatnonzero(~violation.passed)
+    words = [f"{quantity(float(violation.values[i]), names[i])} in {short_name(names[i])}" for i in missed[:NAMED]]
     return [f"misses the end by {listed(words)}{_others(len(missed), 'other state')}"]
 
 
@@ -234,7 +231,7 @@ def _others(count: int, noun: str) -> str:
     return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
 
 
-def _dearer(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
+def _dearer(entry: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Say if a filtered control costs more than the constrained one, which is never its purpose."""
     own = None if entry.measures is None else entry.measures.cost
     best = comparison.constrained.cost
@@ -344,7 +341,7 @@ def _between_the_bins(comparison: ComparisonOutcome, of_states: bool) -> str:
             f"{number(getattr(comparison.constrained_measures, field), 3)} with the constraint",
             f"{free} without it",
         ]
-    one = shown_filter(comparison)
+    one = comparison.shown_filter()
     filtered = None if one is None else getattr(one.replay.measures, field)
     if filtered is not None:
         parts.append(f"{number(filtered, 3)} after filtering")

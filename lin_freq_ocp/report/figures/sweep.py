@@ -22,9 +22,9 @@ from lin_freq_ocp.report.figures.style import (
     PAPER,
     ROW_HEIGHT,
     Note,
-    dress,
     new_figure,
     plain,
+    style_axes,
 )
 
 HEIGHT = 1.4 * ROW_HEIGHT
@@ -101,7 +101,7 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     x_label = f"{name.removesuffix('_hz').replace('_', ' ')}" + (f" [{unit}]" if unit else "")
     doubtful = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
-    dress(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
+    style_axes(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
     if ax.get_legend_handles_labels()[1]:
         figure.legend(fontsize=LABEL_SIZE, labelcolor=INK, frameon=False, loc="outside right upper")
     return figure
