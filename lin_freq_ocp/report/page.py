@@ -102,7 +102,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         has_modes=bool(mode_names(problem)),
         conditions=() if certificate is None else certificate_rows(problem, certificate),
         result=comparison.constrained,
-        conflict=words.conflict_in_words(comparison.constrained),
+        conflict=[str(one) for one in comparison.constrained.conflict or ()],
         amplification=rough(comparison.classical_measures.amplification),
         replay_is_meaningful=comparison.replay_is_meaningful,
         stopped=[one.label for one in comparison.filtered if one.replay.stopped],

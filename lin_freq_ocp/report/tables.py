@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -99,13 +100,18 @@ class ConditionRow:
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     """Return what was measured of every trajectory, where it applies to the problem."""
     problem, columns = comparison.problem, comparison.trajectories
+    hard = [term for term in problem.terms if term.hard]
+    only_rows = all(term.kind == "stage rows" for term in hard)
+    of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
-        Group("", (Row("cost", "", tuple(_cost(entry) for entry in columns)),)),
+        Group(
+            "", (Row("cost", "", tuple(_measured(entry, attrgetter("cost"), digits=COST_DIGITS) for entry in columns)),)
+        ),
         _largest_controls(problem, columns),
-        _violations("Beyond the control bounds by", problem.control_names, columns, lambda entry: entry.controls),
-        _violations("Beyond the state bounds by", problem.state_names, columns, lambda entry: entry.states),
-        _violations(_title_of_rows(problem), _names_of_rows(problem), columns, lambda entry: entry.terms),
-        _violations("Misses the end state by", problem.state_names, columns, lambda entry: entry.end),
+        _violations("Beyond the control bounds by", problem.control_names, columns, attrgetter("controls")),
+        _violations("Beyond the state bounds by", problem.state_names, columns, attrgetter("states")),
+        _violations(of_terms, [term.name for term in hard], columns, attrgetter("terms")),
+        _violations("Misses the end state by", problem.state_names, columns, attrgetter("end")),
         _stop_band("Stop band of the controls", columns, of_states=False),
         _stop_band("Stop band of the states", columns, of_states=True),
     ]
@@ -200,10 +206,6 @@ def _styled(cell: Cell) -> Text:
     return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
-def _cost(entry: MeasuredTrajectory) -> Cell:
-    return _measured(entry, lambda measures: measures.cost, digits=COST_DIGITS)
-
-
 def _measured(
     entry: MeasuredTrajectory, value: Callable[[Measures], float | None], passed: bool | None = None, digits: int = 4
 ) -> Cell:
@@ -237,15 +239,6 @@ def _violations(
     return Group(title, tuple(rows))
 
 
-def _title_of_rows(problem: OptimalControlProblem) -> str:
-    others = any(term.hard and term.kind != "stage rows" for term in problem.terms)
-    return "Beyond other constraints by" if others else "Beyond the joint rows by"
-
-
-def _names_of_rows(problem: OptimalControlProblem) -> list[str]:
-    return [term.name for term in problem.terms if term.hard]
-
-
 def _violation(entry: MeasuredTrajectory, violation: Violation | None, i: int) -> Cell:
     if violation is None:
         return Cell(NOT_MEANINGFUL if entry.trajectory is not None else NOTHING)
@@ -257,33 +250,19 @@ def _stop_band(title: str, columns: Sequence[MeasuredTrajectory], of_states: boo
     if not stopped.any():
         return Group(title, ())
     prefix = "state_" if of_states else ""
-    rows = [
-        Row(
-            "energy at its bins",
-            "",
-            tuple(
-                _measured(
-                    entry, lambda measures: getattr(measures, prefix + "stopband_energy"), entry.empties_band(of_states)
-                )
-                for entry in columns
-            ),
-        ),
-        Row(
-            "peak between its bins",
-            "",
-            tuple(_measured(entry, lambda measures: getattr(measures, prefix + "stopband_peak")) for entry in columns),
-        ),
-    ]
-    return Group(title, tuple(rows))
+    energy = attrgetter(prefix + "stopband_energy")
+    peak = attrgetter(prefix + "stopband_peak")
+    energies = tuple(_measured(one, energy, one.empties_band(of_states)) for one in columns)
+    peaks = tuple(_measured(one, peak) for one in columns)
+    return Group(title, (Row("energy at its bins", "", energies), Row("peak between its bins", "", peaks)))
 
 
 def _one_step(problem: OptimalControlProblem, columns: Sequence[MeasuredTrajectory]) -> Group:
-    """Return what can still be said without a replay: how far each step misses the next planned state."""
-    residuals = [entry.one_step for entry in columns]
+    """Return how far each step misses the next planned state, which needs no replay."""
     rows = [
         Row(
             *split_unit(name),
-            tuple(Cell(aligned(None if all_of is None else float(all_of[i]))) for all_of in residuals),
+            tuple(Cell(aligned(None if one.one_step is None else one.one_step[i])) for one in columns),
         )
         for i, name in enumerate(problem.state_names)
     ]

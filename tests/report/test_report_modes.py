@@ -367,7 +367,7 @@ def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     html = parsed(re.sub(r"<svg.*?</svg>", "", render(shown, made), flags=re.DOTALL)).text
     assert "no leaf can contain a trajectory" in html
     assert "The proof rests on" not in html
-    assert words.conflict_in_words(result) == []
+    assert result.conflict is None
 
 
 def test_tints_differ_from_each_other_and_from_all_other_colours():
