@@ -100,13 +100,7 @@ class ComparisonOutcome:
         )
 
     def shown_filter(self, name: str | None = None) -> Filtered | None:
-        """Return the filter of that name; by default the brick wall, or the first; None if nothing is filtered.
-
-        Raises
-        ------
-        ProblemError
-            If the comparison has no filter of that name.
-        """
+        """Return the filter of that name; by default the brick wall, or the first; None if nothing is filtered."""
         if not can_be_filtered(self.problem) or (name is None and not self.filtered):
             return None
         by_name = {one.name: one for one in self.filtered}

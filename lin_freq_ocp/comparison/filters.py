@@ -50,13 +50,7 @@ class Wanted:
 
 
 def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
-    """Apply the named filter to a control u, shape (T, m).
-
-    Raises
-    ------
-    ProblemError
-        If there is no filter of that name.
-    """
+    """Apply the named filter to a control u, shape (T, m)."""
     require_filters([name])
     step = problem.sampling_time
     hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))

@@ -12,13 +12,7 @@ from lin_freq_ocp.problem.sets.box import Box
 
 
 def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> Box:
-    """Return the box of all v with |v_i| <= bounds_i; None where there is no bound.
-
-    Raises
-    ------
-    ProblemError
-        Naming the parameter, if a bound is not a number or is below zero.
-    """
+    """Return the box of all v with |v_i| <= bounds_i; None where there is no bound."""
     given = list(bounds) if isinstance(bounds, Sequence) and not isinstance(bounds, str) else bounds
     endless = [np.inf if bound is None else bound for bound in given] if isinstance(given, list) else given
     limit = real_array(parameter, np.inf if endless is None else endless, allow_infinite=True)

@@ -57,13 +57,7 @@ class Drawing:
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
-    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path.
-
-    Raises
-    ------
-    ProblemError
-        If the folder cannot be written.
-    """
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
     folder = Path(folder)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -162,10 +156,11 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     )
     filtered = "" if one is None else f" Filtered: {one.description}."
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
-    if comparison.problem.state_band.any():
-        yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(data)
+    stopped = [state for state in data.states if state.stop.any()]
+    if stopped:
+        yield ("state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped))
     if data.outputs:
-        yield "output_spectra", "Spectra of the outputs with a band", "", figures.output_spectra_figure(data)
+        yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
     if data.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", modes_caption(rows, data.main.label), strips_figure(data, rows)

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.filters import filter_limits, filter_stop, filtered
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.figures.figures import comparison_data, output_spectra_figure, states_figure
+from lin_freq_ocp.report.figures.figures import comparison_data, spectra_figure, states_figure
 from lin_freq_ocp.report.figures.style import REFERENCE
 from lin_freq_ocp.report.page import tiles
 from lin_freq_ocp.report.tables import certificate_table, comparison_rows
@@ -211,7 +211,7 @@ def test_levels_of_masks_are_drawn_at_their_bins():
 
 def test_outputs_have_their_spectra():
     comparison = tracking()
-    (ax,) = output_spectra_figure(comparison_data(comparison)).axes
+    (ax,) = spectra_figure(data := comparison_data(comparison), data.outputs).axes
     assert holds(ax, 3.0)
     y = comparison.constrained.trajectory.x.sum(axis=1)
     bins = np.abs(np.fft.rfft(y))

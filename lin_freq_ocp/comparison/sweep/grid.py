@@ -36,14 +36,7 @@ PLAIN = (bool, int, float, str, type(None))
 
 
 def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
-    """Return the values of each parameter.
-
-    Raises
-    ------
-    ProblemError
-        If the source is neither problem nor function, or the grid has a name that it does not know, or an entry that
-        is no sequence of different values.
-    """
+    """Return the values of each parameter."""
     if not callable(source):
         require_problem(source)
     if not isinstance(grid, Mapping) or not grid:
@@ -53,13 +46,7 @@ def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
 
 
 def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
-    """Return the points of the full product, by their keys; the last parameter changes fastest.
-
-    Raises
-    ------
-    ProblemError
-        If they are too many.
-    """
+    """Return the points of the full product, by their keys; the last parameter changes fastest."""
     count = math.prod(map(len, values.values()))
     if count > MOST_POINTS:
         raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
@@ -68,26 +55,14 @@ def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
 
 
 def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem at one point.
-
-    Raises
-    ------
-    ProblemError
-        If the values describe none, or the function returns something else.
-    """
+    """Return the problem at one point."""
     problem = source(**parameters) if callable(source) else with_values(source, parameters)
     require_problem(problem)
     return problem
 
 
 def with_values(problem: OptimalControlProblem, values: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of all controls.
-
-    Raises
-    ------
-    ProblemError
-        If a value does not fit the problem.
-    """
+    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes."""
     changes = dict(values)
     for name in CUTOFFS:
         if name in changes:

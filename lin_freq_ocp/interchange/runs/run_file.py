@@ -77,22 +77,7 @@ def dump_run(
     result: Outcome | None = None,
     error: Exception | None = None,
 ) -> None:
-    """Write a run to one file, a zip archive that ``load_run`` reads; one of this name is replaced.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    problem, options
-        What solve was given.
-    result, error : optional
-        What it ended with.
-
-    Raises
-    ------
-    ProblemError
-        If it cannot be written there.
-    """
+    """Write a run, and its result or error, to one zip archive that ``load_run`` reads; a file there is replaced."""
     summary = None if result is None else result_summary(result)
     run = {
         "schema": SCHEMA,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import product
 from math import ceil
 from string import ascii_lowercase
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -73,13 +74,7 @@ ROUNDING = 1e-12
 
 
 def result_figure(result: Outcome) -> Figure:
-    """Return controls, their spectra, two phase portraits and all states in time of one solution.
-
-    Raises
-    ------
-    SolveError
-        If the result has no trajectory.
-    """
+    """Return controls, their spectra, two phase portraits and all states in time of one solution."""
     return four_panels(result_data(result), with_states=True)
 
 
@@ -91,11 +86,6 @@ def comparison_figure(comparison: ComparisonOutcome, filter_name: str | None = N
     comparison : ComparisonOutcome
     filter_name : str, optional
         The filter to show; default the brick wall, if it was asked for, else the first.
-
-    Raises
-    ------
-    ProblemError
-        If the comparison has no filter of that name.
     """
     return four_panels(comparison_data(comparison, filter_name))
 
@@ -198,22 +188,11 @@ def states_figure(data: PlotData) -> Figure:
     return figure
 
 
-def state_spectra_figure(data: PlotData) -> Figure:
-    """Return the spectra of the states that have a stop band (there must be one)."""
-    stopped = [int(i) for i in np.flatnonzero(data.problem.state_band.any(0))]
-    figure, panels = _two_columns(len(stopped), ROW_HEIGHT)
-    for i, ax in zip(stopped, panels, strict=True):
-        spectrum_panel(ax, data, data.states[i], f"Spectrum of {short_name(data.problem.state_names[i])}")
-    _legend(figure, data, with_ends=False, with_band=True, with_bounds=False)
-    return figure
-
-
-def output_spectra_figure(data: PlotData) -> Figure:
-    """Return the spectra of the outputs that have a frequency constraint (there must be one)."""
-    outputs = data.outputs
-    figure, panels = _two_columns(len(outputs), ROW_HEIGHT)
-    for output, ax in zip(outputs, panels, strict=True):
-        spectrum_panel(ax, data, output, f"Spectrum of {short_name(output.name)}")
+def spectra_figure(data: PlotData, signals: Sequence[Signal]) -> Figure:
+    """Return the spectra of some states or outputs (there must be one)."""
+    figure, panels = _two_columns(len(signals), ROW_HEIGHT)
+    for signal, ax in zip(signals, panels, strict=True):
+        spectrum_panel(ax, data, signal, f"Spectrum of {short_name(signal.name)}")
     _legend(figure, data, with_ends=False, with_band=True, with_bounds=False)
     return figure
 
@@ -228,14 +207,9 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
     allowed = certificate.allowed_gap
     floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
     times, low = data.time.factor * np.arange(len(gaps)), gaps < floor
-    ax.plot(*thinned(times[~low], gaps[~low]), "o", color=STYLES[CONSTRAINED].color, markersize=3.2, markeredgewidth=0)
-    ax.plot(
-        *thinned(times[low], np.full(int(low.sum()), floor)),
-        "v",
-        color=STYLES[CONSTRAINED].color,
-        markersize=4,
-        markerfacecolor="none",
-    )
+    color, at_floor = STYLES[CONSTRAINED].color, np.full(int(low.sum()), floor)
+    ax.plot(*thinned(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
+    ax.plot(*thinned(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
     ax.axhline(allowed, color=MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
@@ -298,15 +272,8 @@ def _draw_prices(ax: Axes, component: Signal, frequency: np.ndarray, price: np.n
     color = COMPONENTS[i % len(COMPONENTS)]
     x, y = thinned(frequency[component.stop], price[component.stop])
     ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
-    ax.plot(
-        x,
-        y,
-        marker=MARKERS[i % len(MARKERS)],
-        linestyle="none",
-        color=color,
-        markersize=5,
-        label=short_name(component.name),
-    )
+    style: dict[str, Any] = {"marker": MARKERS[i % len(MARKERS)], "linestyle": "none", "color": color, "markersize": 5}
+    ax.plot(x, y, label=short_name(component.name), **style)
 
 
 def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:
@@ -329,26 +296,26 @@ def _legend(figure: Figure, data: PlotData, with_ends: bool, with_band: bool, wi
 
 def _legend_handles(data: PlotData, with_ends: bool, with_band: bool, with_bounds: bool) -> list[Artist]:
     handles: list[Artist] = []
+
+    def add(label: str, **style: Any) -> None:
+        look: dict[str, Any] = {"linewidth": 1.2, "label": label} | style
+        handles.append(Line2D([], [], **look))
+
     for trace in data.traces:
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
-        handles.append(
-            Line2D([], [], color=style.color, linestyle=style.line, linewidth=style.width + 0.3, label=label)
-        )
-    components = [*data.controls, *data.states, *data.outputs]
-    rows = [line for one in components for line in one.row_bounds] if with_bounds else []
-    levels = [line for one in components for line in one.levels] if with_band else []
+        add(label, color=style.color, linestyle=style.line, linewidth=style.width + 0.3)
+    signals = [*data.controls, *data.states, *data.outputs]
+    rows = [line for one in signals for line in one.row_bounds] if with_bounds else []
+    levels = [line for one in signals for line in one.levels] if with_band else []
     if (with_bounds and _has_bounds(data)) or any(not line.soft for line in [*rows, *levels]):
-        handles.append(Line2D([], [], color=BOUND, linewidth=1.2, label="bound"))
+        add("bound", color=BOUND)
     if any(line.soft for line in [*rows, *levels]):
-        handles.append(Line2D([], [], color=BOUND, linewidth=1.2, linestyle=SOFT, label="soft bound"))
-    if with_bounds and any(one.references for one in components):
-        handles.append(Line2D([], [], color=REFERENCE, linewidth=1.2, linestyle=REFERENCE_LINE, label="reference"))
+        add("soft bound", color=BOUND, linestyle=SOFT)
+    if with_bounds and any(one.references for one in signals):
+        add("reference", color=REFERENCE, linestyle=REFERENCE_LINE)
     if with_band:
         handles.append(Patch(facecolor=BAND, label="stopped or bounded bins" if levels else "stop band"))
     if with_ends:
-        markers: Sequence[tuple[str, str, str]] = (("o", PAPER, "start"), ("s", INK, "end"))
-        for marker, face, label in markers:
-            handles.append(
-                Line2D([], [], linestyle="none", marker=marker, color=INK, markerfacecolor=face, label=label)
-            )
+        add("start", linestyle="none", marker="o", color=INK, markerfacecolor=PAPER)
+        add("end", linestyle="none", marker="s", color=INK, markerfacecolor=INK)
     return handles

@@ -72,11 +72,6 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what
     the constraint costs. Hollow points are not proven. Points without a solution are marks above all costs, and those
     without a lower bound below: no cost is drawn for either.
-
-    Raises
-    ------
-    ProblemError
-        If no parameter has numbers.
     """
     name = _numeric(sweep)
     lines = _lines(sweep, name)

@@ -59,6 +59,9 @@ STRIP_HEIGHT = 0.3
 BAR = 0.02
 """Width of the bar of an interval, relative to the time axis."""
 
+REQUIRED: dict[str, Any] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+"""The marker of what the adjoint equation requires."""
+
 MARKED = 60
 """Up to so many values are points on their line."""
 
@@ -167,10 +170,7 @@ def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) ->
 def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: float) -> Figure:
     """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
 
-    Parameters
-    ----------
-    least : float
-        What is smaller is zero up to the tolerance of the adjoint equation.
+    Smaller values than ``least`` are zero up to the tolerance of the adjoint equation.
     """
     names = data.problem.state_names
     columns = min(len(names), 2)
@@ -223,11 +223,7 @@ def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
     bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
     ax.add_patch(bar)
     ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
-    ax.plot(at, kink.required[i], "D", **_required(), zorder=8)
-
-
-def _required() -> dict[str, Any]:
-    return {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+    ax.plot(at, kink.required[i], "D", **REQUIRED, zorder=8)
 
 
 def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
@@ -241,7 +237,7 @@ def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
             "what the adjoint equation requires of it",
         )
         handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
-        handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label=required))
+        handles.append(Line2D([], [], linestyle="none", marker="D", **REQUIRED, label=required))
     legend_above(figure, handles)
 
 
