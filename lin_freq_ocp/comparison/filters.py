@@ -27,7 +27,7 @@ MAX_ORDER = 10
 
 @dataclass(frozen=True, eq=False)
 class FilteredControl:
-    """A filtered control u, shape (T, m), and the filter in words."""
+    """A filtered control u, shape (T, m), and the description of the filter."""
 
     u: Array
     description: str
@@ -35,13 +35,7 @@ class FilteredControl:
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What a filter is designed for: bins to stop (T//2 + 1, m), the controls' bounds, and the unit of frequencies.
-
-    Attributes
-    ----------
-    per_radian : float
-        The unit per rad/sample.
-    """
+    """The design data of a filter: bins to stop (T//2 + 1, m), bounds, and the unit, ``per_radian`` per rad/sample."""
 
     stop: Mask
     tube: Box
