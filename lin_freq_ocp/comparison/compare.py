@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from lin_freq_ocp.analysis.measures import Measures, measure
+from lin_freq_ocp.analysis.sensitivities import bin_prices
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.modes.kinks import Kink, kinks
 from lin_freq_ocp.comparison.filters import (
     FILTERS,
@@ -119,6 +121,13 @@ class ComparisonOutcome:
         if borders is None or result.trajectory is None or result.multipliers is None:
             return ()
         return kinks(result.problem, result.trajectory, result.multipliers, borders)
+
+    @property
+    def prices(self) -> tuple[Array, Array] | None:
+        """Return |d J* / d bin| of controls and states; None without multipliers or without removed bins."""
+        multipliers, problem = self.constrained.multipliers, self.problem
+        banded = problem.control_band.any() or problem.state_band.any()
+        return bin_prices(problem, multipliers) if multipliers is not None and banded else None
 
     @property
     def rows(self) -> list[tuple[str, str, Measures | None]]:

@@ -30,7 +30,7 @@ class Block:
     name : str
         As it stands in a Conflict.
     index : int
-        The component, the row of its family, or the place of a term in its field.
+        The component, the row of its family, or the index of a term in its field.
     family : str
         Of a row: the name of its stage rows; of a term: the problem's field it was given in.
     """
@@ -77,7 +77,7 @@ def _bounded(box: Box) -> Mask:
 
 
 def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
-    """Return the problem without these blocks; terms first and from behind, as their places count in their field."""
+    """Return the problem without these blocks; terms first, the last index first, because removal shifts indices."""
     for block in sorted(dropped, key=lambda block: (block.kind != "term", -block.index)):
         problem = widened(problem, block, np.inf)
     return problem

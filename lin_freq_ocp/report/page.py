@@ -17,7 +17,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
@@ -175,17 +174,12 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
         gap = figures.gap_figure(data, result.certificate)
         if gap is not None:
             yield "gap", "Gap per stage", words.parts_of_the_gap(result.certificate), gap
-        if comparison.problem.control_band.any() or comparison.problem.state_band.any():
+        if comparison.prices is not None:
             text = (
                 "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
                 "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
             )
-            yield (
-                "price",
-                "Price of each bin",
-                text,
-                figures.price_figure(data, bin_prices(comparison.problem, result.multipliers)),
-            )
+            yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:

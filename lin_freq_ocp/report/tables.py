@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.numbers import aligned
 
 NOT_MEANINGFUL = "not meaningful"
-"""Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
+"""Stands for numbers that need a replay, where a replay would only show amplified rounding errors."""
 
 OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
 """Conditions whose component is a control; that of the others is a state, or a row."""
@@ -35,7 +35,7 @@ OF_MODES = ("S-f", "N-f")
 """Conditions whose component is a mode."""
 
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
-"""Conditions whose worst place is a bin."""
+"""Conditions whose worst violation is at a bin."""
 
 
 COST_DIGITS = 5

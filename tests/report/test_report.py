@@ -21,7 +21,6 @@ from rich.console import Console
 
 from helpers.pages import STATES, double_integrator, parsed
 from lin_freq_ocp.analysis.measures import padded_spectrum
-from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -269,10 +268,8 @@ def test_state_stop_bands_have_their_spectra():
 
 
 def price_axes(comparison: Comparison):
-    assert comparison.constrained.multipliers is not None
-    return price_figure(
-        comparison_data(comparison), bin_prices(comparison.problem, comparison.constrained.multipliers)
-    ).axes
+    assert comparison.prices is not None
+    return price_figure(comparison_data(comparison), comparison.prices).axes
 
 
 def test_every_control_has_its_panels():

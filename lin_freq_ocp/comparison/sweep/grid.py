@@ -27,10 +27,10 @@ Parameters = dict[str, Any]
 """The value of every swept parameter at one point."""
 
 CUTOFFS = ("cutoff", "cutoff_hz")
-"""Of a problem: low passes that take the place of its ``control_spectrum``; in rad/sample, and in Hz."""
+"""Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz."""
 
 MOST_POINTS = 10**6
-"""Points of one grid: more are a slip of the pen, and would not fit into memory."""
+"""Points of one grid: more are likely a mistake, and would not fit into memory."""
 
 PLAIN = (bool, int, float, str, type(None))
 
@@ -118,7 +118,7 @@ def _require_names(source: Source, names: Sequence[Any]) -> None:
 
 
 def _keywords(function: Callable[..., Any]) -> list[str] | None:
-    """Return the keywords that a function takes; None if it takes any, or nobody knows."""
+    """Return the keywords that a function takes; None if it takes any, or has no signature."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):

@@ -109,7 +109,7 @@ def dumping_errors(
         if path is not None:
             try:
                 dump_run(path, problem, options, error=error)
-            except Exception as failed:  # it must not take the place of the error that is to be told
+            except Exception as failed:  # the original error must not be replaced
                 warnings.warn(f"nothing dumped: {failed}", RuntimeWarning, stacklevel=2)
         raise
 
@@ -120,7 +120,7 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
     Raises
     ------
     ProblemError
-        If it is no such file; the field names it, the file within, and the place there.
+        If it is no such file; the field names it, the file within, and the location there.
     """
     path = Path(path)
     with TemporaryDirectory() as name:
@@ -145,7 +145,7 @@ def described(error: Exception) -> dict[str, Any]:
 
 
 def _unpack(path: Path, folder: Path) -> None:
-    """Write the files that belong to a run to the folder; others, whatever their names, are left where they are."""
+    """Write the files that belong to a run to the folder; others are ignored."""
     require_file(str(path), path)
     try:
         with zipfile.ZipFile(path) as archive:
