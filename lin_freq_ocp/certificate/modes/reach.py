@@ -57,22 +57,27 @@ class IntervalReach:
 
     def __init__(self, problem: OptimalControlProblem):
         self._problem, arrays = problem, problem.piecewise.arrays(problem.horizon)
-        self._maps = np.concatenate([arrays.A, arrays.B], axis=-1)
-        self._rows = np.concatenate([arrays.G, arrays.H], axis=-1)
-        self._limits, self._offset = np.minimum(arrays.h, INFINITE), arrays.offset
+        n, tube = problem.state_dim, problem.control_tube
+        self._x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
+        self._u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        self._maps, self._offset = np.concatenate([arrays.A, arrays.B], axis=-1), arrays.offset
+        self._sizes = np.abs(self._maps)
+        self._rising, self._falling = (self._maps + self._sizes) / 2, (self._maps - self._sizes) / 2
+        middle, half = (self._u[0] + self._u[1]) / 2, (self._u[1] - self._u[0]) / 2
+        self._A, self._pushed = self._maps[..., :n], np.einsum("tkij,tj->tki", arrays.B, middle) + arrays.offset
+        self._pushes = arrays.B * half[:, None, None]
+        self._rows, self._limits = np.concatenate([arrays.G, arrays.H], axis=-1), np.minimum(arrays.h, INFINITE)
+        used = (self._limits < FINITE)[..., None]
+        self._above, self._below = (self._rows > 0) & used, (self._rows < 0) & used
+        self._divisors = np.where(self._rows == 0, 1.0, self._rows)
 
     def whole(self) -> Stages | None:
         """Return the stages of all mode sequences, or None if none has a trajectory."""
-        problem, modes = self._problem, self._rows.shape[1]
-        x, u = (
-            (np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE))
-            for tube in (problem.state_tube, problem.control_tube)
-        )
-        stages = list[Stage]()
-        for t in range(problem.horizon + 1):
-            inputs = [side[t] if t < problem.horizon else np.zeros(problem.control_dim) for side in u]
-            pairs = (np.tile(np.append(bound[t], side), (modes, 1)) for bound, side in zip(x, inputs, strict=True))
-            stages.append(Stage(x[0][t], x[1][t], *_zonotope(x[0][t], x[1][t]), np.ones(modes, dtype=bool), *pairs))
+        (lower, upper), modes, stages = self._x, self._rows.shape[1], list[Stage]()
+        for t in range(self._problem.horizon + 1):
+            controls = [side[min(t, len(side) - 1)] for side in self._u]  # the last stage has none that count
+            pairs = (np.tile(np.append(x[t], u), (modes, 1)) for x, u in zip(self._x, controls, strict=True))
+            stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
         return self._forward(stages, 0, known=False)
 
     def restricted(self, before: Stages, t: int, modes: Mask) -> Stages | None:
@@ -95,52 +100,47 @@ class IntervalReach:
 
     def _step(self, t: int, now: Stage, after: Stage) -> tuple[Stage, Stage] | None:
         """Return a stage without modes that lead nowhere, and the next one cut to what the others lead to."""
-        n = self._problem.state_dim
+        n = len(now.lower)
         low, high = now.pair_lower.copy(), now.pair_upper.copy()
-        low[:, :n], high[:, :n] = np.maximum(low[:, :n], now.lower), np.minimum(high[:, :n], now.upper)
-        low, high, possible = _cut(low, high, self._rows[t], self._limits[t])
-        image_low, image_high = _image(self._maps[t], self._offset[t], low, high)
-        centre, generators = self._zonotope_images(t, now)
+        np.maximum(low[:, :n], now.lower, out=low[:, :n])
+        np.minimum(high[:, :n], now.upper, out=high[:, :n])
+        low, high, possible = self._cut(t, low, high)
+        image_low, image_high = self._image(t, low, high)
+        centre = self._A[t] @ now.centre + self._pushed[t]
+        generators = np.concatenate([self._A[t] @ now.generators, self._pushes[t]], axis=-1)
         radius = np.abs(generators).sum(axis=-1)
-        radius = radius + INTERVAL_ROUNDING * (np.abs(centre) + radius)
-        image_low = np.maximum.reduce([image_low, centre - radius, np.broadcast_to(after.lower, centre.shape)])
-        image_high = np.minimum.reduce([image_high, centre + radius, np.broadcast_to(after.upper, centre.shape)])
+        radius += INTERVAL_ROUNDING * (np.abs(centre) + radius)
+        image_low = np.maximum(np.maximum(image_low, centre - radius), after.lower)
+        image_high = np.minimum(np.minimum(image_high, centre + radius), after.upper)
         kept = now.modes & possible & (image_low <= image_high).all(axis=1)
         if not kept.any():
             return None
+        here = Stage(now.lower, now.upper, now.centre, now.generators, kept, low, high)
         lower, upper = image_low[kept].min(axis=0), image_high[kept].max(axis=0)
         only = int(np.argmax(kept))
-        single = np.count_nonzero(kept) == 1
-        sets = (centre[only], generators[only]) if single else _zonotope(lower, upper)
-        here = replace(now, modes=kept, pair_lower=low, pair_upper=high)
-        return here, replace(after, lower=lower, upper=upper, centre=sets[0], generators=sets[1])
+        sets = (centre[only], generators[only]) if kept.sum() == 1 else _zonotope(lower, upper)
+        return here, Stage(lower, upper, *sets, after.modes, after.pair_lower, after.pair_upper)
 
-    def _zonotope_images(self, t: int, now: Stage) -> tuple[Array, Array]:
-        """Return centres (modes, n) and generators (modes, n, count) of what each mode makes of the zonotope."""
-        n, tube = self._problem.state_dim, self._problem.control_tube
-        A, B = self._maps[t, :, :, :n], self._maps[t, :, :, n:]
-        lower, upper = np.maximum(tube.lower[t], -INFINITE), np.minimum(tube.upper[t], INFINITE)
-        middle, half = (lower + upper) / 2, (upper - lower) / 2
-        return A @ now.centre + B @ middle + self._offset[t], np.concatenate([A @ now.generators, B * half], axis=-1)
+    def _cut(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
+        """Return boxes (modes, k) cut by the rows of the regions, and which of them have a point."""
+        rows, limits, above = self._rows[t], self._limits[t], self._above[t]
+        least = np.where(rows > 0, low[:, None], high[:, None])  # where a row is least
+        terms = rows * least
+        room = limits - terms.sum(axis=-1)
+        room += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
+        ends = least + room[..., None] / self._divisors[t]
+        high = np.minimum(high, np.where(above, ends, np.inf).min(axis=1))
+        low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=1))
+        return np.minimum(low, high), high, (room >= 0).all(axis=1)
+
+    def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return boxes (modes, n) around what the modes make of boxes (modes, k)."""
+        rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
+        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
+        low, high, rounding = low[..., None], high[..., None], INTERVAL_ROUNDING * size
+        least, most = (rising @ low + falling @ high)[..., 0], (rising @ high + falling @ low)[..., 0]
+        return least + offset - rounding, most + offset + rounding
 
 
 def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
     return (lower + upper) / 2, np.diag((upper - lower) / 2)
-
-
-def _cut(low: Array, high: Array, rows: Array, limits: Array) -> tuple[Array, Array, Mask]:
-    """Return boxes (modes, k) cut by rows (modes, r, k) y <= limits (modes, r), and which of them have a point."""
-    least = np.where(rows > 0, low[:, None], high[:, None])  # where a row is least
-    terms = rows * least
-    room = limits - terms.sum(axis=-1) + INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
-    step = np.where(limits < FINITE, room, np.inf)[..., None] / np.where(rows == 0, 1.0, rows)
-    high = np.minimum(high, np.where(rows > 0, least + step, np.inf).min(axis=1))
-    low = np.maximum(low, np.where(rows < 0, least + step, -np.inf).max(axis=1))
-    return np.minimum(low, high), high, (room >= 0).all(axis=1)
-
-
-def _image(maps: Array, offset: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return boxes (modes, n) around maps (modes, n, k) of boxes (modes, k), with offsets (modes, n)."""
-    ends = np.stack([maps * low[:, None], maps * high[:, None]])
-    rounding = INTERVAL_ROUNDING * (np.abs(ends).max(axis=0).sum(axis=-1) + np.abs(offset))
-    return ends.min(axis=0).sum(axis=-1) + offset - rounding, ends.max(axis=0).sum(axis=-1) + offset + rounding
