@@ -17,8 +17,8 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts
+from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 EIGENVALUE_ERROR = 1e-12

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import cost_scale, trajectory_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
 SCALE_FLOOR = 1e-4
 """No component is measured more finely than this fraction of its size: what should be zero holds rounding only."""

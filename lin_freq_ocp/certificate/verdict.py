@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
@@ -16,6 +15,7 @@ from lin_freq_ocp.certificate.modes.clarke import BorderFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
 from lin_freq_ocp.certificate.rounded import Rounded
+from lin_freq_ocp.certificate.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics

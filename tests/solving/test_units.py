@@ -12,7 +12,7 @@ import random_units
 import verify_units
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import cost_scale, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
 SEEDS = {change: [3, 4, 8] for change in verify_units.CHANGES}
 

@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.analysis.stage_normals import Normal, stage_normals
 from lin_freq_ocp.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
 from lin_freq_ocp.certificate.hamiltonian import Lift
 from lin_freq_ocp.certificate.scales import Floors
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import measured_modes, trajectory_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.conditions import (
     CONDITION_TOLERANCE,
@@ -28,6 +27,7 @@ from lin_freq_ocp.certificate.modes.clarke import (
     stationarity_scale,
 )
 from lin_freq_ocp.certificate.scales import Floors, floors
+from lin_freq_ocp.certificate.sizes import measured_modes, trajectory_sizes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, NormKink, required_slopes, stationarity_scale
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.scales import floors
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

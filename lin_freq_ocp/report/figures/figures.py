@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
 from lin_freq_ocp.analysis.sensitivities import bin_prices
-from lin_freq_ocp.analysis.sizes import GAP_TOLERANCE
+from lin_freq_ocp.certificate.sizes import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.errors import SolveError

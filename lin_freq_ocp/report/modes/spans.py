@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, required_slopes
+from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
