@@ -20,13 +20,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from lin_freq_ocp.analysis.stage_normals import Normal, stage_normals
 from lin_freq_ocp.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
 from lin_freq_ocp.certificate.hamiltonian import Lift
-from lin_freq_ocp.certificate.scales import Floors
+from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.regions import Border
@@ -166,8 +166,8 @@ class BorderStage:
         a_i.
     required : (n + m,)
         p_t.
-    normals : tuple of Normal, with ``held`` (as many,)
-        The active bounds and rows of the stage, and what of each is in p_t.
+    normals : (count, n + m), with ``held`` (count,)
+        Of the active bounds and rows of the stage, and their multipliers in p_t.
     facets : tuple of (n + m, rows)
         Of each mode, the rows of its region that touch, as columns.
     scale : (n + m,)
@@ -180,54 +180,62 @@ class BorderStage:
     modes: Indices
     slopes: Array
     required: Array
-    normals: tuple[Normal, ...]
+    normals: Array
     held: Array
     facets: tuple[Array, ...]
     scale: Array
     states: int
 
-    def without(self, dropped: Sequence[bool]) -> Array:
-        """Return p_t without those of the normals."""
-        taken = [value * one.column for value, one, drop in zip(self.held, self.normals, dropped, strict=True) if drop]
-        return self.required - np.sum(taken, axis=0) if taken else self.required
-
-    def generators(self, chosen: Sequence[bool]) -> Array:
-        """Return the columns of those of the normals, (n + m, count)."""
-        columns = [one.column for one, choose in zip(self.normals, chosen, strict=True) if choose]
-        return np.array(columns).reshape(-1, len(self.scale)).T
-
-    def of_one(self, part: slice) -> list[bool]:
-        """Return which normals are normals in x alone, or in u alone: zero outside that part."""
+    def own_normals(self, part: slice) -> Mask:
+        """Return which normals are zero outside a part of (x, u), (count,)."""
         outside = np.ones(len(self.scale), dtype=bool)
         outside[part] = False
-        return [not one.column[outside].any() for one in self.normals]
+        return ~self.normals[:, outside].any(axis=1)
+
+    def without(self, chosen: Mask) -> Array:
+        """Return p_t without some of the normals."""
+        return self.required - self.held[chosen] @ self.normals[chosen]
+
+
+def active_normals(lift: Lift, least: Floors, t: int) -> tuple[Array, Array]:
+    """Return the normals (count, n + m) to the active bounds and hard rows of (x_t, u_t), and their multipliers."""
+    problem, (x, u), multipliers = lift.problem, (lift.trajectory.x, lift.trajectory.u), lift.multipliers
+    n, m = problem.state_dim, problem.control_dim
+    y, unit = np.append(x[t], u[t]), np.eye(n + m)
+    tubes, given = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
+    near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
+    upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
+    lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
+    normals, held = [unit[upper], -unit[lower]], [given[upper], -given[lower]]
+    for lifted in lift.terms:
+        rows = lifted.term.polyhedron(n, m)
+        if rows is None:
+            continue
+        sizes = lifted.sizes.max(axis=0)
+        near = CONDITION_TOLERANCE * np.where(sizes > 0, sizes, 1.0)
+        active = lifted.values >= lifted.term.penalty.bounds(lifted.term.shape)[1] - near
+        for group in np.flatnonzero(np.asarray(rows.times) == t):
+            normals.append(rows.matrix(int(group))[active[group]])
+            held.append(lifted.given[group, active[group]])
+    return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
 
 
 def border_stages(lift: Lift, least: Floors, arrays: ModeArrays, meeting: Mask) -> list[BorderStage]:
     """Return every time at which several modes meet; ``lift`` is that of any averaged dynamics, meeting (T, modes)."""
     trajectory, multipliers = lift.trajectory, lift.multipliers
     required, n = required_slopes(lift), lift.problem.state_dim
-    normals = stage_normals(lift.problem, trajectory)
     touching = arrays.touching(trajectory.x, trajectory.u)
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
     terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
     scale = np.maximum(stationarity_scale(lift, least), np.where(meeting[..., None], terms, 0.0).max(axis=(0, 1)))
-    return [
-        BorderStage(
-            time=int(t),
-            modes=(modes := np.flatnonzero(meeting[t])),
-            slopes=slopes[t, modes],
-            required=required[t],
-            normals=tuple(normals[t]),
-            held=np.array([one.value(multipliers) for one in normals[t]]),
-            facets=tuple(rows[t, i, touching[t, i]].T for i in modes),
-            scale=scale,
-            states=n,
-        )
-        for t in np.flatnonzero(meeting.sum(axis=1) > 1)
-    ]
+    stages = list[BorderStage]()
+    for t in np.flatnonzero(meeting.sum(axis=1) > 1):
+        modes, (normals, held) = np.flatnonzero(meeting[t]), active_normals(lift, least, int(t))
+        facets = tuple(rows[t, i, touching[t, i]].T for i in modes)
+        stages.append(BorderStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
+    return stages
 
 
 def required_slopes(lift: Lift) -> Array:
@@ -319,10 +327,9 @@ def _flips(stage: BorderStage, sizes: Array) -> Iterator[Flip]:
 
 
 def _flip_residuals(stage: BorderStage) -> list[Array]:
-    every = [True] * len(stage.normals)
-    base, normals = stage.without(every), stage.generators(every)
+    base = stage.without(np.ones(len(stage.held), dtype=bool))
     return [
-        _outside(slope - base, np.hstack([facets, normals]), stage.scale)
+        _outside(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
@@ -330,8 +337,8 @@ def _flip_residuals(stage: BorderStage) -> list[Array]:
 def _printed_in_u(stage: BorderStage) -> list[Array]:
     """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
     part = slice(stage.states, None)
-    own = stage.of_one(part)
-    base, normals, no_state = stage.without(own)[part], stage.generators(own)[part], np.zeros(stage.states)
+    own = stage.own_normals(part)
+    base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
     return [
         np.append(no_state, _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
@@ -341,11 +348,10 @@ def _printed_in_u(stage: BorderStage) -> list[Array]:
 def _printed_in_x(stage: BorderStage) -> list[Array]:
     """Return the residual of D_y <eta, f> - <mu, y> <= <b_x, y> for all y and one mu in N_X(x_t), per mode."""
     part, k = slice(0, stage.states), len(stage.modes)
-    own = stage.of_one(part)
-    base, normals = stage.without(own)[part], stage.generators(own)[part]
-    blocks = [np.hstack([np.zeros((stage.states, 0)), facets[part]]) for facets in stage.facets]
-    generators = np.hstack([np.tile(normals, (k, 1)), _block_diagonal(blocks)])
-    vector = np.concatenate([slope[part] - base for slope in stage.slopes])
+    own = stage.own_normals(part)
+    facets = block_diag(*(facets[part] for facets in stage.facets))
+    generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
+    vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
     return np.split(_outside(vector, generators, np.tile(stage.scale[part], k)), k)
 
 
@@ -367,11 +373,3 @@ def _outside(vector: Array, generators: Array, scale: Array) -> Array:
         return scaled
     coefficients, _ = nnls(columns, scaled)
     return scaled - columns @ coefficients
-
-
-def _block_diagonal(blocks: Sequence[Array]) -> Array:
-    rows, columns = len(blocks[0]), np.cumsum([0, *(block.shape[1] for block in blocks)])
-    matrix = np.zeros((rows * len(blocks), int(columns[-1])))
-    for i, block in enumerate(blocks):
-        matrix[i * rows : (i + 1) * rows, columns[i] : columns[i + 1]] = block
-    return matrix
