@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import one_step_residual
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
@@ -134,7 +133,7 @@ def state_equation(lift: Lift, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t)."""
     x, u = np.abs(lift.trajectory.x), np.abs(lift.trajectory.u)
     terms = x[1:] + lift.problem.linear.magnitudes().successors(x, u)
-    residual = np.abs(one_step_residual(lift.problem, lift.trajectory))
+    residual = np.abs(lift.state_residual)
     return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
 
 
@@ -224,7 +223,7 @@ def worth_of_residuals(lift: Lift) -> float:
     """
     multipliers, (x, u) = lift.multipliers, (lift.trajectory.x, lift.trajectory.u)
     tubes = (x, multipliers.mu, lift.problem.state_tube), (u, multipliers.nu, lift.problem.control_tube)
-    parts = [multipliers.eta * one_step_residual(lift.problem, lift.trajectory), lift.control_signal * u]
+    parts = [multipliers.eta * lift.state_residual, lift.control_signal * u]
     parts += [lift.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
     parts += [
         np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)

@@ -95,6 +95,16 @@ class Lift:
         """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0, where there is none."""
         return np.vstack([np.zeros(self.problem.state_dim), self.multipliers.eta])
 
+    @property
+    def state_residual(self) -> Array:
+        """Return x_{t+1} - f_t(x_t, u_t), shape (T, n)."""
+        return state_residual(self.problem, self.trajectory)
+
+
+def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return x_{t+1} - f_t(x_t, u_t) of linear dynamics, shape (T, n)."""
+    return trajectory.x[1:] - problem.linear.successors(trajectory.x, trajectory.u)
+
 
 def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Lift:
     """Evaluate the Hamiltonian's derivatives; ProblemError if shapes do not fit or what is free has a multiplier."""
