@@ -6,10 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from modes import brute_force, random_problem
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.analysis.mode_reach import ModeReach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -64,7 +64,7 @@ def test_enumeration_finds_and_proves_the_reference_values(name, given, cost):
     assert abs(result.gap) < 1e-6
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_search_agrees_with_brute_force(seed):
     band = lfo.stop_band(bins=[2]) if seed % 2 else None
     kinks, horizon = (2, 2) if seed == 1 else (1, 4)
@@ -310,11 +310,11 @@ def test_parts_on_two_processes(monkeypatch):
 
 def test_what_is_refused(monkeypatch):
     hybrid, linear = library.buck_affine(horizon=4), library.double_integrator(horizon=4)
-    with pytest.raises(lfo.UnsupportedError, match="'convex', which takes linear dynamics"):
+    with pytest.raises(lfo.UnsupportedError, match="'convex', which is for linear dynamics"):
         lfo.solve(hybrid, method="convex")
-    with pytest.raises(lfo.UnsupportedError, match="have none"):
+    with pytest.raises(lfo.UnsupportedError, match="which is for piecewise-affine dynamics"):
         lfo.solve(linear, method="branch_and_bound")
-    with pytest.raises(lfo.UnsupportedError, match="needs none"):
+    with pytest.raises(lfo.UnsupportedError, match="backend: got 'osqp'"):
         lfo.solve(hybrid, method="branch_and_bound", backend="osqp")
     with pytest.raises(lfo.UnsupportedError, match="executor"):
         lfo.solve(hybrid, method="enumerate", executor=Here())
