@@ -18,7 +18,14 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.certificate.bound import ARITHMETIC, box_minimum, diagonal_curvature
+from lin_freq_ocp.certificate.bound import (
+    ARITHMETIC,
+    NEVER_NEGATIVE,
+    Bound,
+    box_minimum,
+    cost_is_never_negative,
+    diagonal_curvature,
+)
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes.reach import FINITE, IntervalReach, Stages
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -57,6 +64,13 @@ class TreeBound:
     def weakest(self) -> int:
         """Return the leaf with the least bound."""
         return int(np.nanargmin(self.bounds))
+
+    def bound_for(self, problem: OptimalControlProblem) -> Bound | None:
+        """Return the bound of the tree, or that of a cost that is never negative, whichever is better."""
+        if self.value < 0 and cost_is_never_negative(problem):
+            return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
+        words = f"a search tree of {self.leaves} {'leaf' if self.leaves == 1 else 'leaves'}, each checked"
+        return Bound(self.value, "rigorous", sets=words) if np.isfinite(self.value) else None
 
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
