@@ -26,7 +26,7 @@ from lin_freq_ocp.certificate.bound import (
     cost_is_never_negative,
     diagonal_curvature,
 )
-from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.modes.reach import FINITE, IntervalReach, Stages
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -166,11 +166,11 @@ class _LeafJudge:
         return value if value == value else -np.inf
 
     def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
-        lifted, centre = lift(self._problem, self._centre, proof.multipliers), self._centre
+        extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
         region = np.where(np.isfinite(self._arrays.h), np.maximum(proof.region, 0.0), 0.0)
-        slope_x, slope_u = lifted.eta_before - lifted.in_x, -lifted.in_u
-        size_x, size_u = np.abs(lifted.eta_before) + lifted.in_x_terms, lifted.in_u_terms
+        slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
+        size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
         slope = np.hstack([slope_x[:-1], slope_u])[:, None] - np.einsum("tijk,tj->tik", self._maps, eta)
         slope = (slope + np.einsum("tirk,tir->tik", self._rows, region)).astype(np.float64)
         size = np.hstack([size_x[:-1], size_u])[:, None] + np.einsum("tijk,tj->tik", np.abs(self._maps), np.abs(eta))
@@ -190,12 +190,12 @@ class _LeafJudge:
         end_slope, end = slope_x[-1].astype(np.float64), eta_C * self._problem.quadratic.P
         last, largest = _box_minimum(end_slope, end, end_low, end_high)
         cost = self._problem.value(centre.x, centre.u) if eta_C else 0.0
-        gaps = float(sum(one.gap.sum() for one in lifted.terms))
+        gaps = float(sum(one.gap.sum() for one in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
-        at_centre += float((lifted.control_signal * centre.u).sum() + (lifted.state_signal * centre.x).sum())
+        at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
         rounding += float(size_x[-1].astype(np.float64) @ largest) + abs(float(last)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
-        rounding += float(sum(one.gap_terms.sum() for one in lifted.terms))
+        rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
         return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC * rounding
 
 
