@@ -112,6 +112,8 @@ class Spectral:
             candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
+        if candidate.status == "unbounded" and candidate.descent is None:  # the sparse program has a direction
+            candidate = _diagnosed(problem, candidate, _left(end))
         return judged(problem, candidate, "spectral", None, self.tolerance)
 
 
