@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import NO_GAIN
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -24,6 +23,8 @@ REPLAY_LIMIT = 1e-3
 WEIGHTY = 0.1
 """A component with less than this part of a row's largest coefficient is not what the row's limit is about."""
 
+NO_GAIN = 1e-14
+"""Entries of a row of [A, B] below this part of its largest one are rounding: no size follows from them."""
 
 FAR_BEYOND = 1e4
 """Factor between a bound and what else is said of a component from which the bound stands for none."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -58,7 +58,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
     Balls, cones and soft sets are not among them: their multipliers stay what they are.
     """
     found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
-    sizes, signals = trajectory_sizes(problem, trajectory), (trajectory.x[:-1], trajectory.u)
+    sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
     tubes, first = (problem.state_tube, problem.control_tube), 0
     for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
         for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):

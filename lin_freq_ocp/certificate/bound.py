@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array, extended
-from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 EIGENVALUE_ERROR = 1e-12
@@ -99,53 +99,54 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
         return np.where(np.isinf(v), -np.inf, slope * v + 0.5 * curvature * np.where(np.isinf(v), 0.0, v) ** 2)
 
 
-def lower_bound(lift: Lift, allowed: float) -> Bound | None:
+def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     """Return D for normal multipliers, or None if the cost is not convex.
 
     Parameters
     ----------
-    lift : Lift
+    extremal : Extremal
     allowed : float
         Difference of cost and bound from which no better one is looked for.
     """
-    curvatures = _stage_curvatures(lift)
+    curvatures = _stage_curvatures(extremal)
     if curvatures is None:
         return None
-    problem = lift.problem
-    cost = problem.value(extended(lift.trajectory.x), extended(lift.trajectory.u))
-    proven, deviations = _evaluate(lift, curvatures, stated_bounds(problem), cost, "rigorous")
+    problem = extremal.problem
+    cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
+    proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, "rigorous")
     if cost - proven.value <= allowed:
         return proven
-    nearby = nearby_bounds(problem, lift.trajectory, deviations, cost, allowed)
+    nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
-        proven = _better(proven, _evaluate(lift, curvatures, nearby, cost, "rigorous")[0])
+        proven = _better(proven, _evaluate(extremal, curvatures, nearby, cost, "rigorous")[0])
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut(problem, curvatures, _around(lift), f"{NUMERICAL_REACH:g} times the trajectory")
-    numerical, _ = _evaluate(lift, curvatures, near, cost, "numerical")
+    near = _cut(problem, curvatures, _around(extremal), f"{NUMERICAL_REACH:g} times the trajectory")
+    numerical, _ = _evaluate(extremal, curvatures, near, cost, "numerical")
     return numerical if numerical.value - proven.value > allowed else proven
 
 
-def ray_bound(lift: Lift, largest: Pair) -> Bound:
+def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
     """Return D for eta_C = 0: above 0, it proves that no trajectory satisfies all constraints.
 
     Parameters
     ----------
-    lift : Lift
+    extremal : Extremal
         Its trajectory is any point to evaluate at.
     largest : (n,), (m,)
         Where neither the stated nor implied sets bound a component, a "numerical" bound excludes only trajectories
         whose components stay below these.
     """
-    uncurved = np.zeros_like(lift.in_x), np.zeros_like(lift.in_u)
-    proven, _ = _evaluate(lift, uncurved, stated_bounds(lift.problem), 0.0, "rigorous")
+    uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
+    proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, "rigorous")
     if proven.value == -np.inf:
-        proven, _ = _evaluate(lift, uncurved, reachable_bounds(lift.problem), 0.0, "rigorous")
+        proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, "rigorous")
     if proven.value > 0:
         return proven
-    return _evaluate(lift, uncurved, _cut(lift.problem, uncurved, largest, "what is practical"), 0.0, "numerical")[0]
+    practical = _cut(extremal.problem, uncurved, largest, "what is practical")
+    return _evaluate(extremal, uncurved, practical, 0.0, "numerical")[0]
 
 
 def _better(one: Bound, other: Bound) -> Bound:
@@ -157,12 +158,12 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not any(np.any(part) for part in (problem.quadratic.q, problem.quadratic.r, problem.quadratic.p))
 
 
-def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> tuple[Bound, Deviations]:
+def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> tuple[Bound, Deviations]:
     """Return D over a box, and what it loses on every component."""
-    x, u = lift.trajectory.x, lift.trajectory.u
-    slopes = lift.eta_before - lift.in_x, -lift.in_u
-    terms = np.abs(lift.eta_before) + lift.in_x_terms, lift.in_u_terms
-    unit = _unit_rounding(lift)
+    x, u = extremal.trajectory.x, extremal.trajectory.u
+    slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
+    terms = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
+    unit = _unit_rounding(extremal)
     stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
     for signal, exact, size, curvature, (lower, upper) in zip(
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
@@ -173,11 +174,11 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
         pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
         losses.append(ARITHMETIC * np.abs(slope * signal) - np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
-    residual = extended(x)[1:] - lift.problem.linear.successors(extended(x), extended(u))
-    dynamics_term = float((lift.multipliers.eta * residual).sum())
-    frequency_term = float((lift.control_signal * u).sum() + (lift.state_signal * x).sum())
-    stage_term = float(sum(lifted.gap.sum() for lifted in lift.terms))
-    summed = _sum_of_terms(lift, *terms) + float(sum(lifted.gap_terms.sum() for lifted in lift.terms))
+    residual = extended(x)[1:] - extremal.problem.linear.successors(extended(x), extended(u))
+    dynamics_term = float((extremal.multipliers.eta * residual).sum())
+    frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
+    stage_term = float(sum(priced.gap.sum() for priced in extremal.terms))
+    summed = _sum_of_terms(extremal, *terms) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
     gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
     finite = bool(np.isfinite(certain))
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
@@ -191,35 +192,35 @@ def _evaluate(lift: Lift, curvatures: Pair, box: Enclosure, cost: float, kind: s
     )
 
 
-def _sum_of_terms(lift: Lift, in_x: Array, in_u: Array) -> float:
+def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
     """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
-    cost, eta = lift.problem.quadratic, np.abs(lift.multipliers.eta)
-    x, u = np.abs(lift.trajectory.x) + np.abs(cost.x_ref), np.abs(lift.trajectory.u) + np.abs(cost.u_ref)
-    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(lift.problem.linear.offset)).sum())
+    cost, eta = extremal.problem.quadratic, np.abs(extremal.multipliers.eta)
+    x, u = np.abs(extremal.trajectory.x) + np.abs(cost.x_ref), np.abs(extremal.trajectory.u) + np.abs(cost.u_ref)
+    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(extremal.problem.linear.offset)).sum())
 
 
-def _unit_rounding(lift: Lift) -> float:
-    """Return a bound on rounding errors of the lift, relative to the sum of the absolute values of its terms."""
-    problem = lift.problem
+def _unit_rounding(extremal: Extremal) -> float:
+    """Return a bound on rounding errors of the extremal, relative to the sum of the absolute values of its terms."""
+    problem = extremal.problem
     rows = sum(term.map.additions for term in problem.terms)
     operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
     return float(operations * np.finfo(np.longdouble).eps)
 
 
-def _stage_curvatures(lift: Lift) -> Pair | None:
+def _stage_curvatures(extremal: Extremal) -> Pair | None:
     """Return curvatures for the states (T+1, n) and controls (T, m), or None if the cost is not convex."""
-    problem, n = lift.problem, lift.problem.state_dim
-    stage = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.stage_hessians())
-    terminal = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.P)
+    problem, n = extremal.problem, extremal.problem.state_dim
+    stage = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.stage_hessians())
+    terminal = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.P)
     if stage is None or terminal is None:
         return None
     stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
     return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
-def _around(lift: Lift) -> Pair:
+def _around(extremal: Extremal) -> Pair:
     """Return how far to look around the trajectory, per state and control component."""
-    x, u = trajectory_sizes(lift.problem, lift.trajectory)
+    x, u = trajectory_sizes(extremal.problem, extremal.trajectory)
     return NUMERICAL_REACH * x, NUMERICAL_REACH * u
 
 

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import one_step_residual
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Lift, TermLift
+from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm
 from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors, floors
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
@@ -87,19 +86,19 @@ class Condition:
         return self.residual / self.scale if self.scale > 0 else (0.0 if self.residual == 0 else np.inf)
 
 
-def all_conditions(lift: Lift, least: Floors | None = None) -> tuple[Condition, ...]:
-    """Judge all conditions, in the paper's order; ``least`` are the least scales, those of the lift by default."""
-    problem, (x, u) = lift.problem, (lift.trajectory.x, lift.trajectory.u)
-    least = least or floors(lift)
+def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Condition, ...]:
+    """Judge all conditions, in the paper's order; ``least`` are the least scales, those of the extremal by default."""
+    problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
+    least = least or floors(extremal)
     level = least.level
-    mu, nu = lift.multipliers.mu, lift.multipliers.nu
+    mu, nu = extremal.multipliers.mu, extremal.multipliers.nu
     return (
-        non_negativity(lift),
-        non_triviality(lift),
-        state_equation(lift, least),
-        *adjoint_and_transversality(lift, least),
-        stationarity_in_u(lift, least),
-        *hamiltonian_maximum(lift, least),
+        non_negativity(extremal),
+        non_triviality(extremal),
+        state_equation(extremal, least),
+        *adjoint_and_transversality(extremal, least),
+        stationarity_in_u(extremal, least),
+        *hamiltonian_maximum(extremal, least),
         frequency("C-vi", "state frequency constraint", x, problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
         membership("S-x", "state in its set", x, problem.state_tube, least.x),
@@ -108,41 +107,41 @@ def all_conditions(lift: Lift, least: Floors | None = None) -> tuple[Condition, 
         normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
         *(
             condition
-            for lifted, size in zip(lift.terms, least.terms, strict=True)
-            for condition in term_conditions(lifted, lift.multipliers.eta_C, level, size)
+            for priced, size in zip(extremal.terms, least.terms, strict=True)
+            for condition in term_conditions(priced, extremal.multipliers.eta_C, level, size)
         ),
     )
 
 
-def non_negativity(lift: Lift) -> Condition:
+def non_negativity(extremal: Extremal) -> Condition:
     """C-i: eta_C is 0 or 1."""
-    eta_C = lift.multipliers.eta_C
+    eta_C = extremal.multipliers.eta_C
     return Condition("C-i", "eta_C is 0 or 1", min(abs(eta_C), abs(eta_C - 1)), 1.0, 0.0)
 
 
-def non_triviality(lift: Lift) -> Condition:
+def non_triviality(extremal: Extremal) -> Condition:
     """C-ii: eta_C, the adjoint and the frequency multipliers are not all zero."""
-    multipliers = lift.multipliers
-    spectra = [one.weights for one in lift.terms if one.term.kind.is_spectrum]
+    multipliers = extremal.multipliers
+    spectra = [one.weights for one in extremal.terms if one.term.kind.is_spectrum]
     counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
-    rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in lift.terms))
+    rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in extremal.terms))
     trivial = multipliers.eta_C == 0 and counted <= TRIVIAL * rest
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
-def state_equation(lift: Lift, least: Floors) -> Condition:
+def state_equation(extremal: Extremal, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t)."""
-    x, u = np.abs(lift.trajectory.x), np.abs(lift.trajectory.u)
-    terms = x[1:] + lift.problem.linear.magnitudes().successors(x, u)
-    residual = np.abs(one_step_residual(lift.problem, lift.trajectory))
+    x, u = np.abs(extremal.trajectory.x), np.abs(extremal.trajectory.u)
+    terms = x[1:] + extremal.problem.linear.magnitudes().successors(x, u)
+    residual = np.abs(extremal.state_residual)
     return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
 
 
-def adjoint_and_transversality(lift: Lift, least: Floors) -> list[Condition]:
+def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condition]:
     """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T."""
-    before, mu = lift.eta_before, lift.multipliers.mu
-    residual = np.abs(before - lift.in_x + mu)
-    scales = _scales(np.abs(before) + lift.in_x_terms + np.abs(mu), least.in_x)
+    before, mu = extremal.eta_before, extremal.multipliers.mu
+    residual = np.abs(before - extremal.in_x + mu)
+    scales = _scales(np.abs(before) + extremal.in_x_terms + np.abs(mu), least.in_x)
     last = len(residual) - 1
     conditions = [worst_condition("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
     conditions.append(worst_condition("C-iv", "transversality at 0", residual[:1], scales))
@@ -150,16 +149,16 @@ def adjoint_and_transversality(lift: Lift, least: Floors) -> list[Condition]:
     return conditions
 
 
-def stationarity_in_u(lift: Lift, least: Floors) -> Condition:
+def stationarity_in_u(extremal: Extremal, least: Floors) -> Condition:
     """C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u)."""
-    nu = lift.multipliers.nu
-    residual = np.abs(lift.in_u - nu)
+    nu = extremal.multipliers.nu
+    residual = np.abs(extremal.in_u - nu)
     return worst_condition(
-        "C-v", "Hamiltonian stationary in u", residual, _scales(lift.in_u_terms + np.abs(nu), least.in_u)
+        "C-v", "Hamiltonian stationary in u", residual, _scales(extremal.in_u_terms + np.abs(nu), least.in_u)
     )
 
 
-def hamiltonian_maximum(lift: Lift, least: Floors) -> list[Condition]:
+def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     """C-v, where H is concave in u: max over U_t of H_t exceeds H_t(u_t) by 0 (paper, corollary for linear systems).
 
     The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. H is concave: what holds for
@@ -169,20 +168,20 @@ def hamiltonian_maximum(lift: Lift, least: Floors) -> list[Condition]:
     H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
     slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. The same with the gaps of other terms of u_t.
     """
-    problem, u = lift.problem, lift.trajectory.u
-    curvature = diagonal_curvature(lift.multipliers.eta_C * problem.quadratic.R)
+    problem, u = extremal.problem, extremal.trajectory.u
+    curvature = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.R)
     if curvature is None:
         return []
     tube, reach = problem.control_tube, FAR * least.u / SCALE_FLOOR
     low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
-    excess = -box_minimum(-lift.in_u, curvature, low, np.maximum(low, high))
+    excess = -box_minimum(-extremal.in_u, curvature, low, np.maximum(low, high))
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
     total = excess.sum(1)
-    for lifted in lift.terms:
-        times = lifted.term.map.control_times
+    for priced in extremal.terms:
+        times = priced.term.map.control_times
         if len(times):
-            np.add.at(total, times, np.maximum(lifted.gap, 0.0).sum(1))
-    terms = (lift.in_u_terms * np.abs(u)).sum(1)
+            np.add.at(total, times, np.maximum(priced.gap, 0.0).sum(1))
+    terms = (extremal.in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
     t = int(np.argmax(total))
     component = int(np.argmax(excess[t]))
@@ -215,56 +214,56 @@ def normal_cone(
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
-def worth_of_residuals(lift: Lift) -> float:
+def worth_of_residuals(extremal: Extremal) -> float:
     """Return what residuals of the constraints are worth, at their multipliers, in units of the cost.
 
     Where the optimal cost is differentiable, J differs from that of the nearest feasible problem by this, to first
     order: a residual that is small for its component is not always small for the cost. Those of one constraint
     add up with their signs.
     """
-    multipliers, (x, u) = lift.multipliers, (lift.trajectory.x, lift.trajectory.u)
-    tubes = (x, multipliers.mu, lift.problem.state_tube), (u, multipliers.nu, lift.problem.control_tube)
-    parts = [multipliers.eta * one_step_residual(lift.problem, lift.trajectory), lift.control_signal * u]
-    parts += [lift.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
+    multipliers, (x, u) = extremal.multipliers, (extremal.trajectory.x, extremal.trajectory.u)
+    tubes = (x, multipliers.mu, extremal.problem.state_tube), (u, multipliers.nu, extremal.problem.control_tube)
+    parts = [multipliers.eta * extremal.state_residual, extremal.control_signal * u]
+    parts += [extremal.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
     parts += [
         np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)
-        for one in lift.terms
+        for one in extremal.terms
         if one.term.hard
     ]
     return sum(abs(float(part.sum())) for part in parts)
 
 
-def term_conditions(lifted: TermLift, eta_C: float, level: float, least: Array) -> list[Condition]:
+def term_conditions(priced: PricedTerm, eta_C: float, level: float, least: Array) -> list[Condition]:
     """Judge one term: that it holds, if it must, and that its multipliers are subgradients."""
-    term, least = lifted.term, np.where(least > 0, least, least.max(initial=0.0))
+    term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))
     holds, fits = LABELS[term.kind]
-    subgradient = term_subgradient(fits, lifted, level, least)
-    return [term_holds(holds, lifted, least), subgradient] if term.hard else [subgradient]
+    subgradient = term_subgradient(fits, priced, level, least)
+    return [term_holds(holds, priced, least), subgradient] if term.hard else [subgradient]
 
 
-def term_holds(label: str, lifted: TermLift, least: Array) -> Condition:
+def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
     """S-..., C-vi, C-vii: L(x, u) is where it must be; compared with the largest sum of its terms' absolute values."""
-    violation = lifted.term.penalty.violation(lifted.values).astype(np.float64)
-    scales = _scales(lifted.sizes, least)
+    violation = priced.term.penalty.violation(priced.values).astype(np.float64)
+    scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
-    what = "rows hold" if lifted.term.kind == "stage rows" else "holds"
-    return _at_place(lifted.term, worst_condition(label, f"{what}: {lifted.term.name}", violation, scales))
+    what = "rows hold" if priced.term.kind == "stage rows" else "holds"
+    return _at_place(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
 
 
-def term_subgradient(label: str, lifted: TermLift, level: float, least: Array) -> Condition:
+def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:
     """N-...: lambda is a subgradient of h at L(x, u); compared with the largest <|lambda|, its terms>, or J.
 
     What of lambda is no subgradient of h anywhere counts as if its value were as large as the largest of that entry.
     """
-    scales = _scales(lifted.sizes, least)
-    never = np.abs(lifted.given - lifted.weights) * scales
-    gap = np.abs(lifted.gap) + MISFIT_SHARE * lifted.misfit
+    scales = _scales(priced.sizes, least)
+    never = np.abs(priced.given - priced.weights) * scales
+    gap = np.abs(priced.gap) + MISFIT_SHARE * priced.misfit
     gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
-    scale = max(level, float((np.abs(lifted.given) * lifted.sizes).sum(1).max()))
+    scale = max(level, float((np.abs(priced.given) * priced.sizes).sum(1).max()))
     t, row = _argmax(gap.astype(np.float64))
-    what = "row multipliers complementary" if lifted.term.kind == "stage rows" else "multipliers are subgradients"
-    name = f"{what}: {lifted.term.name}"
-    return _at_place(lifted.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
+    what = "row multipliers complementary" if priced.term.kind == "stage rows" else "multipliers are subgradients"
+    name = f"{what}: {priced.term.name}"
+    return _at_place(priced.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
 
 
 def _at_place(term: Term, condition: Condition) -> Condition:

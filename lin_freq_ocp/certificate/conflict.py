@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.analysis.measures import stated_sizes
-from lin_freq_ocp.arrays import Array, ComplexArray
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, ray_bound
-from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -22,7 +22,6 @@ SMALL_TIME = 1e-2
 
 PRACTICAL = 1e4
 """Multiple of the sizes in the data beyond which a trajectory is not looked for where nothing bounds it."""
-
 
 OVER_BINS = ("stop band", "mask", "energy bound")
 """Words in the names of blocks that act at bins and not at times."""
@@ -73,17 +72,12 @@ class InfeasibilityProof:
 
 def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityProof | None:
     """Return a proof of infeasibility from a Farkas ray (its eta_C is taken as 0), or None if it proves nothing."""
-    abnormal = _ray(ray, ray.rho_u, ray.rho_x)
+    abnormal = replace(ray, eta_C=0.0, weights=None)
     bound = _bound(problem, abnormal)
     if bound.value <= 0:
         return None
-    named = _ends, _bounds, _bands, _terms
-    conflict = tuple(one for find in named for one in find(problem, abnormal))
+    conflict = tuple(one for find in (_ends, _bounds, _bands, _terms) for one in find(problem, abnormal))
     return InfeasibilityProof(bound, abnormal, conflict)
-
-
-def _ray(ray: Multipliers, rho_u: ComplexArray, rho_x: ComplexArray) -> Multipliers:
-    return Multipliers(0.0, ray.eta, ray.mu, ray.nu, rho_u, rho_x, ray.stage)
 
 
 def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
@@ -92,7 +86,7 @@ def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
         problem.control_tube.project(np.zeros((problem.horizon, problem.control_dim))),
     )
     x, u = stated_sizes(problem)
-    return ray_bound(lift(problem, rest, ray), (PRACTICAL * x, PRACTICAL * u))
+    return ray_bound(extremal_at(problem, rest, ray), (PRACTICAL * x, PRACTICAL * u))
 
 
 def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
@@ -122,16 +116,16 @@ def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Confli
 
 def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
     """Name the stop bands without whose multipliers the ray proves nothing."""
-    for i, name in enumerate(problem.state_names):
-        rho_x = ray.rho_x.copy()
-        rho_x[:, i] = 0.0
-        if ray.rho_x[:, i].any() and _bound(problem, _ray(ray, ray.rho_u, rho_x)).value <= 0:
-            yield Conflict(f"state stop band on {name}", 1.0, _important(np.abs(ray.rho_x[:, i])))
-    for j, name in enumerate(problem.control_names):
-        rho_u = ray.rho_u.copy()
-        rho_u[:, j] = 0.0
-        if ray.rho_u[:, j].any() and _bound(problem, _ray(ray, rho_u, ray.rho_x)).value <= 0:
-            yield Conflict(f"control stop band on {name}", 1.0, _important(np.abs(ray.rho_u[:, j])))
+    for kind, names, prices in (
+        ("state", problem.state_names, ray.rho_x),
+        ("control", problem.control_names, ray.rho_u),
+    ):
+        for i, name in enumerate(names):
+            rest = prices.copy()
+            rest[:, i] = 0.0
+            without = replace(ray, rho_x=rest) if kind == "state" else replace(ray, rho_u=rest)
+            if prices[:, i].any() and _bound(problem, without).value <= 0:
+                yield Conflict(f"{kind} stop band on {name}", 1.0, _important(np.abs(prices[:, i])))
 
 
 def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
@@ -141,8 +135,7 @@ def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflic
         if term.kind == "stage rows" or weights is None or not weights.any():
             continue
         rest = {name: one for name, one in ray.stage.items() if name != term.name}
-        without = Multipliers(0.0, ray.eta, ray.mu, ray.nu, ray.rho_u, ray.rho_x, rest)
-        if _bound(problem, without).value <= 0:
+        if _bound(problem, replace(ray, stage=rest)).value <= 0:
             places = term.map.places
             acting = _important(np.abs(weights).sum(1)) if len(weights) == len(places) else range(len(places))
             yield Conflict(term.name, 1.0, tuple(sorted({int(places[i]) for i in acting})))

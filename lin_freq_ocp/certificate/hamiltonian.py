@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class TermLift:
+class PricedTerm:
     """One term along a trajectory; arrays are (groups, dim), (groups, 1) where they are of whole groups.
 
     Attributes
@@ -58,7 +58,7 @@ class TermLift:
 
 
 @dataclass(frozen=True, eq=False)
-class Lift:
+class Extremal:
     """A trajectory with its multipliers, and everything that several conditions need of them.
 
     Signals and derivatives are in extended precision: they are what is left of terms that cancel.
@@ -75,7 +75,7 @@ class Lift:
         D_u H_t, with the terms.
     in_x_terms, in_u_terms
         The sums of the absolute values of the terms of in_x and in_u: what their rounding errors are relative to.
-    terms : tuple of TermLift
+    terms : tuple of PricedTerm
         Everything beyond the quadratic cost, boxes and stop bands.
     """
 
@@ -88,23 +88,29 @@ class Lift:
     in_u: Array
     in_x_terms: Array
     in_u_terms: Array
-    terms: tuple[TermLift, ...]
+    terms: tuple[PricedTerm, ...]
 
     @property
     def eta_before(self) -> Array:
         """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0, where there is none."""
         return np.vstack([np.zeros(self.problem.state_dim), self.multipliers.eta])
 
+    @property
+    def state_residual(self) -> Array:
+        """Return x_{t+1} - f_t(x_t, u_t), shape (T, n)."""
+        return state_residual(self.problem, self.trajectory)
 
-def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Lift:
+
+def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return x_{t+1} - f_t(x_t, u_t) of linear dynamics, shape (T, n)."""
+    return trajectory.x[1:] - problem.linear.successors(trajectory.x, trajectory.u)
+
+
+def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
     """Evaluate the Hamiltonian's derivatives; ProblemError if shapes do not fit or what is free has a multiplier."""
     problem.require(trajectory)
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    if multipliers.eta.shape != (T, n) or multipliers.nu.shape != (T, m):
-        got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
-        raise ProblemError("multipliers", got, f"eta {(T, n)}, nu {(T, m)}")
-    _require_only_at_stopped("rho_u", multipliers.rho_u, problem.control_stop)
-    _require_only_at_stopped("rho_x", multipliers.rho_x, problem.state_stop)
+    require_fitting(problem, multipliers)
+    T = problem.horizon
     x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
     eta_C = multipliers.eta_C
     state_signal = time_signal(extended(multipliers.rho_x), T + 1)
@@ -120,49 +126,51 @@ def lift(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Mu
     in_u += through_u
     in_x_terms[:-1] += terms_x
     in_u_terms += terms_u
-    terms = _lifted_terms(problem, trajectory, multipliers)
+    terms = _priced_terms(problem, trajectory, multipliers)
     shapes = x.shape, u.shape
-    for lifted in terms:
-        for signal, pulled in zip((in_x, in_u), lifted.term.map.pull_back(lifted.weights, shapes), strict=True):
+    for priced in terms:
+        for signal, pulled in zip((in_x, in_u), priced.term.map.pull_back(priced.weights, shapes), strict=True):
             signal -= pulled
-        sizes = lifted.term.map.pulled_sizes(lifted.weights, shapes)
+        sizes = priced.term.map.pulled_sizes(priced.weights, shapes)
         for signal, pulled in zip((in_x_terms, in_u_terms), sizes, strict=True):
             signal += pulled
-    return Lift(
+    return Extremal(
         problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms, terms
     )
 
 
-def _lifted_terms(
+def _priced_terms(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[TermLift, ...]:
-    x, u, names = extended(trajectory.x), extended(trajectory.u), [term.name for term in problem.terms]
-    for name in multipliers.stage:
-        if name not in names:
-            raise ProblemError("multipliers.stage", repr(name), f"the names of the constraints: {names}")
-    lifted: list[TermLift] = []
+) -> tuple[PricedTerm, ...]:
+    x, u = extended(trajectory.x), extended(trajectory.u)
+    priced: list[PricedTerm] = []
     for term in problem.terms:
         given = multipliers.stage.get(term.name, np.zeros(term.shape))
-        if given.shape != term.shape:
-            raise ProblemError(f"multipliers.stage[{term.name!r}]", f"shape {given.shape}", f"shape {term.shape}")
-        _require_no_multiplier_without_limit(term, given)
         values, weights = term.map.values(x, u), term.penalty.subgradient(extended(given), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
-        lifted.append(TermLift(term, given, weights, values, sizes, gap, term.penalty.misfit(values, weights)))
-    return tuple(lifted)
+        priced.append(PricedTerm(term, given, weights, values, sizes, gap, term.penalty.misfit(values, weights)))
+    return tuple(priced)
 
 
-def _require_no_multiplier_without_limit(term: Term, given: Array) -> None:
-    unlimited = (given != 0) & term.penalty.unlimited
-    if unlimited.any():
-        t, row = (int(i) for i in np.argwhere(unlimited)[0])
-        field = f"multipliers.stage[{term.name!r}][{t}, {row}]"
-        raise ProblemError(field, f"{given[t, row]:g}", "0", "There is no limit to this row then.")
-
-
-def _require_only_at_stopped(field: str, rho: ComplexArray, stopped: Mask) -> None:
-    free = (rho != 0) & ~stopped
-    if free.any():
-        k, component = (int(i) for i in np.argwhere(free)[0])
-        raise ProblemError(f"multipliers.{field}[{k}, {component}]", f"{rho[k, component]:g}", "0", f"Bin {k} is free.")
+def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
+    """Raise ProblemError if multipliers do not have the problem's shape, or if what is free has one."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    if multipliers.eta.shape != (T, n) or multipliers.nu.shape != (T, m):
+        got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
+        raise ProblemError("multipliers", got, f"eta {(T, n)}, nu {(T, m)}")
+    for field, rho, stop in (
+        ("rho_u", multipliers.rho_u, problem.control_stop),
+        ("rho_x", multipliers.rho_x, problem.state_stop),
+    ):
+        for k, i in np.argwhere((rho != 0) & ~stop)[:1]:
+            raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
+    terms = {term.name: term for term in problem.terms}
+    for name, given in multipliers.stage.items():
+        if name not in terms:
+            raise ProblemError("multipliers.stage", repr(name), f"the names of the constraints: {list(terms)}")
+        field, term = f"multipliers.stage[{name!r}]", terms[name]
+        if given.shape != term.shape:
+            raise ProblemError(field, f"shape {given.shape}", f"shape {term.shape}")
+        for t, row in np.argwhere((given != 0) & term.penalty.unlimited)[:1]:
+            raise ProblemError(f"{field}[{t}, {row}]", f"{given[t, row]:g}", "0", "There is no limit to this row then.")

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from lin_freq_ocp.analysis.measures import one_step_residual
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -160,7 +160,7 @@ def _known_radii(
 
 def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, known: list[Mask], radii: Radii) -> bool:
     """Fill in the radii that the dynamics imply of those known; whether none is left."""
-    residual = np.abs(one_step_residual(problem, trajectory))
+    residual = np.abs(state_residual(problem, trajectory))
     residual += (OUTWARD - 1) * np.abs(trajectory.x[1:])
     rows = _two_sided_rows(problem, trajectory)
     _one_step(problem.linear.at(0)[:2], residual[0], rows.get(0, []), 0, radii)

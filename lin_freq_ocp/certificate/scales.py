@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import cost_scale, trajectory_sizes
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.hamiltonian import Lift
+from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
 SCALE_FLOOR = 1e-4
 """No component is measured more finely than this fraction of its size: what should be zero holds rounding only."""
@@ -43,21 +43,21 @@ class Floors:
     terms: tuple[Array, ...]
 
 
-def floors(lift: Lift, sizes: tuple[Array, Array] | None = None) -> Floors:
+def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None) -> Floors:
     """Return the least scales of a problem along a trajectory, whose components have these sizes, (n,) and (m,).
 
-    The default are those of the lift's own problem; of one with modes, the lift knows the average only.
+    The default are those of the extremal's own problem; of one with modes, the extremal knows the average only.
     """
-    problem, T = lift.problem, lift.problem.horizon
-    x, u = trajectory_sizes(problem, lift.trajectory) if sizes is None else sizes
+    problem, T = extremal.problem, extremal.problem.horizon
+    x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
     steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
-    terms = tuple(SCALE_FLOOR * lifted.term.map.sizes(*steady).max(0) for lifted in lift.terms)
-    if lift.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
-        before = np.abs(lift.eta_before) + lift.in_x_terms
-        level = stage = SCALE_FLOOR * float(max((before @ x).max(), (lift.in_u_terms @ u).max()))
+    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0) for priced in extremal.terms)
+    if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
+        before = np.abs(extremal.eta_before) + extremal.in_x_terms
+        level = stage = SCALE_FLOOR * float(max((before @ x).max(), (extremal.in_u_terms @ u).max()))
     else:
         in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
         priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
-        level = max(cost_scale(problem, lift.trajectory), stage)
+        level = max(cost_scale(problem, extremal.trajectory), stage)
     return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.hamiltonian import lift
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
 from lin_freq_ocp.certificate.rounded import Rounded
+from lin_freq_ocp.certificate.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
@@ -51,7 +51,7 @@ class Certificate:
     descent : Direction or None
         A verified direction of descent. Of a linear problem, it shows that no normal multipliers exist; where modes
         meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
-    borders : BorderFacts or None
+    borders : SwitchingFacts or None
         What holds where modes meet; None for linear dynamics.
     rounded : Rounded or None
         If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
@@ -65,7 +65,7 @@ class Certificate:
     worth_of_residuals: float
     bound: Bound | None
     descent: Direction | None = None
-    borders: BorderFacts | None = None
+    borders: SwitchingFacts | None = None
     rounded: Rounded | None = None
 
     @property
@@ -202,10 +202,10 @@ def judge(
             bound, (conditions, borders, worth) = None, judge_smooth(problem, trajectory, multipliers)
         else:
             _require_no_weights(multipliers)
-            lifted, borders = lift(problem, trajectory, multipliers), None
-            conditions, worth = all_conditions(lifted), worth_of_residuals(lifted)
+            extremal, borders = extremal_at(problem, trajectory, multipliers), None
+            conditions, worth = all_conditions(extremal), worth_of_residuals(extremal)
             allowed = max(GAP_TOLERANCE, tolerance) * cost_scale(problem, trajectory)
-            bound = lower_bound(lifted, allowed) if multipliers.eta_C == 1 else None
+            bound = lower_bound(extremal, allowed) if multipliers.eta_C == 1 else None
         pmp = _principle(conditions)
         certificate = Certificate(
             pmp=pmp if borders is None or borders.jumping is None else "not_applicable",

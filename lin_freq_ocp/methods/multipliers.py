@@ -169,7 +169,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     if isinstance(problem.dynamics, PiecewiseSmoothDynamics):
         problem = problem.affine_at(trajectory)
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-        problem = problem.with_modes(measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u))
+        problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

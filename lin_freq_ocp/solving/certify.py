@@ -7,6 +7,7 @@ from typing import Any
 
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.directions import descent_direction
+from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.certificate.rounded import Rounded, decimals_of
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
@@ -35,7 +36,7 @@ def certify(
     problem : OptimalControlProblem
     trajectory : Trajectory, (T, m), Result or SavedSolution
         A trajectory; or controls alone, which are then replayed from the initial state; or what solve or load returned,
-        with its trajectory and, unless others are given, its multipliers.
+        with its trajectory, the search tree, checked again, and, unless others are given, its multipliers.
     multipliers : Multipliers, optional
         Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
         holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
@@ -64,12 +65,14 @@ def certify(
             f"tolerance: got {tolerance!r}; expected a number above zero, {LARGEST_TOLERANCE:g} at most."
         )
     allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
+    tree = getattr(trajectory, "tree", None)
     trajectory, multipliers = _unpacked(trajectory, multipliers)
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, trajectory)
     problem.require(trajectory)
     if multipliers is not None:
-        return judge(problem, trajectory, multipliers, allowed)
+        certificate = judge(problem, trajectory, multipliers, allowed)
+        return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))
     if not isinstance(problem.dynamics, LinearDynamics):
         return certify_modes(problem, trajectory).within(allowed)
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))

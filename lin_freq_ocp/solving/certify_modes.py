@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
-from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.certificate.directions import Direction, descent_direction
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts, Flip
+from lin_freq_ocp.certificate.modes.clarke import Flip, SwitchingFacts
+from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.fitting import candidates
@@ -81,7 +81,7 @@ def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional
             raise
 
 
-def _facts(certificate: Certificate) -> BorderFacts:
+def _facts(certificate: Certificate) -> SwitchingFacts:
     assert certificate.borders is not None  # the dynamics have modes
     return certificate.borders
 
@@ -103,8 +103,8 @@ def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certifi
 
 
 def _verified(
-    problem: OptimalControlProblem, trajectory: Trajectory, facts: BorderFacts
-) -> tuple[BorderFacts, Direction | None]:
+    problem: OptimalControlProblem, trajectory: Trajectory, facts: SwitchingFacts
+) -> tuple[SwitchingFacts, Direction | None]:
     """Return the facts with what became of the flips, and the steepest direction of descent that was verified."""
     sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)

@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.arrays import Indices
-from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import Candidate
@@ -188,7 +187,7 @@ def _judged(
         outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed), end))
         proof = tree_bound(problem, outcome.tree)
     if certificate is not None:
-        certificate = replace(certificate, bound=_bound(problem, proof))
+        certificate = replace(certificate, bound=proof.bound_for(problem))
     status, message = _status(outcome, certificate, proof, gap)
     return Outcome(
         problem=problem,
@@ -205,14 +204,6 @@ def _judged(
         tree=outcome.tree,
         tree_bound=proof,
     )
-
-
-def _bound(problem: OptimalControlProblem, proof: TreeBound) -> Bound | None:
-    """Return the bound of a tree, or that of a cost that is never negative, whichever is better."""
-    if proof.value < 0 and cost_is_never_negative(problem):
-        return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
-    words = f"a search tree of {proof.leaves} {'leaf' if proof.leaves == 1 else 'leaves'}, each checked"
-    return Bound(proof.value, "rigorous", sets=words) if np.isfinite(proof.value) else None
 
 
 def _certificate(

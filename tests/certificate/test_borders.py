@@ -9,8 +9,8 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.dynamics.piecewise_affine import REGION

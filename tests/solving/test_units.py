@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import cost_scale, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 from lin_freq_ocp.testing import random_units
 from lin_freq_ocp.testing.checks import units
 

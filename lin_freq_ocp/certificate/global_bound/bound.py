@@ -25,8 +25,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.analysis.stage_costs import StageCosts, stage_costs
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.certificate.global_bound.costs import StageCosts, stage_costs
 from lin_freq_ocp.certificate.global_bound.grid import FINEST, CostToGo, Lattice
 from lin_freq_ocp.certificate.global_bound.samples import arrivals
 from lin_freq_ocp.certificate.global_bound.stages import Stages

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.stage_costs import StageCosts
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.certificate.global_bound.costs import StageCosts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 

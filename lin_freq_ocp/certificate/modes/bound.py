@@ -16,11 +16,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.bound import ARITHMETIC, box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.certificate.bound import (
+    ARITHMETIC,
+    NEVER_NEGATIVE,
+    Bound,
+    box_minimum,
+    cost_is_never_negative,
+    diagonal_curvature,
+)
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.reach import FINITE, IntervalReach, Stages
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -58,6 +65,13 @@ class TreeBound:
         """Return the leaf with the least bound."""
         return int(np.nanargmin(self.bounds))
 
+    def bound_for(self, problem: OptimalControlProblem) -> Bound | None:
+        """Return the bound of the tree, or that of a cost that is never negative, whichever is better."""
+        if self.value < 0 and cost_is_never_negative(problem):
+            return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
+        words = f"a search tree of {self.leaves} {'leaf' if self.leaves == 1 else 'leaves'}, each checked"
+        return Bound(self.value, "rigorous", sets=words) if np.isfinite(self.value) else None
+
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
     """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
@@ -69,54 +83,58 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     ProblemError
         If multipliers do not have the problem's shape.
     """
-    reaches, covers = _covered(problem, tree)
+    reached, covers = _covered(problem, tree)
     parents = {node.parent for node in tree.nodes}
     judge, bounds = _LeafJudge(problem), np.full(len(tree.nodes), np.nan)
-    for index, (node, reach) in enumerate(zip(tree.nodes, reaches, strict=True)):
+    for index, (node, stages) in enumerate(zip(tree.nodes, reached, strict=True)):
         if index in parents:
             continue
-        if reach is None:
+        if stages is None:
             bounds[index] = np.inf
         else:
             late = time.perf_counter() > end
-            bounds[index] = -np.inf if node.proof is None or late else judge.bound(reach, node.proof)
+            bounds[index] = -np.inf if node.proof is None or late else judge.bound(stages, node.proof)
     value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)
 
 
-def _covered(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Reach | None], bool]:
-    """Return the reach of every node (None: nothing can be reached), and whether no sequence is missing."""
-    reach = ModeReach(problem)
+def _covered(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
+    """Return what each node can reach (None: nothing), and whether no sequence is missing."""
+    reach = IntervalReach(problem)
     T, modes = problem.horizon, len(problem.piecewise.modes)
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
         if node.allowed.shape != (T, modes) or not (-1 <= node.parent < index) or (node.parent < 0) != (index == 0):
             return [None] * len(tree.nodes), False
         children.setdefault(node.parent, []).append(index)
-    whole = reach.from_start(np.ones((T, modes), dtype=bool))
-    reaches: list[Reach | None] = [whole] + [None] * (len(tree.nodes) - 1)
-    covers = bool(tree.nodes) and _within(whole, tree, 0)
+    reached: list[Stages | None] = [reach.whole()] + [None] * (len(tree.nodes) - 1)
+    covers = bool(tree.nodes) and _within(reached[0], tree, 0)
     for index, own in children.items():
-        before = reaches[index] if index >= 0 else None
+        before = reached[index] if index >= 0 else None
         if before is None:
             continue
-        stages = {tree.nodes[child].stage for child in own}
-        t = stages.pop()
-        if stages or not 0 <= t < T:
-            return reaches, False
-        left = before.allowed[t].copy()
+        times = {tree.nodes[child].stage for child in own}
+        t = times.pop()
+        if times or not 0 <= t < T:
+            return reached, False
+        left = before[t].modes.copy()
         for child in own:
-            modes_of_child = tree.nodes[child].allowed[t]
-            left &= ~modes_of_child
-            reaches[child] = reach.after(before, t, modes_of_child)
-            covers &= _within(reaches[child], tree, child)
+            chosen = tree.nodes[child].allowed[t]
+            left &= ~chosen
+            reached[child] = reach.restricted(before, t, chosen)
+            covers &= _within(reached[child], tree, child)
         for i in np.flatnonzero(left):
-            covers &= reach.after(before, t, np.arange(modes) == i) is None
-    return reaches, covers
+            covers &= reach.restricted(before, t, np.arange(modes) == i) is None
+    return reached, covers
 
 
-def _within(reach: Reach | None, tree: ModeTree, index: int) -> bool:
-    return reach is None or not (reach.allowed & ~tree.nodes[index].allowed).any()
+def _within(stages: Stages | None, tree: ModeTree, index: int) -> bool:
+    return stages is None or not (_allowed(stages) & ~tree.nodes[index].allowed).any()
+
+
+def _allowed(stages: Stages) -> Mask:
+    """Return which modes can hold, (T, modes)."""
+    return np.array([stage.modes for stage in stages[:-1]])
 
 
 class _LeafJudge:
@@ -139,43 +157,45 @@ class _LeafJudge:
         self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
         self._hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))
 
-    def bound(self, reach: Reach, proof: ModeMultipliers) -> float:
+    def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
         """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
         with np.errstate(over="ignore", invalid="ignore"):
-            value = self._value(reach, proof)
+            value = self._value(stages, proof)
         if proof.multipliers.eta_C == 0:
             return np.inf if value > 0 else -np.inf
         return value if value == value else -np.inf
 
-    def _value(self, reach: Reach, proof: ModeMultipliers) -> float:
-        lifted, centre = lift(self._problem, self._centre, proof.multipliers), self._centre
+    def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
+        extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
         region = np.where(np.isfinite(self._arrays.h), np.maximum(proof.region, 0.0), 0.0)
-        slope_x, slope_u = lifted.eta_before - lifted.in_x, -lifted.in_u
-        size_x, size_u = np.abs(lifted.eta_before) + lifted.in_x_terms, lifted.in_u_terms
+        slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
+        size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
         slope = np.hstack([slope_x[:-1], slope_u])[:, None] - np.einsum("tijk,tj->tik", self._maps, eta)
         slope = (slope + np.einsum("tirk,tir->tik", self._rows, region)).astype(np.float64)
         size = np.hstack([size_x[:-1], size_u])[:, None] + np.einsum("tijk,tj->tik", np.abs(self._maps), np.abs(eta))
         size = (size + np.einsum("tirk,tir->tik", np.abs(self._rows), region)).astype(np.float64)
-        low, high = (_endless(bound) - self._y[:, None] for bound in (reach.mode_lower, reach.mode_upper))
-        used = reach.allowed[..., None]
-        low, high = np.where(used, low, 0.0), np.where(used, high, 0.0)
+        allowed = _allowed(reached)
+        low, high = (
+            np.where(allowed[..., None], _with_infinities(np.stack(bounds)) - self._y[:, None], 0.0)
+            for bounds in zip(*((stage.pair_lower, stage.pair_upper) for stage in reached[:-1]), strict=True)
+        )
         minima, spread = _box_minimum(slope, (eta_C * self._hessians)[:, None], low, high)
         constants = (region * self._slack).sum(-1) - np.einsum("tij,tj->ti", self._images, eta)
-        stages = np.where(reach.allowed, minima + constants, np.inf).min(axis=1)
+        stages = np.where(allowed, minima + constants, np.inf).min(axis=1)
         sizes = (size * spread).sum(-1) + (region * np.abs(self._slack)).sum(-1)
         sizes += np.einsum("tij,tj->ti", np.abs(self._images), np.abs(eta)) + np.abs(minima)
-        rounding = float(np.where(reach.allowed, sizes, 0.0).max(axis=1).sum())
-        end_low, end_high = (_endless(bound[-1]) - centre.x[-1] for bound in (reach.lower, reach.upper))
+        rounding = float(np.where(allowed, sizes, 0.0).max(axis=1).sum())
+        end_low, end_high = (_with_infinities(end) - centre.x[-1] for end in (reached[-1].lower, reached[-1].upper))
         end_slope, end = slope_x[-1].astype(np.float64), eta_C * self._problem.quadratic.P
-        last, reached = _box_minimum(end_slope, end, end_low, end_high)
+        last, largest = _box_minimum(end_slope, end, end_low, end_high)
         cost = self._problem.value(centre.x, centre.u) if eta_C else 0.0
-        gaps = float(sum(one.gap.sum() for one in lifted.terms))
+        gaps = float(sum(one.gap.sum() for one in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
-        at_centre += float((lifted.control_signal * centre.u).sum() + (lifted.state_signal * centre.x).sum())
-        rounding += float(size_x[-1].astype(np.float64) @ reached) + abs(float(last)) + abs(cost) + abs(gaps)
+        at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
+        rounding += float(size_x[-1].astype(np.float64) @ largest) + abs(float(last)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
-        rounding += float(sum(one.gap_terms.sum() for one in lifted.terms))
+        rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
         return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC * rounding
 
 
@@ -200,6 +220,5 @@ def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple
     return minimum, reachable
 
 
-def _endless(bound: Array) -> Array:
-    """Return a bound of the reach with infinity where there is none."""
-    return np.where(np.abs(bound) < UNBOUNDED, bound, np.sign(bound) * np.inf)
+def _with_infinities(bound: Array) -> Array:
+    return np.where(np.abs(bound) < FINITE, bound, np.sign(bound) * np.inf)

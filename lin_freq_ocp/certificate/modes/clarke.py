@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
-from lin_freq_ocp.analysis.stage_normals import Normal, stage_normals
 from lin_freq_ocp.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
-from lin_freq_ocp.certificate.hamiltonian import Lift
-from lin_freq_ocp.certificate.scales import Floors
+from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -76,14 +76,14 @@ class NormKink(NamedTuple):
     selection: tuple[float, ...]
     rate: float
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """Return the kink in words."""
         xi = ", ".join(f"{part:.4g}" for part in self.selection)
         return f"{self.norm} = 0 at t = {self.time} with xi = ({xi})"
 
 
 @dataclass(frozen=True, eq=False)
-class BorderFacts:
+class SwitchingFacts:
     """What holds where modes meet, with the multipliers that were judged.
 
     Attributes
@@ -132,7 +132,7 @@ class BorderFacts:
         if self.jumping is not None:
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
-        parts += [kink.told() for kink in self.norms]
+        parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
         if self.times:
@@ -140,13 +140,13 @@ class BorderFacts:
         parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
         parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
         flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)
-        parts += [self.told(flip) for flip in flips[:SHOWN_FLIPS]]
+        parts += [self.describe(flip) for flip in flips[:SHOWN_FLIPS]]
         parts += [f"{len(flips) - SHOWN_FLIPS} more flips"] if len(flips) > SHOWN_FLIPS else []
         regular = "regular" if self.regular else "not regular"
         parts.append(f"printed form {'holds' if self.printed else 'fails'} (-<eta, f> {regular})")
         return "; ".join(parts)
 
-    def told(self, flip: Flip) -> str:
+    def describe(self, flip: Flip) -> str:
         """Return a flip in words."""
         known = {True: ", verified", False: ", which does not improve: it has other multipliers", None: ""}
         what = f"flip t = {flip.time} to {self.mode_names[flip.mode]}"
@@ -154,7 +154,7 @@ class BorderFacts:
 
 
 @dataclass(frozen=True, eq=False)
-class BorderStage:
+class SwitchingStage:
     """A time at which modes meet; vectors are in (x, u), n + m entries.
 
     Attributes
@@ -166,8 +166,8 @@ class BorderStage:
         a_i.
     required : (n + m,)
         p_t.
-    normals : tuple of Normal, with ``held`` (as many,)
-        The active bounds and rows of the stage, and what of each is in p_t.
+    normals : (count, n + m), with ``held`` (count,)
+        Of the active bounds and rows of the stage, and their multipliers in p_t.
     facets : tuple of (n + m, rows)
         Of each mode, the rows of its region that touch, as columns.
     scale : (n + m,)
@@ -180,73 +180,81 @@ class BorderStage:
     modes: Indices
     slopes: Array
     required: Array
-    normals: tuple[Normal, ...]
+    normals: Array
     held: Array
     facets: tuple[Array, ...]
     scale: Array
     states: int
 
-    def without(self, dropped: Sequence[bool]) -> Array:
-        """Return p_t without those of the normals."""
-        taken = [value * one.column for value, one, drop in zip(self.held, self.normals, dropped, strict=True) if drop]
-        return self.required - np.sum(taken, axis=0) if taken else self.required
-
-    def generators(self, chosen: Sequence[bool]) -> Array:
-        """Return the columns of those of the normals, (n + m, count)."""
-        columns = [one.column for one, choose in zip(self.normals, chosen, strict=True) if choose]
-        return np.array(columns).reshape(-1, len(self.scale)).T
-
-    def of_one(self, part: slice) -> list[bool]:
-        """Return which normals are normals in x alone, or in u alone: zero outside that part."""
+    def own_normals(self, part: slice) -> Mask:
+        """Return which normals are zero outside a part of (x, u), (count,)."""
         outside = np.ones(len(self.scale), dtype=bool)
         outside[part] = False
-        return [not one.column[outside].any() for one in self.normals]
+        return np.asarray(~self.normals[:, outside].any(axis=1))
+
+    def without(self, chosen: Mask) -> Array:
+        """Return p_t without some of the normals."""
+        return self.required - self.held[chosen] @ self.normals[chosen]
 
 
-def border_stages(lift: Lift, least: Floors, arrays: ModeArrays, meeting: Mask) -> list[BorderStage]:
-    """Return every time at which several modes meet; ``lift`` is that of any averaged dynamics, meeting (T, modes)."""
-    trajectory, multipliers = lift.trajectory, lift.multipliers
-    required, n = required_slopes(lift), lift.problem.state_dim
-    normals = stage_normals(lift.problem, trajectory)
+def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Array]:
+    """Return the normals (count, n + m) to the active bounds and hard rows of (x_t, u_t), and their multipliers."""
+    problem, multipliers = extremal.problem, extremal.multipliers
+    (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
+    y, unit = np.append(x[t], u[t]), np.eye(n + m)
+    tubes, given = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
+    near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
+    upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
+    lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
+    normals, held = [unit[upper], -unit[lower]], [given[upper], -given[lower]]
+    for priced in extremal.terms:
+        rows = priced.term.polyhedron(n, m)
+        if rows is None:
+            continue
+        sizes = priced.sizes.max(axis=0)
+        near = CONDITION_TOLERANCE * np.where(sizes > 0, sizes, 1.0)
+        active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
+        for group in np.flatnonzero(np.asarray(rows.times) == t):
+            normals.append(rows.matrix(int(group))[active[group]])
+            held.append(priced.given[group, active[group]])
+    return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
+
+
+def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, meeting: Mask) -> list[SwitchingStage]:
+    """Return every time at which several modes meet; the extremal is of any averaged dynamics, meeting (T, modes)."""
+    trajectory, multipliers = extremal.trajectory, extremal.multipliers
+    required, n = required_slopes(extremal), extremal.problem.state_dim
     touching = arrays.touching(trajectory.x, trajectory.u)
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
     terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
-    scale = np.maximum(stationarity_scale(lift, least), np.where(meeting[..., None], terms, 0.0).max(axis=(0, 1)))
-    return [
-        BorderStage(
-            time=int(t),
-            modes=(modes := np.flatnonzero(meeting[t])),
-            slopes=slopes[t, modes],
-            required=required[t],
-            normals=tuple(normals[t]),
-            held=np.array([one.value(multipliers) for one in normals[t]]),
-            facets=tuple(rows[t, i, touching[t, i]].T for i in modes),
-            scale=scale,
-            states=n,
-        )
-        for t in np.flatnonzero(meeting.sum(axis=1) > 1)
-    ]
+    scale = np.maximum(stationarity_scale(extremal, least), np.where(meeting[..., None], terms, 0.0).max(axis=(0, 1)))
+    stages = list[SwitchingStage]()
+    for t in np.flatnonzero(meeting.sum(axis=1) > 1):
+        modes, (normals, held) = np.flatnonzero(meeting[t]), active_normals(extremal, least, int(t))
+        facets = tuple(rows[t, i, touching[t, i]].T for i in modes)
+        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
+    return stages
 
 
-def required_slopes(lift: Lift) -> Array:
-    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, whatever dynamics the lift is of."""
-    through_x, through_u = lift.problem.linear.pull_back(extended(lift.multipliers.eta))
-    in_x = (lift.eta_before - lift.in_x + lift.multipliers.mu)[:-1] + through_x
-    return np.hstack([in_x, lift.multipliers.nu - lift.in_u + through_u]).astype(np.float64)
+def required_slopes(extremal: Extremal) -> Array:
+    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, whatever dynamics the extremal is of."""
+    through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
+    in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
+    return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
 
 
-def stationarity_scale(lift: Lift, least: Floors) -> Array:
+def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
     """Return the scales of the adjoint equation and of stationarity in u, (n + m,)."""
-    in_x = np.abs(lift.eta_before) + lift.in_x_terms + np.abs(lift.multipliers.mu)
-    in_u = lift.in_u_terms + np.abs(lift.multipliers.nu)
+    in_x = np.abs(extremal.eta_before) + extremal.in_x_terms + np.abs(extremal.multipliers.mu)
+    in_u = extremal.in_u_terms + np.abs(extremal.multipliers.nu)
     sizes = [np.maximum(terms.max(0), floor) for terms, floor in ((in_x, least.in_x), (in_u, least.in_u))]
     scale = np.concatenate(sizes).astype(np.float64)
     return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
 
 
-def nearest_weights(stage: BorderStage) -> Array:
+def nearest_weights(stage: SwitchingStage) -> Array:
     """Return alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t, (k,).
 
     The nearest point of a polytope V alpha to 0: beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple
@@ -257,14 +265,14 @@ def nearest_weights(stage: BorderStage) -> Array:
     return beta / beta.sum()
 
 
-def border_facts(
+def switching_facts(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
-    stages: Sequence[BorderStage],
+    stages: Sequence[SwitchingStage],
     weights: Array,
     joint: bool,
     elsewhere: bool,
-) -> BorderFacts:
+) -> SwitchingFacts:
     """Return the facts; ``joint`` is whether all conditions hold, ``elsewhere`` whether those not of borders do."""
     sizes = np.concatenate(trajectory_sizes(problem, trajectory))
     flips = [flip for stage in stages for flip in _flips(stage, sizes)]
@@ -277,7 +285,7 @@ def border_facts(
     conditions = tuple(_worst(label, name, stages, of) for label, name, of in checks) if stages else ()
     passed = [condition.passed for condition in conditions] or [True] * len(checks)
     jumping = [border for border in problem.borders if not border.continuous]
-    return BorderFacts(
+    return SwitchingFacts(
         elsewhere=elsewhere,
         joint=joint,
         flip_stationary=elsewhere and passed[0],
@@ -293,7 +301,7 @@ def border_facts(
 
 
 def _worst(
-    label: str, name: str, stages: Sequence[BorderStage], residuals: Callable[[BorderStage], list[Array]]
+    label: str, name: str, stages: Sequence[SwitchingStage], residuals: Callable[[SwitchingStage], list[Array]]
 ) -> Condition:
     """Return the condition at the stage, mode and entry with the largest scaled residual."""
     worst = (-1.0, 0, 0, 1.0)
@@ -305,7 +313,7 @@ def _worst(
     return Condition(label, name, relative * scale, scale, CONDITION_TOLERANCE, time, mode)
 
 
-def _flips(stage: BorderStage, sizes: Array) -> Iterator[Flip]:
+def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
     """Yield the modes for which the residual r of the flip test is not zero.
 
     In the scaled metric r is orthogonal to what was subtracted and makes no acute angle with the generators, so that
@@ -318,38 +326,36 @@ def _flips(stage: BorderStage, sizes: Array) -> Iterator[Flip]:
             yield Flip(stage.time, int(mode), rate)
 
 
-def _flip_residuals(stage: BorderStage) -> list[Array]:
-    every = [True] * len(stage.normals)
-    base, normals = stage.without(every), stage.generators(every)
+def _flip_residuals(stage: SwitchingStage) -> list[Array]:
+    base = stage.without(np.ones(len(stage.held), dtype=bool))
     return [
-        _outside(slope - base, np.hstack([facets, normals]), stage.scale)
+        _outside(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
 
-def _printed_in_u(stage: BorderStage) -> list[Array]:
+def _printed_in_u(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
     part = slice(stage.states, None)
-    own = stage.of_one(part)
-    base, normals, no_state = stage.without(own)[part], stage.generators(own)[part], np.zeros(stage.states)
+    own = stage.own_normals(part)
+    base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
     return [
         np.append(no_state, _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
 
-def _printed_in_x(stage: BorderStage) -> list[Array]:
+def _printed_in_x(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_y <eta, f> - <mu, y> <= <b_x, y> for all y and one mu in N_X(x_t), per mode."""
     part, k = slice(0, stage.states), len(stage.modes)
-    own = stage.of_one(part)
-    base, normals = stage.without(own)[part], stage.generators(own)[part]
-    blocks = [np.hstack([np.zeros((stage.states, 0)), facets[part]]) for facets in stage.facets]
-    generators = np.hstack([np.tile(normals, (k, 1)), _block_diagonal(blocks)])
-    vector = np.concatenate([slope[part] - base for slope in stage.slopes])
+    own = stage.own_normals(part)
+    facets = block_diag(*(facets[part] for facets in stage.facets))
+    generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
+    vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
     return np.split(_outside(vector, generators, np.tile(stage.scale[part], k)), k)
 
 
-def _regular_residuals(stage: BorderStage) -> list[Array]:
+def _regular_residuals(stage: SwitchingStage) -> list[Array]:
     """Return, per mode, the largest residual of <a_i - a_k, d> <= 0 over the other modes."""
     worst = list[Array]()
     for slope, facets in zip(stage.slopes, stage.facets, strict=True):
@@ -367,11 +373,3 @@ def _outside(vector: Array, generators: Array, scale: Array) -> Array:
         return scaled
     coefficients, _ = nnls(columns, scaled)
     return scaled - columns @ coefficients
-
-
-def _block_diagonal(blocks: Sequence[Array]) -> Array:
-    rows, columns = len(blocks[0]), np.cumsum([0, *(block.shape[1] for block in blocks)])
-    matrix = np.zeros((rows * len(blocks), int(columns[-1])))
-    for i, block in enumerate(blocks):
-        matrix[i * rows : (i + 1) * rows, columns[i] : columns[i + 1]] = block
-    return matrix

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import measured_modes, trajectory_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.conditions import (
     CONDITION_TOLERANCE,
@@ -19,15 +18,16 @@ from lin_freq_ocp.certificate.conditions import (
     worst_condition,
     worth_of_residuals,
 )
-from lin_freq_ocp.certificate.hamiltonian import Lift, lift
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.modes.clarke import (
-    BorderFacts,
-    border_facts,
-    border_stages,
+    SwitchingFacts,
     nearest_weights,
     stationarity_scale,
+    switching_facts,
+    switching_stages,
 )
 from lin_freq_ocp.certificate.scales import Floors, floors
+from lin_freq_ocp.certificate.sizes import measured_modes, trajectory_sizes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -39,24 +39,24 @@ OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary
 
 def judge_modes(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], BorderFacts, float]:
+) -> tuple[tuple[Condition, ...], SwitchingFacts, float]:
     """Return the conditions of a trajectory of affine modes, the facts about borders, and what residuals are worth."""
     problem.require(trajectory)
     arrays = measured_modes(problem, trajectory)
     sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
-    lifted = lift(_averaged(problem, weights), trajectory, multipliers)
-    least = floors(lifted, trajectory_sizes(problem, trajectory))
+    extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
+    least = floors(extremal, trajectory_sizes(problem, trajectory))
     own = _state_equation(problem, trajectory, sequence, least)
-    linear = [own if one.name == own.name else one for one in all_conditions(lifted, least)]
+    linear = [own if one.name == own.name else one for one in all_conditions(extremal, least)]
     added = _mode_holds(arrays, trajectory, sequence), _weights_of_modes(weights, meeting)
-    stages = border_stages(lifted, least, arrays, meeting)
+    stages = switching_stages(extremal, least, arrays, meeting)
     others = all(one.passed for one in (*linear, added[0]) if one.name not in OF_BORDERS)
-    elsewhere = others and _stationary(lifted, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
+    elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
     conditions = (*linear, *added)
     joint = all(one.passed for one in conditions)
-    facts = border_facts(problem, trajectory, stages, weights, joint, elsewhere)
-    return conditions, facts, worth_of_residuals(lifted)
+    facts = switching_facts(problem, trajectory, stages, weights, joint, elsewhere)
+    return conditions, facts, worth_of_residuals(extremal)
 
 
 def _averaged(problem: OptimalControlProblem, weights: Array) -> OptimalControlProblem:
@@ -79,8 +79,8 @@ def _weights(
         return multipliers.weights
     weights = np.zeros((T, modes))
     weights[np.arange(T), sequence] = 1.0
-    lifted = lift(_averaged(problem, weights), trajectory, multipliers)
-    for stage in border_stages(lifted, floors(lifted, trajectory_sizes(problem, trajectory)), arrays, meeting):
+    extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
+    for stage in switching_stages(extremal, floors(extremal, trajectory_sizes(problem, trajectory)), arrays, meeting):
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)
     return weights
@@ -114,9 +114,9 @@ def _weights_of_modes(weights: Array, meeting: Mask) -> Condition:
     return Condition("N-f", name, float(wrong[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
 
 
-def _stationary(lifted: Lift, least: Floors, times: Mask) -> bool:
+def _stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
     """Whether the adjoint equation and stationarity in u hold at these of the times 0 .. T-1, and transversality."""
-    n, scale = lifted.problem.state_dim, stationarity_scale(lifted, least)
-    in_x = np.abs(lifted.eta_before - lifted.in_x + lifted.multipliers.mu)[:-1] / scale[:n]
-    in_u = np.abs(lifted.in_u - lifted.multipliers.nu) / scale[n:]
+    n, scale = extremal.problem.state_dim, stationarity_scale(extremal, least)
+    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
+    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
     return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.hamiltonian import lift
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts, required_slopes
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts, required_slopes
+from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
@@ -42,7 +42,7 @@ class Kink:
 
 
 def kinks(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, borders: BorderFacts
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, borders: SwitchingFacts
 ) -> tuple[Kink, ...]:
     """Return the kinks of judged border facts along a trajectory, in time."""
     times = sorted({*borders.times, *(one.time for one in borders.norms)})
@@ -52,8 +52,8 @@ def kinks(
     selections = _selections(problem, trajectory, borders)
     affine = problem.affine_at(trajectory, selections) if selections is not None else problem
     arrays = measured_modes(affine, trajectory)
-    lifted = lift(replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u))), trajectory, multipliers)
-    required = required_slopes(lifted)[:, :n]
+    alone = replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u)))
+    required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
     centre, radius = _pulled(affine, multipliers), 0.0
     for one, selection in (selections or {}).items():
         at_zero = np.where(np.isfinite(selection), 0.0, np.nan)
@@ -73,7 +73,7 @@ def kinks(
 
 
 def _selections(
-    problem: OptimalControlProblem, trajectory: Trajectory, borders: BorderFacts
+    problem: OptimalControlProblem, trajectory: Trajectory, borders: SwitchingFacts
 ) -> dict[Formula, Array] | None:
     """Return the judge's selection of every norm at its zeros, (T, components), not a number elsewhere.
 

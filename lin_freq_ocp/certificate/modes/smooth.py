@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
-from lin_freq_ocp.certificate.hamiltonian import lift
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts, NormKink, required_slopes, stationarity_scale
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.clarke import NormKink, SwitchingFacts, required_slopes, stationarity_scale
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.scales import floors
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 def judge_smooth(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], BorderFacts, float]:
+) -> tuple[tuple[Condition, ...], SwitchingFacts, float]:
     """Return the conditions of a trajectory of smooth pieces, the facts about kinks, and what residuals are worth."""
     problem.require(trajectory)
     selections, kinks = _selections(problem, trajectory, multipliers)
@@ -63,9 +63,9 @@ def _selections(
         selection[at_zero] = 0.0
         linear = problem.affine_at(trajectory, found)
         sequence = linear.piecewise.sequence_of(trajectory.x, trajectory.u)
-        lifted = lift(replace(linear, dynamics=linear.piecewise.along(sequence)), trajectory, multipliers)
-        least = floors(lifted, trajectory_sizes(linear, trajectory))
-        scale, required = stationarity_scale(lifted, least), required_slopes(lifted)
+        extremal = extremal_at(replace(linear, dynamics=linear.piecewise.along(sequence)), trajectory, multipliers)
+        least = floors(extremal, trajectory_sizes(linear, trajectory))
+        scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         slopes = np.stack([_slopes(problem, trajectory, multipliers, found, one, at_zero, j) for j in range(-1, count)])
         for t in np.flatnonzero(at_zero):
             columns, missing = ((slopes[1:, t] - slopes[0, t]) / scale).T, (required[t] - slopes[0, t]) / scale

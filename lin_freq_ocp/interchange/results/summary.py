@@ -13,7 +13,7 @@ from typing import Any
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts
+from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -131,7 +131,7 @@ def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
     }
 
 
-def _borders(facts: BorderFacts | None) -> dict[str, Any] | None:
+def _borders(facts: SwitchingFacts | None) -> dict[str, Any] | None:
     if facts is None:
         return None
     jumping = facts.jumping

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.sizes import trajectory_sizes
+from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.errors import NumericalError
@@ -68,10 +68,9 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
 
 
 def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
-    """Return the largest slope of the cost in the sizes of a trajectory, relative to what terms of that size have."""
+    """Return the largest slope of the cost in the sizes of the data, relative to what terms of that size have."""
     steady = [
-        np.broadcast_to(size, signal.shape)
-        for size, signal in zip(trajectory_sizes(problem, at), (at.x, at.u), strict=True)
+        np.broadcast_to(size, signal.shape) for size, signal in zip(stated_sizes(problem), (at.x, at.u), strict=True)
     ]
     slopes = zip(problem.quadratic.gradient(at.x, at.u), steady, strict=True)
     usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode
-from lin_freq_ocp.analysis.sizes import cost_scale
+from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.node import Duals, Relaxed, relaxed
@@ -178,7 +178,7 @@ class BranchAndBound:
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
         self._cost, self._best = answer.bound, sequence
-        self._scale = cost_scale(self.problem, answer.trajectory)
+        self._scale = search_scale(self.problem, answer.trajectory)
         for flipped in self._flips(sequence, answer.trajectory, answer.duals):
             self._try(flipped)
             if self._best is not sequence:

@@ -126,7 +126,7 @@ class _Place:
 
     @classmethod
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _Place:
-        arrays, x, u = measured_modes(problem, trajectory), trajectory.x, trajectory.u
+        arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
         sequence, meeting = arrays.sequence(x, u), arrays.meeting(x, u)
         transcription, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))

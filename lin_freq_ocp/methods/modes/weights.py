@@ -58,7 +58,7 @@ def weighted(
         Without REGION, with weights of the modes that meet at each time. They are the nearest to Clarke's rule that
         there are with this adjoint: whether near enough, the judge says.
     """
-    arrays, x, u = measured_modes(problem, trajectory), trajectory.x, trajectory.u
+    arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
     times, meeting = np.arange(problem.horizon), arrays.meeting(x, u)
     meeting[times, sequence] = True
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)

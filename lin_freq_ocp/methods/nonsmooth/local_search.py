@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.measures import stated_sizes
-from lin_freq_ocp.analysis.sizes import cost_scale
+from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
@@ -188,4 +188,4 @@ def _better(problem: OptimalControlProblem, one: LocalOptimum, other: LocalOptim
         return one.feasible
     if not one.feasible:
         return one.violation < other.violation
-    return one.cost < other.cost - BETTER * cost_scale(problem, other.trajectory)
+    return one.cost < other.cost - BETTER * search_scale(problem, other.trajectory)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts, Flip
+from lin_freq_ocp.certificate.modes.clarke import Flip, SwitchingFacts
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.phrases import listed, number, plural
 from lin_freq_ocp.solving.outcome import Outcome
@@ -18,7 +18,7 @@ NAMED_TIMES = 4
 ETA, XI, ALPHA = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}"
 
 
-def border_sentences(borders: BorderFacts) -> list[str]:
+def border_sentences(borders: SwitchingFacts) -> list[str]:
     """Return what the judge found where the dynamics have no single derivative."""
     sentences = list[str]()
     if borders.jumping is not None:
@@ -66,7 +66,7 @@ def modes_caption(rows: Sequence[tuple[str, Indices | None]], main: str) -> str:
     return text
 
 
-def adjoint_caption(borders: BorderFacts) -> str:
+def adjoint_caption(borders: SwitchingFacts) -> str:
     """Say what the bars are, with the weights or selections of each."""
     text = (
         f"{ETA} at t is the price of the state at t + 1: by how much, to first order, the cost falls per unit that "
@@ -82,19 +82,19 @@ def adjoint_caption(borders: BorderFacts) -> str:
     return text
 
 
-def _range(borders: BorderFacts) -> str:
+def _range(borders: SwitchingFacts) -> str:
     ball = f"|{XI}| \N{LESS-THAN OR EQUAL TO} 1"
     of_norms = f"over all {XI} with {ball} where a norm of some q is zero, whose slope is {XI}' Dq"
     parts = (["over the modes that meet"] if borders.times else []) + ([of_norms] if borders.norms else [])
     return " and ".join(parts)
 
 
-def _choice(borders: BorderFacts) -> str:
+def _choice(borders: SwitchingFacts) -> str:
     parts = ([f"weights {ALPHA}"] if borders.times else []) + ([f"selection {XI}"] if borders.norms else [])
     return " and ".join(parts)
 
 
-def _choices(borders: BorderFacts) -> list[str]:
+def _choices(borders: SwitchingFacts) -> list[str]:
     """Return the weights and the selections, time by time."""
     parts = [
         f"at t = {t}: {ALPHA} = {_weights(alpha, borders.mode_names)}"
@@ -104,7 +104,7 @@ def _choices(borders: BorderFacts) -> list[str]:
     return [*parts[:NAMED_TIMES], *([f"{len(parts) - NAMED_TIMES} more"] if len(parts) > NAMED_TIMES else [])]
 
 
-def _where(borders: BorderFacts) -> str:
+def _where(borders: SwitchingFacts) -> str:
     parts = list[str]()
     if borders.times:
         parts.append(f"modes meet at {_times(borders.times)}")
@@ -114,7 +114,7 @@ def _where(borders: BorderFacts) -> str:
     return f"{text[0].upper() if borders.times else text[0]}{text[1:]}"
 
 
-def _joint(borders: BorderFacts) -> str:
+def _joint(borders: SwitchingFacts) -> str:
     """Clarke's rule, with what was chosen."""
     chosen = "; ".join(_choices(borders))
     if borders.joint:
@@ -128,7 +128,7 @@ def _joint(borders: BorderFacts) -> str:
     )
 
 
-def _flips(borders: BorderFacts) -> str:
+def _flips(borders: SwitchingFacts) -> str:
     if borders.flip_stationary:
         return (
             "The trajectory is flip-stationary: to first order, nothing is gained by passing to any other mode that "
@@ -150,7 +150,7 @@ def _flips(borders: BorderFacts) -> str:
     return text
 
 
-def _flip(flip: Flip, borders: BorderFacts) -> str:
+def _flip(flip: Flip, borders: SwitchingFacts) -> str:
     known = {
         True: ", and the cost does fall there, which was verified",
         False: ", where the cost does not fall: that sequence has other multipliers",
@@ -160,7 +160,7 @@ def _flip(flip: Flip, borders: BorderFacts) -> str:
     return f"towards {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
 
 
-def _printed(borders: BorderFacts) -> str:
+def _printed(borders: SwitchingFacts) -> str:
     function = f"\N{MINUS SIGN}<{ETA}, f>"
     holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
     regular = "is" if borders.regular else "is not"

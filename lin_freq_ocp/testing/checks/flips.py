@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import measured_modes
-from lin_freq_ocp.certificate.modes.clarke import BorderFacts
+from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
+from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
@@ -133,7 +133,7 @@ def followed(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: l
 
 
 def tried(
-    problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result, facts: BorderFacts
+    problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result, facts: SwitchingFacts
 ) -> Iterator[tuple[str, str]]:
     """Yield what each flip turned out to be, and words if that is not what was said."""
     trajectory = signals_of(result)

@@ -19,7 +19,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.certificate.hamiltonian import lift
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -255,7 +255,7 @@ def cost_errors(
     "duality gap" is the complementarity of bounds, and the slope of the Lagrangian along the way to ``other``. A
     multiplier against a bound that does not exist belongs to that slope.
     """
-    lifted = lift(problem, at, multipliers)
+    lifted = extremal_at(problem, at, multipliers)
     products, slope = [part.gap.ravel() for part in lifted.terms], 0.0
     for here, there, normal, tube, residual in (
         (at.x, other.x, multipliers.mu, problem.state_tube, lifted.eta_before - lifted.in_x),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -48,7 +48,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
         If multipliers do not have the problem's shape, or what is free has one.
     """
     T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
-    _require_fitting(problem, multipliers)
+    require_fitting(problem, multipliers)
     x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
     y_ref = np.hstack([x_ref[:T], u_ref])
     hessians = np.array(np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m)))
@@ -77,22 +77,3 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
         float(np.sum(constants)),
         size,
     )
-
-
-def _require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    if multipliers.eta.shape != (T, n) or multipliers.nu.shape != (T, m):
-        got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
-        raise ProblemError("multipliers", got, f"eta {(T, n)}, nu {(T, m)}")
-    for field, rho, stop in (
-        ("rho_u", multipliers.rho_u, problem.control_stop),
-        ("rho_x", multipliers.rho_x, problem.state_stop),
-    ):
-        free = (rho != 0) & ~stop
-        if free.any():
-            k, i = (int(place) for place in np.argwhere(free)[0])
-            raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
-    for name, given in multipliers.stage.items():
-        shapes = {term.name: term.shape for term in problem.terms}
-        if shapes.get(name) != given.shape:
-            raise ProblemError(f"multipliers.stage[{name!r}]", f"shape {given.shape}", f"one of {shapes}")

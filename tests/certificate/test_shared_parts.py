@@ -1,0 +1,203 @@
+"""What the judge shares with a search or a solver's scaling, broken on purpose: no wrong answer is called optimal."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis import measures, mode_reach
+from lin_freq_ocp.certificate import hamiltonian
+from lin_freq_ocp.certificate.modes.reach import IntervalReach
+from lin_freq_ocp.methods.modes import branch_and_bound
+from lin_freq_ocp.methods.modes import weights as search_weights
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.solving.certify import certify
+from lin_freq_ocp.status import Status
+from lin_freq_ocp.transcription.linear import units
+
+library = lfo.library
+
+ALLOWED = {
+    "lin_freq_ocp.analysis.mode_tree": {"ModeMultipliers", "ModeTree"},
+    "lin_freq_ocp.analysis.measures": {"stated_sizes"},
+}
+"""What the judge imports of the floor that searches and scalings stand on: plain data, and one size (docs/judge.md)."""
+
+WALL = {"name": "pendulum_with_wall", "horizon": 6, "cost": 34.990971}
+ROTATION = {
+    "name": "switched_rotation",
+    "horizon": 5,
+    "initial_state": (1, 1),
+    "terminal_cost": False,
+    "cost": 2.837155,
+}
+BUCK = {"name": "buck_affine", "horizon": 6, "cost": 32.681386}
+"""Problems of the reference values, and their optima."""
+
+
+def made(given):
+    rest = {key: value for key, value in given.items() if key not in ("name", "cost")}
+    return library.by_name(given["name"])(**rest)
+
+
+def wrongly_optimal(result, cost):
+    return result.status == Status.OPTIMAL and abs(result.cost - cost) > 1e-5 * abs(cost)
+
+
+def test_the_judge_imports_nothing_else_that_a_search_uses():
+    folder = Path(hamiltonian.__file__).parent
+    found = {}
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lin_freq_ocp.analysis"):
+                found.setdefault(node.module, set()).update(alias.name for alias in node.names)
+    assert found == ALLOWED
+
+
+def shrunk(images, by):
+    """Return images of boxes, with a part cut off at both sides."""
+
+    def wrong(self, t, low, high):
+        least, most = images(self, t, low, high)
+        middle, half = (least + most) / 2, (most - least) / 2
+        return middle - by * half, middle + by * half
+
+    return wrong
+
+
+@pytest.mark.parametrize("given", [WALL, ROTATION, BUCK])
+@pytest.mark.parametrize("by", [0.5, 0.1, 0.0])
+def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by):
+    monkeypatch.setattr(mode_reach.ModeReach, "_images", shrunk(mode_reach.ModeReach._images, by))
+    result = lfo.solve(made(given), throw=False)
+    assert not wrongly_optimal(result, given["cost"])
+    assert result.status != Status.INFEASIBLE
+    assert result.tree_bound.value <= given["cost"] * (1 + 1e-6)
+
+
+def test_that_search_would_have_been_wrong(monkeypatch):
+    """The mutation above makes the search lose the optimum: without a judge of its own, this would be 'infeasible'."""
+    monkeypatch.setattr(mode_reach.ModeReach, "_images", shrunk(mode_reach.ModeReach._images, 0.0))
+    results = [lfo.solve(made(given), throw=False) for given in (WALL, ROTATION, BUCK)]
+    assert any(not result.tree_bound.covers for result in results)
+
+
+@pytest.mark.parametrize("given", [WALL, ROTATION])
+def test_boxes_of_the_judge_that_are_too_small_are_seen_by_trajectories(given):
+    """The judge's boxes hold every replayed trajectory, those on the border of the sets too."""
+    problem, rng = made(given), np.random.default_rng(0)
+    stages = IntervalReach(problem).whole()
+    tube, inside = problem.control_tube, 0
+    for _ in range(400):
+        share = rng.choice([0.0, 0.3, 0.5, 0.8, 1.0], size=tube.lower.shape)
+        u = np.clip(tube.lower + share * (tube.upper - tube.lower), -1e3, 1e3)
+        x = lfo.simulate(problem, u).x
+        if (problem.state_tube.violation(x) > 0)[:-1].any():
+            continue
+        inside += 1
+        for stage, state in zip(stages[:-1], x[:-1], strict=True):
+            assert ((stage.lower <= state) & (state <= stage.upper)).all()
+            assert (np.abs(state - stage.centre) <= np.abs(stage.generators).sum(axis=1) + 1e-9).all()
+    assert inside > 20
+
+
+def test_a_search_that_ends_too_early_is_not_called_optimal(monkeypatch):
+    right = branch_and_bound.search_scale
+    monkeypatch.setattr(branch_and_bound, "search_scale", lambda *given: 1e6 * right(*given))
+    for given in (WALL, ROTATION, BUCK):
+        result = lfo.solve(made(given), throw=False)
+        assert not wrongly_optimal(result, given["cost"])
+        assert result.status == Status.OPTIMAL or abs(result.certificate.gap) > 1e-6
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+@pytest.mark.parametrize("make", [library.pendulum, library.double_integrator, library.crane])
+def test_natural_units_that_are_wrong_cost_digits_only(monkeypatch, make, factor):
+    problem, right = make(), units.stated_sizes
+    cost = lfo.solve(problem).cost
+    monkeypatch.setattr(units, "stated_sizes", lambda given: tuple(factor * size for size in right(given)))
+    for method in ("convex", "auto"):
+        assert not wrongly_optimal(lfo.solve(problem, method=method, throw=False), cost)
+
+
+def test_modes_that_the_search_takes_for_meeting_are_not_believed(monkeypatch):
+    """With sizes 1e6 times too large, all modes seem to meet everywhere: weights of those that do not are refused."""
+    right = search_weights.measured_modes
+
+    def wrong(problem):
+        arrays = right(problem)
+        return replace(arrays, least=tuple(1e12 * size for size in arrays.least))
+
+    monkeypatch.setattr(search_weights, "measured_modes", wrong)
+    for given in (WALL, BUCK):
+        result = lfo.solve(made(given), throw=False)
+        assert not wrongly_optimal(result, given["cost"])
+        bad = np.full((given["horizon"], len(result.problem.dynamics.modes)), 1.0)
+        bad /= bad.shape[1]
+        judged = certify(result.problem, result.trajectory, replace(result.multipliers, weights=bad))
+        assert judged.pmp == "violated"
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5, 2.0])
+def test_wrong_signals_of_frequency_multipliers_fail(monkeypatch, factor):
+    problem = library.pendulum()
+    result, right = lfo.solve(problem), hamiltonian.time_signal
+    assert np.abs(result.multipliers.rho_u).max() > 0
+    monkeypatch.setattr(hamiltonian, "time_signal", lambda *given: factor * right(*given))
+    judged = certify(problem, result)
+    assert judged.pmp == "violated"
+    assert not judged.globally_optimal
+
+
+def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
+    """Its stationary points are others; the bound by intervals does not use it."""
+    problem = library.norm_dynamics()
+    cost, right = lfo.solve(problem, method=lfo.Nonsmooth(global_bound=False)).cost, PiecewiseSmoothDynamics.jets_at
+
+    def wrong(self, *given):
+        found = right(self, *given)
+        return replace(found, f=tuple(replace(one, slopes=1.05 * one.slopes) for one in found.f))
+
+    monkeypatch.setattr(PiecewiseSmoothDynamics, "jets_at", wrong)
+    assert not wrongly_optimal(lfo.solve(problem, throw=False, time_limit=3), cost)
+
+
+def test_a_missed_step_is_seen_without_the_measures_of_reports(monkeypatch):
+    problem = library.double_integrator()
+    result = lfo.solve(problem)
+    monkeypatch.setattr(measures, "one_step_residual", lambda *given: np.zeros_like(result.trajectory.x[1:]))
+    x = result.trajectory.x.copy()
+    x[3] += 1e-3 * np.abs(x).max()
+    judged = certify(problem, lfo.Trajectory(x, result.trajectory.u), result.multipliers)
+    assert not judged.feasible
+    assert not judged.globally_optimal
+
+
+@pytest.mark.parametrize("name", ["pendulum", "two_mass_spring", "crane", "flexible_satellite", "elliptic_rendezvous"])
+def test_certify_says_what_solve_says_of_linear_problems(name):
+    result = lfo.solve(library.by_name(name)())
+    _same(result, certify(result.problem, result))
+
+
+@pytest.mark.parametrize("given", [WALL, ROTATION, BUCK, {"name": "absolute_value"}, {"name": "max_min_network"}])
+def test_certify_says_what_solve_says_of_modes(given):
+    result = lfo.solve(made(given))
+    _same(result, certify(result.problem, result))
+
+
+@pytest.mark.parametrize("name", ["norm_dynamics", "buck_converter"])
+def test_certify_says_what_solve_says_of_smooth_pieces(name):
+    """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""
+    result = lfo.solve(library.by_name(name)(), method=lfo.Nonsmooth(global_bound=False), throw=False)
+    _same(result, certify(result.problem, result))
+
+
+def _same(result, judged):
+    own = result.certificate
+    assert (judged.pmp, judged.normal, judged.feasible) == (own.pmp, own.normal, own.feasible)
+    assert judged.globally_optimal == own.globally_optimal
+    assert judged.cost == own.cost
+    assert judged.gap == (None if own.gap is None else pytest.approx(own.gap, abs=1e-12))
