@@ -10,7 +10,6 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Indices, brief
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -57,7 +56,7 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
     UnsupportedError
         If the dynamics are linear.
     """
-    if isinstance(problem.dynamics, LinearDynamics):
+    if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
     given = given if isinstance(given, Trajectory) else getattr(given, "trajectory", given)
     if isinstance(given, (Trajectory, Mapping)):
@@ -65,7 +64,7 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
     else:
         array = _array(problem, given)
         if array.ndim != 2:
-            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.modes)), None)
+            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.mode_names)), None)
         trajectory = _replayed(problem, array)
     return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
 

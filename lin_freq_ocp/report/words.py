@@ -13,7 +13,6 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits
 from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.figures.scales import frequency_scale
@@ -129,8 +128,7 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         sentences.append("The maximum principle was not judged: there are no multipliers.")
     if certificate.borders is not None:
         sentences += border_sentences(certificate.borders)
-    smooth = problem is not None and isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    if smooth and certificate.bound is None:
+    if problem is not None and not problem.dynamics.affine and certificate.bound is None:
         return [*sentences, "There is no global lower bound: the dynamics are not affine, and none was found."]
     return [*sentences, *_global_bound(certificate)]
 

@@ -13,9 +13,7 @@ from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, required_slopes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -62,15 +60,14 @@ class Kink:
 
 def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
     """Return the names of the modes, none for linear dynamics."""
-    return () if isinstance(problem.dynamics, LinearDynamics) else problem.dynamics.mode_names
+    return problem.dynamics.mode_names
 
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices | None:
     """Return the mode at every time, (T,), NO_MODE outside all regions; None for dynamics with fewer than two modes."""
     if len(mode_names(problem)) < 2:
         return None
-    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem, trajectory)
+    arrays = measured_modes(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
@@ -98,16 +95,16 @@ def kinks(
         return ()
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     selections = _selections(problem, trajectory, borders)
-    affine = problem.affine_at(trajectory, selections) if selections is not None else problem
+    affine = problem.affine_at(trajectory, selections)
     arrays = measured_modes(affine, trajectory)
     lifted = lift(replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u))), trajectory, multipliers)
     required = required_slopes(lifted)[:, :n]
     centre, radius = _pulled(affine, multipliers), 0.0
-    for one, selection in (selections or {}).items():
+    for one, selection in selections.items():
         at_zero = np.where(np.isfinite(selection), 0.0, np.nan)
 
         def slopes(chosen: Array, one: Formula = one) -> Array:
-            changed = {**(selections or {}), one: chosen}
+            changed = {**selections, one: chosen}
             return _pulled(problem.affine_at(trajectory, changed), multipliers)
 
         columns = np.stack([slopes(at_zero + unit) for unit in np.eye(selection.shape[1])]) - slopes(at_zero)
@@ -120,15 +117,8 @@ def kinks(
     )
 
 
-def _selections(
-    problem: OptimalControlProblem, trajectory: Trajectory, borders: BorderFacts
-) -> dict[Formula, Array] | None:
-    """Return the judge's selection of every norm at its zeros, (T, components), not a number elsewhere.
-
-    None for dynamics without smooth pieces.
-    """
-    if not isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        return None
+def _selections(problem: OptimalControlProblem, trajectory: Trajectory, borders: BorderFacts) -> dict[Formula, Array]:
+    """Return the judge's selection of every norm at its zeros, (T, components), not a number elsewhere."""
     labels = [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)]
     judged = {(one.norm, one.time): one.selection for one in borders.norms}
     found: dict[Formula, Array] = {}
