@@ -68,17 +68,6 @@ class OptimalControlProblem:
         Saying which field, what was got and what was expected.
     UnsupportedError
         If the signals do not fit into memory.
-
-    Methods
-    -------
-    with_ends(initial_state, terminal_state)
-        The same problem between other ends.
-    with_modes(sequence)
-        The linear problem of one mode sequence.
-    value(x, u)
-        The cost of states (T+1, n) and controls (T, m).
-    dynamics_along(trajectory)
-        The linear dynamics along a trajectory.
     """
 
     dynamics: Dynamics

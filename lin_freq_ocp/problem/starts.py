@@ -10,6 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Indices, brief
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.problem.dynamics.affine_mode import placed_at
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -70,18 +71,14 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
 
 
 def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, Any]) -> Trajectory:
-    expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
     if isinstance(given, Mapping):
         if set(given) != {"x", "u"}:
+            expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
             raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
-        try:
+        with placed_at("start"):
             given = Trajectory(given["x"], given["u"])
-        except ProblemError as error:
-            raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
-    try:
+    with placed_at("start", own="trajectory"):
         problem.require(given)
-    except ProblemError as error:
-        raise ProblemError("start", error.got, error.expected, error.advice) from None
     return given
 
 
@@ -103,9 +100,8 @@ def _array(problem: OptimalControlProblem, given: Any) -> Any:
 
 def _replayed(problem: OptimalControlProblem, controls: Any) -> Trajectory:
     try:
-        return simulate(problem, controls)
-    except ProblemError as error:
-        raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
+        with placed_at("start"):
+            return simulate(problem, controls)
     except NumericalError as error:
         got = f"controls that cannot be replayed ({error})"
         raise ProblemError("start", got, "controls that lead through regions of modes") from None

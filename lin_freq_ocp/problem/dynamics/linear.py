@@ -39,19 +39,6 @@ class LinearDynamics(StandardDynamics):
     ------
     ProblemError
         If shapes do not match, entries are not finite, or names are repeated.
-
-    Methods
-    -------
-    from_continuous(A, B, sampling_time)
-        Sample a continuous model.
-    from_statespace(plant)
-        Take a model of python-control.
-    linearised(system, x, u)
-        Linearise a nonlinear model at a point or along a trajectory.
-    at(t)
-        A_t, B_t and d_t.
-    successors(x, u)
-        The next state of every time.
     """
 
     A: Array
@@ -222,9 +209,8 @@ class LinearDynamics(StandardDynamics):
         """Return the map as a formula, what depends on time, and the offset."""
         known = " + d" if self.offset.any() else ""
         text = f"linear: A x + B u{known}, {plural(self.state_dim, 'state')}, {plural(self.control_dim, 'control')}"
-        varying = [
-            f"{name} depends on time" for name, one in (("A", self.A), ("B", self.B)) if one.ndim == 3 and _varies(one)
-        ]
+        matrices = {"A": self.A, "B": self.B}
+        varying = [f"{name} depends on time" for name, M in matrices.items() if M.ndim == 3 and (M != M[0]).any()]
         return [("dynamics", "; ".join([text, *varying, *([datum("d", self.offset, 1)] if known else [])]))]
 
     def require_horizon(self, horizon: int) -> None:
@@ -280,7 +266,3 @@ class LinearDynamics(StandardDynamics):
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
         return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))
-
-
-def _varies(matrices: Array) -> bool:
-    return bool((matrices != matrices[0]).any())

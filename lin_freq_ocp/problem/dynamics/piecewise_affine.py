@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.dynamics.labels import mode_facts, mode_labels, signal
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.max_min import modes_of
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
-from lin_freq_ocp.problem.dynamics.regions import Border, Regions, borders_of
+from lin_freq_ocp.problem.dynamics.regions import Border, borders_of, require_partition
 from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -46,17 +46,6 @@ class PiecewiseAffineDynamics(StandardDynamics):
     ------
     ProblemError
         If there is no mode, or their dimensions differ.
-
-    Methods
-    -------
-    from_guards(...)
-        Modes by the signs of guards.
-    from_formulas(...)
-        Modes of maxima and minima of affine functions.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
-    along(sequence)
-        The linear dynamics of one mode sequence.
     """
 
     modes: tuple[AffineMode, ...]
@@ -223,7 +212,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         if REGION in sets.names:
             raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
         arrays = self.arrays(sets.horizon)
-        Regions(arrays, self.mode_names, not self.regions_vary, self._checked).require_partition(sets)
+        require_partition(arrays, self.mode_names, sets, not self.regions_vary, self._checked)
 
     def borders(self, sets: StageSets) -> tuple[Border, ...]:
         """Return where regions meet within the sets, and whether the map jumps there."""

@@ -124,13 +124,6 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     ------
     ProblemError
         Saying which field, what was got and what was expected.
-
-    Methods
-    -------
-    from_formulas(...)
-        Modes of formulas with maxima, minima and absolute values.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
     """
 
     modes: tuple[SmoothMode, ...]

@@ -6,6 +6,7 @@ regions reach along it, if that is less or if it has none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -111,63 +112,37 @@ class _Pieces:
         return b"|".join(part.tobytes() for part in parts)
 
 
-@dataclass(frozen=True, eq=False)
-class Regions:
-    """The regions of all modes.
+def require_partition(
+    arrays: ModeArrays, names: Sequence[str], sets: StageSets, constant: bool, checked: set[bytes]
+) -> None:
+    """Raise ProblemError unless the regions cover the sets and overlap on borders only.
 
-    Attributes
+    Parameters
     ----------
-    arrays : ModeArrays
-    names : tuple of str
+    names : sequence of str
         Of the modes.
     constant : bool
         Whether no region depends on time.
     checked : set of bytes
-        Sets that the regions are known to cover without overlap.
+        Pieces that are known to be without fault; more are added.
     """
 
-    arrays: ModeArrays
-    names: tuple[str, ...]
-    constant: bool
-    checked: set[bytes]
+    def fault(t: int, stage: StageSet, when: str) -> ProblemError | None:
+        pieces = _pieces(arrays, t, stage)
+        found = None if pieces.key in checked else _fault(pieces, names, when)
+        if found is None:
+            checked.add(pieces.key)
+        return found
 
-    def require_partition(self, sets: StageSets) -> None:
-        """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
-        if self.constant:
-            fault = self._fault(_pieces(self.arrays, 0, sets.around()), "")
-            if fault is None:
-                return
-            if sets.constant:
-                raise fault
-        for t in range(sets.horizon):
-            fault = self._fault(_pieces(self.arrays, t, sets.at(t)), f" at t = {t}")
-            if fault is not None:
-                raise fault
-
-    def _fault(self, pieces: _Pieces, when: str) -> ProblemError | None:
-        """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
-        if pieces.key in self.checked:
-            return None
-        for i, j in combinations(range(len(self.names)), 2):
-            point = _overlap(pieces, i, j)
-            if point is not None:
-                return ProblemError(
-                    f"dynamics.modes[{j}]",
-                    f"a region that overlaps that of {self.names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
-                    "regions that meet on borders only",
-                )
-        columns = np.eye(len(pieces.free))[:, pieces.free]
-        regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
-        point = uncovered(pieces.domain, [region for region in regions if region is not None])
-        if point is None:
-            self.checked.add(pieces.key)
-            return None
-        return ProblemError(
-            "dynamics.modes",
-            f"no mode around (x, u) = {pieces.place(point)}{when}",
-            "regions that cover the state and control sets",
-            "Widen a region or tighten the bounds.",
-        )
+    everywhere = fault(0, sets.around(), "") if constant else None
+    if everywhere is not None and sets.constant:
+        raise everywhere
+    if everywhere is None and constant:
+        return
+    for t in range(sets.horizon):
+        found = fault(t, sets.at(t), f" at t = {t}")
+        if found is not None:
+            raise found
 
 
 def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[Border, ...]:
@@ -212,6 +187,29 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
         within = Cell(walls, distances)
     extent = np.where(below & above, np.where(fixed, 0.0, width / 2) / units, 1.0)
     return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
+
+
+def _fault(pieces: _Pieces, names: Sequence[str], when: str) -> ProblemError | None:
+    """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
+    for i, j in combinations(range(len(names)), 2):
+        point = _overlap(pieces, i, j)
+        if point is not None:
+            return ProblemError(
+                f"dynamics.modes[{j}]",
+                f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
+                "regions that meet on borders only",
+            )
+    columns = np.eye(len(pieces.free))[:, pieces.free]
+    regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
+    point = uncovered(pieces.domain, [region for region in regions if region is not None])
+    if point is None:
+        return None
+    return ProblemError(
+        "dynamics.modes",
+        f"no mode around (x, u) = {pieces.place(point)}{when}",
+        "regions that cover the state and control sets",
+        "Widen a region or tighten the bounds.",
+    )
 
 
 def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
