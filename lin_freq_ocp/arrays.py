@@ -84,6 +84,11 @@ def with_columns(array: Array, columns: int) -> Array:
     return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
 
 
+def with_rows(matrices: Array, rows: Array) -> Array:
+    """Return a matrix, or one per time, with these rows below."""
+    return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
+
+
 LARGEST = 10**8
 """Longest horizon: its arrays would fill a large machine; anything above is a slip of the pen."""
 

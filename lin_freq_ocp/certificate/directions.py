@@ -72,7 +72,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
         values, change = term.map.values(x, u), _change(term.map, along)
         size = float((term.map.sizes(x, u) + np.abs(change)).max())
         left = term.penalty.leaving(values, change, TOUCHING * size)
-        residuals.append(left / max(float(np.abs(change).max()), size))
+        residuals.append(left / (max(float(np.abs(change).max()), size) or 1.0))  # zero: a row that limits nothing
         slopes.append(term.penalty.slope(values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
     steepest = _steepest(problem.quadratic.gradient(x, u), sizes)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
@@ -18,6 +20,8 @@ from lin_freq_ocp.certificate.rounded import Rounded
 from lin_freq_ocp.certificate.sizes import GAP_TOLERANCE, cost_scale
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.html import html_table
+from lin_freq_ocp.problem.dynamics.base import entry_for
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -196,16 +200,10 @@ def judge(
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
-        if isinstance(problem.dynamics, PiecewiseAffineDynamics):
-            bound, (conditions, borders, worth) = None, judge_modes(problem, trajectory, multipliers)
-        elif isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-            bound, (conditions, borders, worth) = None, judge_smooth(problem, trajectory, multipliers)
-        else:
-            _require_no_weights(multipliers)
-            extremal, borders = extremal_at(problem, trajectory, multipliers), None
-            conditions, worth = all_conditions(extremal), worth_of_residuals(extremal)
-            allowed = max(GAP_TOLERANCE, tolerance) * cost_scale(problem, trajectory)
-            bound = lower_bound(extremal, allowed) if multipliers.eta_C == 1 else None
+        found = Judgement(*entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers))
+        conditions, borders, bound = found.conditions, found.borders, None
+        if found.extremal is not None and multipliers.eta_C == 1:
+            bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * cost_scale(problem, trajectory))
         pmp = _principle(conditions)
         certificate = Certificate(
             pmp=pmp if borders is None or borders.jumping is None else "not_applicable",
@@ -213,7 +211,7 @@ def judge(
             conditions=conditions,
             cost=problem.value(trajectory.x, trajectory.u),
             cost_scale=cost_scale(problem, trajectory),
-            worth_of_residuals=worth,
+            worth_of_residuals=found.worth,
             bound=bound,
             borders=borders,
         )
@@ -228,6 +226,33 @@ def _number(value: float | None, form: str = ".12g") -> str:
     return "none" if value is None else format(value, form)
 
 
-def _require_no_weights(multipliers: Multipliers) -> None:
+class Judgement(NamedTuple):
+    """What is judged of a trajectory, by the kind of dynamics.
+
+    Attributes
+    ----------
+    conditions, borders, worth
+        As ``Certificate`` has them.
+    extremal : Extremal or None
+        If a global bound follows from the multipliers.
+    """
+
+    conditions: tuple[Condition, ...]
+    borders: SwitchingFacts | None
+    worth: float
+    extremal: Extremal | None = None
+
+
+def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     if multipliers.weights is not None:
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
+    extremal = extremal_at(problem, trajectory, multipliers)
+    return Judgement(all_conditions(extremal), None, worth_of_residuals(extremal), extremal)
+
+
+JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], tuple[Any, ...]]] = {
+    LinearDynamics: _judge_linear,
+    PiecewiseAffineDynamics: judge_modes,
+    PiecewiseSmoothDynamics: judge_smooth,
+}
+"""The judge of each kind of dynamics; what it returns are the fields of ``Judgement``."""

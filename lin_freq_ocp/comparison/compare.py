@@ -26,8 +26,8 @@ from lin_freq_ocp.comparison.trajectories import (
     solution_label,
 )
 from lin_freq_ocp.errors import ProblemError, SolveError
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 PREFERRED_FILTER = "brickwall"
@@ -197,4 +197,4 @@ def compared(
 
 def _method_without_bound(problem: OptimalControlProblem) -> str:
     """Return the method for a plan that is only to be filtered: how far it is from the global optimum is not asked."""
-    return "nonsmooth" if isinstance(problem.dynamics, PiecewiseSmoothDynamics) else "auto"
+    return "nonsmooth" if "nonsmooth" in family_of(problem).shorthands else "auto"

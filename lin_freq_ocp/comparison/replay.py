@@ -9,7 +9,6 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import Measures, amplification, measure, one_step_residual, replay_is_meaningful
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -53,7 +52,7 @@ def replay(problem: OptimalControlProblem, u: Array, planned: Trajectory) -> Rep
             trajectory = simulate(problem, u, planned.x[0])
             return Replay(trajectory, True, measure(problem, trajectory), residual)
         except NumericalError as error:
-            if isinstance(problem.dynamics, LinearDynamics):
+            if not problem.dynamics.mode_names:
                 raise
             stopped = str(error)
     unknown = {"cost": None, "state_violation": None, "stage_violation": None, "terminal_error": None}

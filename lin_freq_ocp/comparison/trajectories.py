@@ -12,9 +12,7 @@ from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
@@ -173,13 +171,12 @@ def solution_label(result: Outcome) -> str:
 
 def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
     """Return the names of the modes, none for linear dynamics."""
-    return () if isinstance(problem.dynamics, LinearDynamics) else problem.dynamics.mode_names
+    return problem.dynamics.mode_names
 
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
-    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem, trajectory)
+    arrays = measured_modes(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))

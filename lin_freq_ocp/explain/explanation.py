@@ -14,10 +14,9 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explain.blocks import Block, blocks, without
 from lin_freq_ocp.explain.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.explanation import Cure, Explanation
+from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
@@ -51,7 +50,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
         modes.
     """
     require_problem(problem)
-    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+    if problem.dynamics.affine and problem.dynamics.mode_names:
         raise UnsupportedError(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
             "explain(problem.with_modes(sequence)) tells those of one."
@@ -80,8 +79,7 @@ class _Search:
         result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._left())
         if result.interrupted:
             self.end = -np.inf
-        linear = isinstance(problem.dynamics, LinearDynamics)  # others have one method
-        if result.interrupted or result.status in DECIDED or not linear:
+        if result.interrupted or result.status in DECIDED or "convex" not in family_of(problem).shorthands:
             return result
         return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._left())
 

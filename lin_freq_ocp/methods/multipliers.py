@@ -24,8 +24,6 @@ from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
@@ -166,9 +164,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     UnsupportedError
         If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
     """
-    if isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        problem = problem.affine_at(trajectory)
-    if isinstance(problem.dynamics, PiecewiseAffineDynamics):
+    problem = problem.affine_at(trajectory)
+    if problem.dynamics.mode_names:
         problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE, at_edges=True)

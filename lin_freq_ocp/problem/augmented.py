@@ -8,13 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, with_columns
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.arrays import Array, with_columns, with_rows
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
-from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
@@ -50,7 +45,7 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
     free = np.full(k, np.inf)
     return replace(
         problem,
-        dynamics=_wider_dynamics(problem.dynamics, further),
+        dynamics=problem.dynamics.augmented(further.A, further.B, further.names),
         cost=_wider_cost(problem, k),
         state_set=_wider_state_set(problem, further.lower),
         initial_state=_with_box(problem.initial_state, problem.initial_box, further.initial),
@@ -66,50 +61,15 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
     )
 
 
-def _wider_dynamics(
-    plant: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics, further: FurtherStates
-) -> LinearDynamics | PiecewiseAffineDynamics:
-    names = [*plant.state_names, *further.names]
-    if isinstance(plant, PiecewiseSmoothDynamics):
-        raise UnsupportedError(
-            "dynamics: got PiecewiseSmoothDynamics; further states take linear or piecewise-affine dynamics: write the "
-            "former control as a further state in the formulas."
-        )
-    if isinstance(plant, LinearDynamics):
-        return LinearDynamics(*_wider_map(plant, further), plant.sampling_time, names, plant.control_names)
-    modes = [
-        AffineMode(
-            *_wider_map(mode.linear, further),
-            G=with_columns(mode.region.C, len(further.A)),
-            H=mode.region.D,
-            h=mode.region.e,
-            name=mode.name,
-        )
-        for mode in plant.modes
-    ]
-    return PiecewiseAffineDynamics(modes, plant.sampling_time, names, plant.control_names)
-
-
-def _wider_map(plant: LinearDynamics, further: FurtherStates) -> tuple[Array, Array, Array]:
-    n, k = plant.state_dim, len(further.A)
-    A = _below(with_columns(plant.A, k), np.hstack([np.zeros((k, n)), further.A]))
-    return A, _below(plant.B, further.B), with_columns(plant.offset, k)
-
-
-def _below(array: Array, rows: Array) -> Array:
-    """Return the array, or each of one per time, with these rows below."""
-    return np.concatenate([array, np.broadcast_to(rows, (*array.shape[:-2], *rows.shape))], axis=-2)
-
-
 def _wider_cost(problem: OptimalControlProblem, k: int) -> CostSum:
     cost, n = problem.quadratic, problem.state_dim
     wider = QuadraticCost(
-        Q=_below(with_columns(cost.Q, k), np.zeros((k, n + k))),
+        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
         R=cost.R,
-        S=_below(cost.S, np.zeros((k, problem.control_dim))),
+        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
         q=with_columns(cost.q, k),
         r=cost.r,
-        P=_below(with_columns(cost.P, k), np.zeros((k, n + k))),
+        P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
         p=with_columns(cost.p, k),
         x_ref=with_columns(cost.x_ref, k),
         u_ref=cost.u_ref,

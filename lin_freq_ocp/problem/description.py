@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from textwrap import shorten
 from typing import Any
 
-from lin_freq_ocp.formulas.text import text_of
-from lin_freq_ocp.phrases import AT_MOST, first_few, interval, intervals, listed, number, plural, short_name
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.phrases import interval, intervals, listed, number, plural, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import listed as entries
@@ -26,7 +23,7 @@ def problem_facts(problem: ProblemData) -> list[Fact]:
     facts = [
         ("horizon", _horizon(problem)),
         *_cost(problem),
-        *_dynamics(problem),
+        *problem.dynamics.facts(_signals(problem)),
         *_controls(problem),
         *_states(problem),
         *_sets(problem),
@@ -51,24 +48,6 @@ def _cost(problem: ProblemData) -> list[Fact]:
         where.append(("where", listed(data[at : at + 3])))
     facts = [("minimise", parts[0]), *(("plus", part) for part in parts[1:])]
     return [facts[0], *where, *facts[1:]] if quadratic.describe() else facts
-
-
-def _dynamics(problem: ProblemData) -> list[Fact]:
-    dynamics = problem.dynamics
-    if isinstance(dynamics, PiecewiseAffineDynamics):
-        kind = f"an affine map in each, where G x + H u {AT_MOST} h"
-    elif isinstance(dynamics, PiecewiseSmoothDynamics):
-        kind = "a smooth map in each, where its switching functions are at most zero"
-    else:
-        return [("dynamics", dynamics.describe())]
-    names = [f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}" for name in dynamics.mode_names]
-    shown = first_few(names, 3 if max(map(len, names)) > 30 else 6)
-    facts = [("modes", f"{len(names)}: {shown}; {kind}")] if len(names) > 1 else []
-    if isinstance(dynamics, PiecewiseSmoothDynamics) and dynamics.norms:
-        labels = [name.split(" [")[0] for name in _signals(problem)]
-        norms = list(dict.fromkeys(text_of(one, labels) for one in dynamics.norms))
-        facts.append(("kinks", f"{first_few(norms, 4)}, not differentiable at zero"))
-    return facts
 
 
 def _controls(problem: ProblemData) -> list[Fact]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,13 +15,15 @@ from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.memory import require_horizon
+from lin_freq_ocp.phrases import plural
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.labels import printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.regions import Border, borders, require_partition
+from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.box import Box, box_of, end_set, end_within, stacked
 from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
@@ -29,6 +31,8 @@ from lin_freq_ocp.problem.spectrum.bands import stopped_bins
 from lin_freq_ocp.problem.terms.stage_rows import row_families
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+Kind = TypeVar("Kind", bound=Dynamics)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,20 +68,9 @@ class OptimalControlProblem:
         Saying which field, what was got and what was expected.
     UnsupportedError
         If the signals do not fit into memory.
-
-    Methods
-    -------
-    with_ends(initial_state, terminal_state)
-        The same problem between other ends.
-    with_modes(sequence)
-        The linear problem of one mode sequence.
-    value(x, u)
-        The cost of states (T+1, n) and controls (T, m).
-    dynamics_along(trajectory)
-        The linear dynamics along a trajectory.
     """
 
-    dynamics: LinearDynamics | PiecewiseAffineDynamics | PiecewiseSmoothDynamics
+    dynamics: Dynamics
     horizon: int
     cost: Cost
     control_set: Any = None
@@ -92,7 +85,7 @@ class OptimalControlProblem:
 
     def __post_init__(self):
         set_field = object.__setattr__
-        if not isinstance(self.dynamics, (LinearDynamics, PiecewiseAffineDynamics, PiecewiseSmoothDynamics)):
+        if not isinstance(self.dynamics, Dynamics):
             raise ProblemError(
                 "dynamics",
                 brief(self.dynamics),
@@ -111,8 +104,8 @@ class OptimalControlProblem:
         set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
         set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
         _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # validated, kept for later
-        if isinstance(self.dynamics, PiecewiseAffineDynamics):
-            require_partition(self.dynamics, self._stage_sets)
+        if self.dynamics.mode_names:
+            self.dynamics.require_sets(self._stage_sets)
 
     def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
         """Return the same problem with other ends; nothing else is looked at again.
@@ -146,62 +139,37 @@ class OptimalControlProblem:
 
     @property
     def linear(self) -> LinearDynamics:
-        """Return the dynamics, which must be linear.
-
-        Raises
-        ------
-        UnsupportedError
-            If they have modes.
-        """
-        if isinstance(self.dynamics, LinearDynamics):
-            return self.dynamics
-        raise UnsupportedError(
-            f"dynamics: got {type(self.dynamics).__name__}; expected LinearDynamics. solve(), compare() and certify() "
-            "take all; of affine modes, problem.with_modes(sequence) is the linear problem of one mode sequence."
-        )
+        """Return the dynamics, which must be linear; else raise UnsupportedError."""
+        advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
+        return _in_form(self.dynamics, LinearDynamics, advice)
 
     @property
     def piecewise(self) -> PiecewiseAffineDynamics:
-        """Return the dynamics, which must be piecewise affine.
-
-        Raises
-        ------
-        UnsupportedError
-            If they are not.
-        """
-        if isinstance(self.dynamics, PiecewiseAffineDynamics):
-            return self.dynamics
-        got = type(self.dynamics).__name__
-        raise UnsupportedError(f"dynamics: got {got}; expected PiecewiseAffineDynamics, which has affine modes.")
+        """Return the dynamics, which must be piecewise affine; else raise UnsupportedError."""
+        return _in_form(self.dynamics, PiecewiseAffineDynamics)
 
     @property
     def smooth_pieces(self) -> PiecewiseSmoothDynamics:
-        """Return the dynamics, which must be piecewise smooth.
-
-        Raises
-        ------
-        UnsupportedError
-            If they are not.
-        """
-        if isinstance(self.dynamics, PiecewiseSmoothDynamics):
-            return self.dynamics
-        raise UnsupportedError(f"dynamics: got {type(self.dynamics).__name__}; expected PiecewiseSmoothDynamics.")
+        """Return the dynamics, which must be piecewise smooth; else raise UnsupportedError."""
+        return _in_form(self.dynamics, PiecewiseSmoothDynamics)
 
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
     ) -> OptimalControlProblem:
-        """Return the problem with piecewise-smooth dynamics linearised along a trajectory: one affine mode for each.
+        """Return the problem with smooth modes linearised along a trajectory; of affine dynamics, the problem itself.
 
         To first order at the trajectory, both problems are the same: they have the same states there, and the same
-        multipliers. The regions, linearised, need not cover the sets, and nothing is asked of them.
+        multipliers. The linearised regions need not cover the sets.
 
         Parameters
         ----------
         selections : mapping from norms to (T, components), optional
             The derivatives of norms at zero, as for ``formulas.jets``.
         """
+        if self.dynamics.affine:
+            return self
         problem = copy(self)
-        assign(problem, dynamics=self.smooth_pieces.affine_at(trajectory.x, trajectory.u, selections))
+        assign(problem, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
         problem.__dict__["borders"] = ()  # smooth pieces meet continuously
         return problem
 
@@ -225,22 +193,13 @@ class OptimalControlProblem:
         return replace(self, dynamics=self.piecewise.along(modes), stage_rows=rows)
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
-        """Return the linear dynamics, those of the modes that a trajectory is in if there are modes.
-
-        Smooth pieces are linearised along the trajectory.
-        """
-        if isinstance(self.dynamics, LinearDynamics):
-            return self.dynamics
-        if isinstance(self.dynamics, PiecewiseSmoothDynamics):
-            return self.affine_at(trajectory).dynamics_along(trajectory)
-        return self.dynamics.along(self.dynamics.sequence_of(trajectory.x, trajectory.u))
+        """Return the linear dynamics along a trajectory: those of the modes that it is in, linearised if smooth."""
+        return _in_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
     def borders(self) -> tuple[Border, ...]:
         """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
-        if not isinstance(self.dynamics, PiecewiseAffineDynamics):
-            return ()
-        return borders(self.dynamics, self._stage_sets)
+        return self.dynamics.borders(self._stage_sets) if self.dynamics.mode_names else ()
 
     @property
     def _stage_sets(self) -> StageSets:
@@ -269,12 +228,12 @@ class OptimalControlProblem:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Return the names of the state components, with units."""
-        return tuple(self.dynamics.state_names or ())
+        return self.dynamics.state_names
 
     @property
     def control_names(self) -> tuple[str, ...]:
         """Return the names of the control components, with units."""
-        return tuple(self.dynamics.control_names or ())
+        return self.dynamics.control_names
 
     @property
     def quadratic(self) -> QuadraticCost:
@@ -375,21 +334,31 @@ class OptimalControlProblem:
 
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
-        joint = sum(family.rows for family in self.stage_rows)
-        modes = "" if isinstance(self.dynamics, LinearDynamics) else f"{len(self.dynamics.modes)} modes, "
-        return (
-            f"{self.name or 'optimal control problem'}: horizon {self.horizon}, "
-            f"{self.state_dim} states, {self.control_dim} controls, {modes}"
-            f"{stops[0]} control and {stops[1]} state bins removed (0 .. Nyquist)"
-            + (f", {joint} joint rows per step" if joint else "")
-            + "".join(f", {term.name}" for term in self.terms if term.kind != TermKind.STAGE_ROWS)
-        )
+        joint, modes = sum(family.rows for family in self.stage_rows), len(self.dynamics.mode_names)
+        parts = [
+            f"horizon {self.horizon}",
+            plural(self.state_dim, "state"),
+            plural(self.control_dim, "control"),
+            *([plural(modes, "mode")] if modes else []),
+            f"{stops[0]} control and {plural(stops[1], 'state bin')} removed (0 .. Nyquist)",
+            *([f"{plural(joint, 'joint row')} per step"] if joint else []),
+            *(term.name for term in self.terms if term.kind != TermKind.STAGE_ROWS),
+        ]
+        return f"{self.name or 'optimal control problem'}: {', '.join(parts)}"
 
     def __repr__(self) -> str:
         return f"OptimalControlProblem({self})"
 
     def _repr_html_(self) -> str:
         return html_table(self.name or "Optimal control problem", problem_facts(self))
+
+
+def _in_form(dynamics: Dynamics, kind: type[Kind], advice: str = "") -> Kind:
+    """Return the standard form of dynamics, which must be of this kind."""
+    form = dynamics.standard_form
+    if isinstance(form, kind):
+        return form
+    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 
 def require_problem(problem: Any) -> None:

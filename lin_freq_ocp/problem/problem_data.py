@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
+from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -29,7 +30,7 @@ class ProblemData(Protocol):
     @property
     def control_names(self) -> tuple[str, ...]: ...
     @property
-    def dynamics(self) -> Any: ...
+    def dynamics(self) -> Dynamics: ...
     @property
     def cost(self) -> Cost: ...
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Indices, brief
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.affine_mode import placed_at
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -57,7 +57,7 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
     UnsupportedError
         If the dynamics are linear.
     """
-    if isinstance(problem.dynamics, LinearDynamics):
+    if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
     given = given if isinstance(given, Trajectory) else getattr(given, "trajectory", given)
     if isinstance(given, (Trajectory, Mapping)):
@@ -65,24 +65,20 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
     else:
         array = _array(problem, given)
         if array.ndim != 2:
-            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.modes)), None)
+            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.mode_names)), None)
         trajectory = _replayed(problem, array)
     return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
 
 
 def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, Any]) -> Trajectory:
-    expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
     if isinstance(given, Mapping):
         if set(given) != {"x", "u"}:
+            expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
             raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
-        try:
+        with placed_at("start"):
             given = Trajectory(given["x"], given["u"])
-        except ProblemError as error:
-            raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
-    try:
+    with placed_at("start", own="trajectory"):
         problem.require(given)
-    except ProblemError as error:
-        raise ProblemError("start", error.got, error.expected, error.advice) from None
     return given
 
 
@@ -104,9 +100,8 @@ def _array(problem: OptimalControlProblem, given: Any) -> Any:
 
 def _replayed(problem: OptimalControlProblem, controls: Any) -> Trajectory:
     try:
-        return simulate(problem, controls)
-    except ProblemError as error:
-        raise ProblemError(f"start: {error.field}", error.got, error.expected, error.advice) from None
+        with placed_at("start"):
+            return simulate(problem, controls)
     except NumericalError as error:
         got = f"controls that cannot be replayed ({error})"
         raise ProblemError("start", got, "controls that lead through regions of modes") from None

@@ -92,9 +92,8 @@ class Multipliers:
             rho = rho.astype(np.complex128)
             rho.flags.writeable = False
             assign(self, **{field: rho})
-        for field in ("eta", "nu"):
-            if getattr(self, field).ndim != 2:
-                raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", "two dimensions")
+        for field, value in (("eta", self.eta), ("nu", self.nu)):
+            _require_matrix(f"multipliers.{field}", value)
         T, n, m = len(self.eta), self.eta.shape[-1], self.nu.shape[-1]
         expected = {
             "eta": (T, n),
@@ -129,6 +128,10 @@ def _families(stage: Mapping[str, ArrayLike]) -> dict[str, Array]:
         raise ProblemError("multipliers.stage", brief(stage), "a mapping from names of joint rows to arrays (T, rows)")
     families = {name: real_array(f"multipliers.stage[{name!r}]", value) for name, value in stage.items()}
     for name, weights in families.items():
-        if weights.ndim != 2:
-            raise ProblemError(f"multipliers.stage[{name!r}]", f"shape {weights.shape}", "two dimensions")
+        _require_matrix(f"multipliers.stage[{name!r}]", weights)
     return families
+
+
+def _require_matrix(field: str, array: Array) -> None:
+    if array.ndim != 2:
+        raise ProblemError(field, f"shape {array.shape}", "two dimensions")

@@ -16,7 +16,6 @@ from lin_freq_ocp.comparison.replay import STOPPED
 from lin_freq_ocp.comparison.signals import Signal, controls_of
 from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
 from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.figures.scales import frequency_scale
 from lin_freq_ocp.report.modes.words import border_sentences
@@ -127,8 +126,7 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         sentences.append("The maximum principle was not judged: there are no multipliers.")
     if certificate.borders is not None:
         sentences += border_sentences(certificate.borders)
-    smooth = problem is not None and isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    if smooth and certificate.bound is None:
+    if problem is not None and not problem.dynamics.affine and certificate.bound is None:
         return [*sentences, "There is no global lower bound: the dynamics are not affine, and none was found."]
     return [*sentences, *_global_bound(certificate)]
 

@@ -12,7 +12,6 @@ from lin_freq_ocp.certificate.rounded import Rounded, decimals_of
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -73,7 +72,7 @@ def certify(
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
         return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))
-    if not isinstance(problem.dynamics, LinearDynamics):
+    if problem.dynamics.mode_names:
         return certify_modes(problem, trajectory).within(allowed)
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
     normal = judge(problem, trajectory, fit.multipliers, allowed)

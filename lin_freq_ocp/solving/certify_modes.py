@@ -15,7 +15,6 @@ from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.fitting import candidates
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -31,7 +30,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     descent is looked for in the mode sequence with the flip, and the judge checks it.
     """
     best, _ = best_multipliers(problem, trajectory)
-    problem = _affine(problem, trajectory)
+    problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:
         return best
     facts, descent = _verified(problem, trajectory, _facts(best))
@@ -67,15 +66,9 @@ def best_multipliers(
     return best
 
 
-def _affine(problem: OptimalControlProblem, trajectory: Trajectory) -> OptimalControlProblem:
-    """Return the problem with affine modes: itself, or its linearisation, which is the same to first order."""
-    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    return problem.affine_at(trajectory) if smooth else problem
-
-
 def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
     try:
-        yield from candidates(_affine(problem, trajectory), trajectory)
+        yield from candidates(problem.affine_at(trajectory), trajectory)
     except NumericalError:
         if not optional:
             raise

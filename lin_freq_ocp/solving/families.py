@@ -1,6 +1,7 @@
 """Which methods solve which dynamics, and which options of ``solve`` each of them takes: one table.
 
-A new kind of dynamics is a class with the operations of ``LinearDynamics``, and one entry here.
+A new kind of dynamics is a subclass of ``Dynamics``; with an entry here it has methods of its own, else it has those of
+its standard form.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lin_freq_ocp.errors import UnsupportedError, suggestion
+from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
@@ -86,8 +88,6 @@ FAMILIES: dict[type, Family] = {
     ),
 }
 
-SHORTHANDS = tuple(dict.fromkeys(name for family in FAMILIES.values() for name in family.shorthands))
-
 REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify_nonsmooth.py now; use 'auto'"}
 """Methods of earlier versions, and what to do instead."""
 
@@ -104,18 +104,19 @@ ONLY = {
 
 def family_of(problem: OptimalControlProblem) -> Family:
     """Return the family of a problem's dynamics."""
-    return next(family for kind, family in FAMILIES.items() if isinstance(problem.dynamics, kind))
+    return entry_for(FAMILIES, problem.dynamics)
 
 
 def require_shorthand(name: str) -> None:
     """Raise UnsupportedError unless a method of some family has this name."""
     if name in REMOVED:
         raise UnsupportedError(f"method: got {name!r}, which is no method any more: {REMOVED[name]}.")
-    if name not in SHORTHANDS:
-        known = ", ".join(map(repr, SHORTHANDS[:-1]))
-        hint = suggestion(name, SHORTHANDS)
+    names = list(dict.fromkeys(name for family in FAMILIES.values() for name in family.shorthands))
+    if name not in names:
+        known = ", ".join(map(repr, names[:-1]))
+        hint = suggestion(name, names)
         raise UnsupportedError(
-            f"method: got {name!r}; expected {known} or {SHORTHANDS[-1]!r}." + (f" {hint}" if hint else "")
+            f"method: got {name!r}; expected {known} or {names[-1]!r}." + (f" {hint}" if hint else "")
         )
 
 
@@ -166,7 +167,7 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
     """Return the shorthand and keywords of ``solve`` that mean the same, as a file can hold them."""
     if not isinstance(name, str):
         shorthands = family_of(problem).shorthands
-        name = next(one for one, shorthand in shorthands.items() if shorthand.describes(method))
+        name = next((one for one, known in shorthands.items() if known.describes(method)), method.shorthand)
     saved = {option: getattr(method, option, None) for option in ("backend", "tolerance", "node_limit")}
     gap = getattr(method, "gap", None)
     tolerance = gap if gap != getattr(type(method), "gap", None) else saved["tolerance"]

@@ -372,6 +372,6 @@ def test_the_rows_of_regions_have_a_name_of_their_own():
     with pytest.raises(lfo.ProblemError, match=r"stage_rows: got rows named 'mode region'; expected another name"):
         replace(problem, stage_rows=lfo.StageRows([[1.0, 0.0]], None, [1.0], name="mode region"))
     linear = problem_of(lfo.LinearDynamics(A, B), 3)
-    with pytest.raises(lfo.UnsupportedError, match="has affine modes"):
+    with pytest.raises(lfo.UnsupportedError, match="expected PiecewiseAffineDynamics"):
         linear.with_modes([0, 0, 0])
     assert linear.borders == ()

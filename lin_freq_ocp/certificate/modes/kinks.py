@@ -12,7 +12,6 @@ from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts, required_slope
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -50,16 +49,16 @@ def kinks(
         return ()
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     selections = _selections(problem, trajectory, borders)
-    affine = problem.affine_at(trajectory, selections) if selections is not None else problem
+    affine = problem.affine_at(trajectory, selections)
     arrays = measured_modes(affine, trajectory)
     alone = replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u)))
     required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
     centre, radius = _pulled(affine, multipliers), 0.0
-    for one, selection in (selections or {}).items():
+    for one, selection in selections.items():
         at_zero = np.where(np.isfinite(selection), 0.0, np.nan)
 
         def slopes(chosen: Array, one: Formula = one) -> Array:
-            changed = {**(selections or {}), one: chosen}
+            changed = {**selections, one: chosen}
             return _pulled(problem.affine_at(trajectory, changed), multipliers)
 
         columns = np.stack([slopes(at_zero + unit) for unit in np.eye(selection.shape[1])]) - slopes(at_zero)
@@ -74,13 +73,8 @@ def kinks(
 
 def _selections(
     problem: OptimalControlProblem, trajectory: Trajectory, borders: SwitchingFacts
-) -> dict[Formula, Array] | None:
-    """Return the judge's selection of every norm at its zeros, (T, components), not a number elsewhere.
-
-    None for dynamics without smooth pieces.
-    """
-    if not isinstance(problem.dynamics, PiecewiseSmoothDynamics):
-        return None
+) -> dict[Formula, Array]:
+    """Return the judge's selection of every norm at its zeros, (T, components), not a number elsewhere."""
     labels = [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)]
     judged = {(one.norm, one.time): one.selection for one in borders.norms}
     found: dict[Formula, Array] = {}

@@ -13,6 +13,7 @@ from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula
 from lin_freq_ocp.interchange.problem_file.codec import Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.problem.dynamics.affine_mode import MODE, AffineMode
+from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
@@ -126,6 +127,12 @@ SMOOTH_MODES = Record(
 )
 SMOOTH = Record(_from_formulas, like=_labels)
 
+RECORDS: dict[type, Record] = {
+    LinearDynamics: LINEAR,
+    PiecewiseAffineDynamics: PIECEWISE_AFFINE,
+    PiecewiseSmoothDynamics: SMOOTH_MODES,
+}
+
 
 def _read(location: str, given: Any) -> Any:
     keys = given if isinstance(given, Mapping) else {}
@@ -137,9 +144,10 @@ def _read(location: str, given: Any) -> Any:
     return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
 
 
-def _write(location: str, value: Any) -> dict[str, Any]:
-    record = next(one for one in (LINEAR, PIECEWISE_AFFINE, SMOOTH_MODES) if one.holds(value))
-    return record.write(location, value)
+def _write(location: str, value: Dynamics) -> dict[str, Any]:
+    """Return the table of dynamics, of another class that of their standard form."""
+    record = entry_for(RECORDS, value)
+    return record.write(location, value if record.holds(value) else value.standard_form)
 
 
 DYNAMICS = Value(_read, _write)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,67 +26,26 @@ class FormulaPiece:
 
     Attributes
     ----------
-    formulas : tuple of Formula
-        Without maxima and minima.
-    region : tuple of Formula
-        Zero or below where the choice holds.
-    name : str
+    formulas, region : tuple of Formula
+        Without maxima and minima; the choice holds where all of the region are zero or below.
     rows : (rows, n + m + 1)
         The switching functions of the region that are affine: coefficients and constant.
     choices, arguments : mappings from a maximum or minimum
         To the number of the chosen argument, and to the argument, without maxima and minima.
+    labels : tuple of str
+        Of the chosen arguments.
+    name : str
     """
 
     formulas: tuple[Formula, ...]
-    region: tuple[Formula, ...]
-    name: str
     rows: Array
-    choices: Mapping[Formula, int]
-    arguments: Mapping[Formula, Formula]
+    region: tuple[Formula, ...] = ()
+    choices: Mapping[Formula, int] = field(default_factory=dict[Formula, int])
+    arguments: Mapping[Formula, Formula] = field(default_factory=dict[Formula, Formula])
+    labels: tuple[str, ...] = ()
+    name: str = ""
 
-
-def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
-    """Return a piece for each choice of arguments, without those that never hold.
-
-    Left out are choices whose affine switching functions leave no interior, or whose other ones are above zero
-    everywhere, as intervals tell: pieces are closed, so that the rest covers everything. Of arguments that are the same
-    function the first one is taken.
-
-    Raises
-    ------
-    ProblemError
-        If there are more than ``most``.
-    """
-    chosen = [_Choice({}, {}, (), np.zeros((0, sum(formulas[0].dimensions) + 1)), ())] if formulas else []
-    for branching in kinks(formulas, MAXIMUM, MINIMUM):
-        chosen = [further for one in chosen for further in one.split(branching)]
-        if len(chosen) > most:
-            got = f"more than {most} combinations of arguments of maxima and minima that can hold"
-            advice = "Use a formula that occurs several times as one object, and fewer maxima and minima."
-            raise ProblemError("f", got, f"at most {most}", advice)
-    short, long = [one.short_name for one in chosen], [", ".join(one.labels) for one in chosen]
-    names = unique_names(short if len({*short}) == len(short) else long)
-    return [
-        FormulaPiece(tuple(rebuilt(formulas, one.arguments)), one.region, name, one.rows, one.choices, one.arguments)
-        for one, name in zip(chosen, names, strict=True)
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """The arguments chosen so far; attributes as of ``FormulaPiece``, with the label of each argument."""
-
-    choices: Mapping[Formula, int]
-    arguments: Mapping[Formula, Formula]
-    region: tuple[Formula, ...]
-    rows: Array
-    labels: tuple[str, ...]
-
-    @property
-    def short_name(self) -> str:
-        return ", ".join(dict.fromkeys(label for label in self.labels if label))
-
-    def split(self, branching: Formula) -> Iterator[_Choice]:
+    def split(self, branching: Formula) -> Iterator[FormulaPiece]:
         """Yield the choice with each argument chosen that can be."""
         arguments = rebuilt(branching.arguments, self.arguments)
         affine = [affine_row(one) for one in arguments]
@@ -106,7 +65,7 @@ class _Choice:
                 choices, taken = {**self.choices, branching: choice}, {**self.arguments, branching: argument}
                 yield replace(chosen, choices=choices, arguments=taken, labels=(*self.labels, label))
 
-    def _restricted(self, differences: Sequence[tuple[Formula, Array | None]]) -> _Choice | None:
+    def _restricted(self, differences: Sequence[tuple[Formula, Array | None]]) -> FormulaPiece | None:
         """Return the choice where further switching functions are zero or below; None if they never are."""
         further = [row for _, row in differences if row is not None]
         flat = [row for row in further if not row[:-1].any()]
@@ -117,6 +76,35 @@ class _Choice:
             return None
         region = (*self.region, *(one for one, row in differences if row is None or row[:-1].any()))
         return replace(self, region=region, rows=rows)
+
+
+def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
+    """Return a piece for each choice of arguments, without those that never hold.
+
+    Left out are choices whose affine switching functions leave no interior, or whose other ones are above zero
+    everywhere, as intervals tell: pieces are closed, so that the rest covers everything. Of arguments that are the same
+    function the first one is taken.
+
+    Raises
+    ------
+    ProblemError
+        If there are more than ``most``.
+    """
+    given = tuple(formulas)
+    pieces = [FormulaPiece(given, np.zeros((0, sum(given[0].dimensions) + 1)))] if given else []
+    for branching in kinks(given, MAXIMUM, MINIMUM):
+        pieces = [further for piece in pieces for further in piece.split(branching)]
+        if len(pieces) > most:
+            got = f"more than {most} combinations of arguments of maxima and minima that can hold"
+            advice = "Use a formula that occurs several times as one object, and fewer maxima and minima."
+            raise ProblemError("f", got, f"at most {most}", advice)
+    short = [", ".join(dict.fromkeys(label for label in piece.labels if label)) for piece in pieces]
+    long = [", ".join(piece.labels) for piece in pieces]
+    names = unique_names(short if len({*short}) == len(short) else long)
+    return [
+        replace(piece, formulas=tuple(rebuilt(given, piece.arguments)), name=name)
+        for piece, name in zip(pieces, names, strict=True)
+    ]
 
 
 def affine_row(formula: Formula) -> Array | None:

@@ -7,12 +7,13 @@ from typing import Any
 
 from lin_freq_ocp.arrays import brief, names, positive_number
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import first_few
 
 
 def signal_labels(
     n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
 ) -> dict[str, Any]:
-    """Return the fields of dynamics with n states and m controls that name their signals, checked.
+    """Return the fields of ``Dynamics`` for n states and m controls, checked.
 
     Raises
     ------
@@ -20,6 +21,8 @@ def signal_labels(
         If the sampling time is no number above zero, or names are not as many as components, or repeated.
     """
     return {
+        "state_dim": n,
+        "control_dim": m,
         "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
         "state_names": names("dynamics.state_names", state_names, n, "x"),
         "control_names": names("dynamics.control_names", control_names, m, "u"),
@@ -55,6 +58,15 @@ def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
             raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
         found[label] = None
     return tuple(found)
+
+
+def mode_facts(names: Sequence[str], kind: str) -> list[tuple[str, str]]:
+    """Return how many modes there are, their names, and of what kind they are; nothing of a single mode."""
+    if len(names) == 1:
+        return []
+    quoted = [f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}" for name in names]
+    shown = first_few(quoted, 3 if max(map(len, quoted)) > 30 else 6)
+    return [("modes", f"{len(names)}: {shown}; {kind}")]
 
 
 def unique_names(given: Sequence[str]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors
+from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors, with_columns, with_rows
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import datum, plural
+from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step
 from lin_freq_ocp.problem.dynamics.labels import signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import clock, linearisation
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class LinearDynamics:
+class LinearDynamics(StandardDynamics):
     """x_{t+1} = A_t x_t + B_t u_t + d_t, for t = 0 .. T-1.
 
     Parameters
@@ -38,27 +39,11 @@ class LinearDynamics:
     ------
     ProblemError
         If shapes do not match, entries are not finite, or names are repeated.
-
-    Methods
-    -------
-    from_continuous(A, B, sampling_time)
-        Sample a continuous model.
-    from_statespace(plant)
-        Take a model of python-control.
-    linearised(system, x, u)
-        Linearise a nonlinear model at a point or along a trajectory.
-    at(t)
-        A_t, B_t and d_t.
-    successors(x, u)
-        The next state of every time.
     """
 
     A: Array
     B: Array
     offset: Array
-    sampling_time: float | None
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -216,28 +201,17 @@ class LinearDynamics:
         return cls(A, B, offset, step, states, controls)
 
     @property
-    def state_dim(self) -> int:
-        """Return n."""
-        return self.A.shape[-1]
-
-    @property
-    def control_dim(self) -> int:
-        """Return m."""
-        return self.B.shape[-1]
-
-    @property
     def time_varying(self) -> bool:
         """Whether A or B depends on time."""
         return self.A.ndim == 3 or self.B.ndim == 3
 
-    def describe(self) -> str:
+    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the map as a formula, what depends on time, and the offset."""
         known = " + d" if self.offset.any() else ""
         text = f"linear: A x + B u{known}, {plural(self.state_dim, 'state')}, {plural(self.control_dim, 'control')}"
-        varying = [
-            f"{name} depends on time" for name, one in (("A", self.A), ("B", self.B)) if one.ndim == 3 and _varies(one)
-        ]
-        return "; ".join([text, *varying, *([datum("d", self.offset, 1)] if known else [])])
+        matrices = {"A": self.A, "B": self.B}
+        varying = [f"{name} depends on time" for name, M in matrices.items() if M.ndim == 3 and (M != M[0]).any()]
+        return [("dynamics", "; ".join([text, *varying, *([datum("d", self.offset, 1)] if known else [])]))]
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
@@ -263,7 +237,7 @@ class LinearDynamics:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
         return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
 
-    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+    def stepper(self, horizon: int) -> Step:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,)."""
 
         def step(t: int, x: Array, u: Array) -> Array:
@@ -278,14 +252,17 @@ class LinearDynamics:
         A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
         return A, B, np.abs(self.offset).reshape(-1, n).max(0)
 
-    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return ``gains``, which are the same along all trajectories."""
-        return self.gains()
+    def linear_at(self, x: Array, u: Array) -> LinearDynamics:
+        """Return these dynamics."""
+        return self
+
+    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> LinearDynamics:
+        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
+        k = len(A)
+        wider = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))
+        labels = self.sampling_time, [*self.state_names, *names], self.control_names
+        return LinearDynamics(wider, with_rows(self.B, B), with_columns(self.offset, k), *labels)
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
         return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))
-
-
-def _varies(matrices: Array) -> bool:
-    return bool((matrices != matrices[0]).any())

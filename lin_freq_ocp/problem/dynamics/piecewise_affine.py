@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,20 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer
+from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, with_columns
 from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.phrases import AT_MOST
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode
+from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step
 from lin_freq_ocp.problem.dynamics.guards import guarded_modes
-from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels
+from lin_freq_ocp.problem.dynamics.labels import mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.max_min import modes_of
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
+from lin_freq_ocp.problem.dynamics.regions import Border, borders_of, require_partition
 from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece, linearised_modes
+from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class PiecewiseAffineDynamics:
+class PiecewiseAffineDynamics(StandardDynamics):
     """x_{t+1} = A_i x_t + B_i u_t + d_i in the region of mode i.
 
     Regions must cover the problem's state and control sets and overlap on borders only; a problem checks both. On the
@@ -42,23 +46,9 @@ class PiecewiseAffineDynamics:
     ------
     ProblemError
         If there is no mode, or their dimensions differ.
-
-    Methods
-    -------
-    from_guards(...)
-        Modes by the signs of guards.
-    from_formulas(...)
-        Modes of maxima and minima of affine functions.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
-    along(sequence)
-        The linear dynamics of one mode sequence.
     """
 
     modes: tuple[AffineMode, ...]
-    sampling_time: float | None
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -182,16 +172,6 @@ class PiecewiseAffineDynamics:
         return cls(modes, step, states, controls)
 
     @property
-    def state_dim(self) -> int:
-        """Return n."""
-        return self.modes[0].linear.state_dim
-
-    @property
-    def control_dim(self) -> int:
-        """Return m."""
-        return self.modes[0].linear.control_dim
-
-    @property
     def mode_names(self) -> tuple[str, ...]:
         """Return the name of every mode."""
         return mode_labels(mode.name for mode in self.modes)
@@ -208,9 +188,13 @@ class PiecewiseAffineDynamics:
         return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
 
     @cached_property
-    def found_whole(self) -> set[bytes]:
-        """Sets, in bytes, that the regions were found to cover without overlap: the check is not made again."""
+    def _checked(self) -> set[bytes]:
+        """Sets that the regions were found to cover without overlap."""
         return set()
+
+    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
+        """Return how many modes there are, their names, and that they are affine."""
+        return mode_facts(self.mode_names, f"an affine map in each, where G x + H u {AT_MOST} h")
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
@@ -222,6 +206,17 @@ class PiecewiseAffineDynamics:
                 own = error.field.removeprefix("dynamics.")
                 own = {"C": "G", "D": "H", "e": "h"}.get(own, own)
                 raise ProblemError(f"dynamics.modes[{i}].{own}", error.got, error.expected, error.advice) from None
+
+    def require_sets(self, sets: StageSets) -> None:
+        """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
+        if REGION in sets.names:
+            raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
+        arrays = self.arrays(sets.horizon)
+        require_partition(arrays, self.mode_names, sets, not self.regions_vary, self._checked)
+
+    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+        """Return where regions meet within the sets, and whether the map jumps there."""
+        return borders_of(self.arrays(sets.horizon), sets, self.time_varying)
 
     def arrays(self, horizon: int) -> ModeArrays:
         """Return all modes at all times; what does not depend on time stands in memory once."""
@@ -256,15 +251,24 @@ class PiecewiseAffineDynamics:
         A, B, d = (np.max([part[k] for part in parts], axis=0) for k in range(3))
         return A, B, d
 
-    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return ``gains``, which are the same along all trajectories."""
-        return self.gains()
-
     def along(self, sequence: Indices) -> LinearDynamics:
         """Return the time-varying linear dynamics of a mode sequence (T,)."""
         arrays, times = self.arrays(len(sequence)), np.arange(len(sequence))
         A, B, offset = (part[times, sequence] for part in (arrays.A, arrays.B, arrays.offset))
         return LinearDynamics(A, B, offset, self.sampling_time, self.state_names, self.control_names)
+
+    def linear_at(self, x: Array, u: Array) -> LinearDynamics:
+        """Return the linear dynamics of the modes that a trajectory is in."""
+        return self.along(self.sequence_of(x, u))
+
+    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> PiecewiseAffineDynamics:
+        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
+        modes = list[AffineMode]()
+        for mode in self.modes:
+            map_, region = mode.linear.augmented(A, B, names), mode.region
+            G = with_columns(region.C, len(A))
+            modes.append(AffineMode(map_.A, map_.B, map_.offset, G, region.D, region.e, mode.name))
+        return PiecewiseAffineDynamics(modes, self.sampling_time, [*self.state_names, *names], self.control_names)
 
     def averaged(self, weights: Array) -> LinearDynamics:
         """Return sum_i alpha_{t,i} (A_i, B_i, d_i), the element of Clarke's Jacobian with the weights (T, modes)."""
@@ -286,7 +290,7 @@ class PiecewiseAffineDynamics:
         """
         return self.arrays(len(u)).sequence(x, u)
 
-    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+    def stepper(self, horizon: int) -> Step:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
 
         It raises NumericalError where no region holds (x_t, u_t): the state has left the sets that the regions cover.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
-from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
-from lin_freq_ocp.formulas.text import listed_formulas
+from lin_freq_ocp.formulas.text import listed_formulas, text_of
+from lin_freq_ocp.phrases import first_few, split_unit
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
+from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step
 from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
-from lin_freq_ocp.problem.dynamics.labels import mode_labels, signal_labels
+from lin_freq_ocp.problem.dynamics.labels import mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
@@ -102,7 +104,7 @@ class ModeJets:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class PiecewiseSmoothDynamics:
+class PiecewiseSmoothDynamics(StandardDynamics):
     """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
 
     The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact, or
@@ -122,21 +124,9 @@ class PiecewiseSmoothDynamics:
     ------
     ProblemError
         Saying which field, what was got and what was expected.
-
-    Methods
-    -------
-    from_formulas(...)
-        Modes of formulas with maxima, minima and absolute values.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
     """
 
     modes: tuple[SmoothMode, ...]
-    state_dim: int
-    control_dim: int
-    sampling_time: float | None
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -151,13 +141,7 @@ class PiecewiseSmoothDynamics:
         if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
         made = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
-        assign(
-            self,
-            modes=made,
-            state_dim=n,
-            control_dim=m,
-            **signal_labels(n, m, sampling_time, state_names, control_names),
-        )
+        assign(self, modes=made, **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
     @classmethod
@@ -201,8 +185,8 @@ class PiecewiseSmoothDynamics:
         return mode_labels(mode.name for mode in self.modes)
 
     @property
-    def time_varying(self) -> bool:
-        """Whether the map depends on time: it does not."""
+    def affine(self) -> bool:
+        """Return False: the maps of the modes are smooth."""
         return False
 
     @cached_property
@@ -210,6 +194,12 @@ class PiecewiseSmoothDynamics:
         """The norms in the maps and switching functions, those within others first."""
         formulas = [one for mode in self.modes for one in (*mode.f, *mode.region)]
         return tuple(kinks(formulas, NORM))
+
+    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
+        """Return the modes, and the norms, which are not differentiable at zero."""
+        facts = mode_facts(self.mode_names, "a smooth map in each, where its switching functions are at most zero")
+        norms = list(dict.fromkeys(text_of(one, [split_unit(label)[0] for label in labels]) for one in self.norms))
+        return [*facts, *([("kinks", f"{first_few(norms, 4)}, not differentiable at zero")] if norms else [])]
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps: nothing is."""
@@ -280,15 +270,22 @@ class PiecewiseSmoothDynamics:
         found = jets(variables, np.append(y, values_of([one], y[None])[0])[None])
         return float(eta @ found.slopes[0, :, k])
 
-    def along(self, sequence: Indices, x: Array, u: Array) -> LinearDynamics:
-        """Return the linearisation along a trajectory, that of a mode sequence (T,)."""
-        return self.affine_at(x, u).along(sequence)
+    def linear_at(self, x: Array, u: Array) -> LinearDynamics:
+        """Return the linearisation along a trajectory, of the modes that it is in."""
+        return self.affine_at(x, u).linear_at(x, u)
+
+    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> PiecewiseSmoothDynamics:
+        """Raise UnsupportedError."""
+        raise UnsupportedError(
+            "dynamics: got PiecewiseSmoothDynamics; further states take linear or piecewise-affine dynamics: write the "
+            "former control as a further state in the formulas."
+        )
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time: of those that hold, the one that leads nearest to x_{t+1}; (T,)."""
         return self.affine_at(x, u).sequence_of(x, u)
 
-    def stepper(self, horizon: int) -> Callable[[int, Array, Array], Array]:
+    def stepper(self, horizon: int) -> Step:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
 
         It raises NumericalError where no mode is defined and holds.

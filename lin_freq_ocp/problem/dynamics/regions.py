@@ -6,6 +6,7 @@ regions reach along it, if that is less or if it has none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -23,9 +24,7 @@ from lin_freq_ocp.geometry.polyhedra import (
     natural_sizes,
     uncovered,
 )
-from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
 
 CONTINUITY_TOLERANCE = 1e-7
@@ -113,29 +112,45 @@ class _Pieces:
         return b"|".join(part.tobytes() for part in parts)
 
 
-def require_partition(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> None:
-    """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
-    if REGION in sets.names:
-        raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
-    arrays = dynamics.arrays(sets.horizon)
-    if not dynamics.regions_vary:
-        fault = _fault(dynamics, _pieces(arrays, 0, sets.around()), "")
-        if fault is None:
-            return
-        if sets.constant:
-            raise fault
+def require_partition(
+    arrays: ModeArrays, names: Sequence[str], sets: StageSets, constant: bool, checked: set[bytes]
+) -> None:
+    """Raise ProblemError unless the regions cover the sets and overlap on borders only.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the modes.
+    constant : bool
+        Whether no region depends on time.
+    checked : set of bytes
+        Pieces that are known to be without fault; more are added.
+    """
+
+    def fault(t: int, stage: StageSet, when: str) -> ProblemError | None:
+        pieces = _pieces(arrays, t, stage)
+        found = None if pieces.key in checked else _fault(pieces, names, when)
+        if found is None:
+            checked.add(pieces.key)
+        return found
+
+    everywhere = fault(0, sets.around(), "") if constant else None
+    if everywhere is not None and sets.constant:
+        raise everywhere
+    if everywhere is None and constant:
+        return
     for t in range(sets.horizon):
-        fault = _fault(dynamics, _pieces(arrays, t, sets.at(t)), f" at t = {t}")
-        if fault is not None:
-            raise fault
+        found = fault(t, sets.at(t), f" at t = {t}")
+        if found is not None:
+            raise found
 
 
-def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border, ...]:
+def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[Border, ...]:
     """Return every border that regions share within the sets."""
-    n, arrays, around = dynamics.state_dim, dynamics.arrays(sets.horizon), sets.around()
+    n, around = arrays.A.shape[-1], sets.around()
     known: dict[bytes, list[tuple[int, int, Array, float]]] = {}
     found: list[Border] = []
-    for t in range(sets.horizon if dynamics.time_varying else 1):
+    for t in range(sets.horizon if time_varying else 1):
         pieces = _pieces(arrays, t, around)
         if pieces.key not in known:
             pairs = combinations(range(len(pieces.cells)), 2)
@@ -146,7 +161,7 @@ def borders(dynamics: PiecewiseAffineDynamics, sets: StageSets) -> tuple[Border,
             normal = row / pieces.units
             size = float(np.linalg.norm(normal))
             edge = (limit + float(normal @ pieces.centre)) / size
-            time = t if dynamics.time_varying else None
+            time = t if time_varying else None
             found.append(Border(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
     return tuple(found)
 
@@ -174,12 +189,8 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
     return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
 
 
-def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> ProblemError | None:
+def _fault(pieces: _Pieces, names: Sequence[str], when: str) -> ProblemError | None:
     """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
-    key = pieces.key
-    if key in dynamics.found_whole:
-        return None
-    names = dynamics.mode_names
     for i, j in combinations(range(len(names)), 2):
         point = _overlap(pieces, i, j)
         if point is not None:
@@ -192,7 +203,6 @@ def _fault(dynamics: PiecewiseAffineDynamics, pieces: _Pieces, when: str) -> Pro
     regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
     point = uncovered(pieces.domain, [region for region in regions if region is not None])
     if point is None:
-        dynamics.found_whole.add(key)
         return None
     return ProblemError(
         "dynamics.modes",

@@ -1,0 +1,162 @@
+"""The protocol of dynamics.
+
+A new class of dynamics is a subclass of ``Dynamics`` in a file of its own: its constructor calls ``signal_labels``, and
+``standard_form`` returns the equivalent linear, piecewise-affine or piecewise-smooth dynamics. All operations, methods
+of solution and the judgement are those of the standard form, unless the class overrides them or has its own entry in
+the tables ``FAMILIES`` (solving/families.py) and ``JUDGES`` (certificate/verdict.py).
+``tests/problem/test_new_dynamics.py`` shows complete ones.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.dynamics.regions import Border
+from lin_freq_ocp.problem.sets.stage_sets import StageSets
+
+Entry = TypeVar("Entry")
+
+Step = Callable[[int, Array, Array], Array]
+"""From t, x_t (n,) and u_t (m,) to x_{t+1} (n,)."""
+
+Selections = Mapping[Formula, Array]
+"""The derivatives of norms at zero, (T, components), as for ``formulas.jets``."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Dynamics(ABC):
+    """x_{t+1} = f_t(x_t, u_t) with named signals."""
+
+    state_dim: int
+    control_dim: int
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    @property
+    @abstractmethod
+    def standard_form(self) -> Dynamics:
+        """Return equivalent linear, piecewise-affine or piecewise-smooth dynamics of the same dimensions."""
+
+    @property
+    def affine(self) -> bool:
+        """Whether the map of every mode is affine."""
+        return self.standard_form.affine
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Return the name of every mode; empty for dynamics without modes."""
+        return self.standard_form.mode_names
+
+    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
+        """Return the dynamics in words, as pairs of a term and what it is; labels name states and controls."""
+        return self.standard_form.facts(labels)
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        self.standard_form.require_horizon(horizon)
+
+    def require_sets(self, sets: StageSets) -> None:
+        """Raise ProblemError unless f_t is defined on the sets, and unique."""
+        self.standard_form.require_sets(sets)
+
+    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+        """Return where regions of affine modes meet within the sets."""
+        return self.standard_form.borders(sets)
+
+    def stepper(self, horizon: int) -> Step:
+        """Return the function that steps; it raises NumericalError where f_t is not defined."""
+        return self.standard_form.stepper(horizon)
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return how large the derivatives are, (n, n) and (n, m), and the constants (n,)."""
+        return self.standard_form.gains()
+
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains`` along a trajectory."""
+        return self.standard_form.gains_along(x, u)
+
+    def sequence_of(self, x: Array, u: Array) -> Indices:
+        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}."""
+        return self.standard_form.sequence_of(x, u)
+
+    def affine_at(self, x: Array, u: Array, selections: Selections | None = None) -> Dynamics:
+        """Return dynamics of affine maps that are the same to first order at (x_t, u_t)."""
+        return self.standard_form.affine_at(x, u, selections)
+
+    def linear_at(self, x: Array, u: Array) -> Dynamics:
+        """Return linear dynamics that are the same to first order at (x_t, u_t), those of the modes there."""
+        return self.standard_form.linear_at(x, u)
+
+    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+        """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
+        return self.standard_form.at_zero(x, u)
+
+    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> Dynamics:
+        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
+        return self.standard_form.augmented(A, B, names)
+
+
+class StandardDynamics(Dynamics):
+    """Dynamics in a standard form; what is defined here holds for affine dynamics without modes."""
+
+    @property
+    def standard_form(self) -> StandardDynamics:
+        """Return these dynamics."""
+        return self
+
+    @property
+    def affine(self) -> bool:
+        """Whether the map of every mode is affine."""
+        return True
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Return none."""
+        return ()
+
+    def require_sets(self, sets: StageSets) -> None:
+        """Accept all sets."""
+
+    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+        """Return none."""
+        return ()
+
+    def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return ``gains``, which are the same along all trajectories."""
+        return self.gains()
+
+    def sequence_of(self, x: Array, u: Array) -> Indices:
+        """Return zeros (T,): there is one mode."""
+        return np.zeros(len(u), dtype=np.intp)
+
+    def affine_at(self, x: Array, u: Array, selections: Selections | None = None) -> Dynamics:
+        """Return these dynamics."""
+        return self
+
+    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+        """Return none: there are no norms."""
+        return {}
+
+
+def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
+    """Return the entry for the class of dynamics, for a base class, or for its standard form.
+
+    Raises
+    ------
+    UnsupportedError
+        If there is none.
+    """
+    for kind in (*type(dynamics).__mro__, *type(dynamics.standard_form).__mro__):
+        if kind in table:
+            return table[kind]
+    known = ", ".join(kind.__name__ for kind in table)
+    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected one of {known}.")
