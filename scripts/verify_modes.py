@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from claimed import resolved
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import solve_miqp
 
 AGREEMENT = 1e-6
 """Relative difference of two costs, and relative gap."""
