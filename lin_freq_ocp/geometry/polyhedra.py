@@ -11,10 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import linprog
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError
+
+TOLERANCE = 1e-10
+"""Of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii that are asked for."""
 
 THICKNESS = 1e-7
 """A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers meet rows to 1e-8
@@ -23,6 +26,12 @@ or so, and within that a point is on both sides."""
 SAME_FACET = 4 * THICKNESS
 """Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
 counts as no gap, so that regions without a gap between them have a border."""
+
+EASY_RADIUS = 0.05
+"""A ball of this radius is looked for by a few projections before a linear program is asked for the largest."""
+
+PROJECTIONS, OVERSHOOT = 12, 1.2
+"""Their number, and their length: a little beyond the row, so that two rows at an acute angle take few."""
 
 LARGEST_BALL = 1.0
 """No larger one is looked for: in an unbounded polyhedron there is no largest."""
@@ -38,7 +47,7 @@ FLAT = 1e-9
 """A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
 
 OPTIMAL, INFEASIBLE = 0, 2
-"""Statuses of scipy's ``milp``, which calls HiGHS with half the overhead of ``linprog``."""
+"""Statuses of ``linprog``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,18 +152,36 @@ def ball_centre(
         there = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
         return bool(np.isfinite(y).all() and free and there and (slack[~grows] >= 0).all())
 
+    y = _projected(normals, right - EASY_RADIUS * rows[:, -1], plane)
+    if y is not None and EASY_RADIUS > thickness and holds(y):
+        return y
     y = _largest_ball(rows, right, plane)
     return y if y is not None and holds(y) else None
+
+
+def _projected(normals: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+    """Return a point of normals y <= right by projections on the most violated row, None if a few do not lead there."""
+    y, steps = np.zeros(normals.shape[1]), normals
+    if plane is not None:
+        along = plane[0] / (plane[0] @ plane[0])
+        y, steps = plane[1] * along, normals - np.outer(normals @ along, plane[0])
+    steps = steps / np.maximum((steps**2).sum(axis=1), FLAT)[:, None]
+    for _ in range(PROJECTIONS):
+        slack = right - normals @ y
+        row = int(np.argmin(np.append(slack, 0.0)))
+        if row == len(slack):
+            return y
+        y = y + OVERSHOOT * slack[row] * steps[row]
+    return None
 
 
 def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
     """Return y of the largest r with rows (y, r) <= right and r <= 1; None if there is none."""
     d = rows.shape[1] - 1
-    conditions = [LinearConstraint(rows, -np.inf, right)]
-    if plane is not None:
-        conditions.append(LinearConstraint(np.append(plane[0], 0.0)[None], plane[1], plane[1]))
-    bounds = Bounds(np.full(d + 1, -np.inf), np.append(np.full(d, np.inf), LARGEST_BALL))
-    answer: Any = milp(-np.eye(d + 1)[-1], constraints=conditions, bounds=bounds)
+    bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
+    equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
+    options = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
+    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs-ds", options=options, **equal)
     if answer.status not in (OPTIMAL, INFEASIBLE):
         raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")
     return np.asarray(answer.x[:-1]) if answer.status == OPTIMAL else None
