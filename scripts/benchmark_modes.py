@@ -27,7 +27,6 @@ from importlib.metadata import version
 import cvxpy as cp
 import numpy as np
 from benchmark import duration, machine
-from claimed import resolved
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -39,6 +38,7 @@ from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
 from lin_freq_ocp.methods.modes.node import relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits
+from lin_freq_ocp.testing.claimed import resolved
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0

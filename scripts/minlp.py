@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import minlp_scip
 import numpy as np
-from claimed import differences
 from minlp_program import SmoothProgram, smooth_program
 
 from lin_freq_ocp.backends.base import Solution
@@ -15,6 +14,7 @@ from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, sta
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.testing.claimed import differences
 from lin_freq_ocp.transcription.linear.units import COST_LEVEL
 
 POINT_TOLERANCE = 1e-5

@@ -18,40 +18,10 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.nonsmooth.newton import NewtonRun, newton
+from lin_freq_ocp.testing.checks.newton import PROBLEMS, run
 
 LEVELS = (1e-3, 1e-2, 2e-2)
 """Noise, relative to the largest value of each state and control."""
-
-SAME_COST = 1e-8
-
-NEAR = 3.0
-"""Kinks within so many times the noise get a selection."""
-
-PROBLEMS = {
-    "norm, x_0 = (1, 1), T = 10": lambda: lfo.library.norm_dynamics((1.0, 1.0), 10),
-    "buck, T = 8": lambda: lfo.library.buck_converter(8),
-    "buck, T = 8, bins 3 to 5": lambda: lfo.library.buck_converter(8, control_spectrum=[3, 4, 5]),
-    "buck on the border, T = 4": lambda: lfo.library.buck_converter(4, terminal_state=None, terminal_price=-40.0),
-}
-
-
-def noisy(problem: lfo.OptimalControlProblem, result: lfo.Result, level: float, rng: np.random.Generator):
-    """Return the optimum's trajectory with noise, within the bounds."""
-    x, u = result.trajectory.x, result.trajectory.u
-    x = x + level * np.abs(x).max(axis=0) * rng.standard_normal(x.shape)
-    u = u + level * np.abs(u).max(axis=0) * rng.standard_normal(u.shape)
-    tubes = problem.state_tube, problem.control_tube
-    return lfo.Trajectory(*(np.clip(one, tube.lower, tube.upper) for one, tube in zip((x, u), tubes, strict=True)))
-
-
-def run(problem: lfo.OptimalControlProblem, result: lfo.Result, level: float, seed: int) -> tuple[NewtonRun, bool]:
-    """Return one run from a noisy start, and whether it returned to the optimum."""
-    start = noisy(problem, result, level, np.random.default_rng(seed))
-    sequence = problem.dynamics.sequence_of(start.x, start.u)
-    found = newton(problem, start, None, sequence, near=max(NEAR * level, 1e-3))
-    cost = problem.value(found.trajectory.x, found.trajectory.u)
-    return found, found.converged and abs(cost - result.cost) <= SAME_COST * max(1.0, abs(result.cost))
 
 
 def rates(starts: int, seed: int) -> Table:

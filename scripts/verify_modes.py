@@ -6,82 +6,11 @@ as its mode sequence, solved again as a convex program, has that cost.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from claimed import resolved
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.modes.mixed import solve_miqp
-
-AGREEMENT = 1e-6
-"""Relative difference of two costs, and relative gap."""
-
-NEAR = {"initial_state": (1, 1), "terminal_cost": False}
-
-INSTANCES = {
-    "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
-    "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
-    "rotation, T = 10": ("switched_rotation", {"horizon": 10, **NEAR}, 2.8378768),
-    "rotation, T = 10, bin 5": ("switched_rotation", {"horizon": 10, "control_spectrum": [5], **NEAR}, 2.8944270),
-    "pendulum, T = 6": ("pendulum_with_wall", {"horizon": 6}, 34.990971),
-    "pendulum, T = 10, freq": ("pendulum_with_wall", {"horizon": 10, "control_spectrum": "freq"}, None),
-    "buck, T = 6": ("buck_affine", {"horizon": 6}, 32.681386),
-    "buck, T = 8, freq": ("buck_affine", {"horizon": 8, "control_spectrum": "freq"}, None),
-    "absolute value, T = 8": ("absolute_value", {"horizon": 8}, -2.8),
-    "network, T = 4, freq": ("max_min_network", {"horizon": 4, "control_spectrum": "freq"}, None),
-}
-"""System, arguments, and the known optimal cost, if there is one (reference: docs/hybrid_systems.md)."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one instance.
-
-    Attributes
-    ----------
-    costs : dict
-        Of the sequence that each method found; None without one.
-    gap : float
-        The larger one of the two that are proven, relative.
-    difference : float
-        The largest relative difference of two costs, that of the known optimum counted at its printed digits.
-    words : str
-        What a mixed-integer solver claimed wrongly.
-    """
-
-    name: str
-    costs: dict[str, float | None]
-    gap: float
-    difference: float
-    words: str
-
-    @property
-    def passed(self) -> bool:
-        """Whether all agree and the optimum is proven."""
-        return self.difference <= AGREEMENT and self.gap <= AGREEMENT and not self.words
-
-
-def check(name: str) -> Outcome:
-    """Solve an instance by four methods."""
-    system, arguments, known = INSTANCES[name]
-    problem, costs, gap, words = lfo.library.by_name(system)(**arguments), dict[str, float | None](), 0.0, list[str]()
-    for method in ("enumerate", "branch_and_bound"):
-        result = lfo.solve(problem, method=method, throw=False)
-        costs[method], gap = result.cost, max(gap, float("inf") if result.gap is None else abs(result.gap))
-    for backend in ("scip", "daqp"):
-        outcome = solve_miqp(problem, backend)
-        again = resolved(problem, outcome) if outcome.sequence is not None else None
-        costs[backend] = None if again is None else again.cost
-        words += [] if again is None or not again.words else [f"{backend}: {again.words}"]
-    found = [*costs.values(), *([] if known is None else [known])]
-    difference = float("inf")
-    if None not in found:
-        numbers = [cost for cost in found if cost is not None]
-        difference = (max(numbers) - min(numbers)) / max(1.0, abs(min(numbers)))
-    return Outcome(name, costs, gap, difference, "; ".join(words))
+from lin_freq_ocp.testing.checks.modes import INSTANCES, check
 
 
 def verify(console: Console) -> bool:

@@ -1,10 +1,10 @@
 import os
 
 import pytest
-from reference import PENDULUM, reference_problem
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
 
 def pytest_configure():

@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from test_cli import parsed, run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
 from lin_freq_ocp import errors
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.comparison.sweep.tasks import process_pool

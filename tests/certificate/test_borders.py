@@ -2,31 +2,19 @@
 
 from dataclasses import replace
 
-import kinks
 import numpy as np
 import pytest
-import verify_flips
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers import kinks
+from helpers.borders import changed, multipliers_of, peak_optimum
 from lin_freq_ocp.analysis.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.dynamics.piecewise_affine import REGION
-
-
-def changed(multipliers, **fields):
-    names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage", "weights")
-    return lfo.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
-
-
-def multipliers_of(problem, eta, mu, nu, rho_u=0.0, weights=None):
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    bins = np.full((T // 2 + 1, m), 0.0 + 0.0j)
-    bins[0] = rho_u
-    shaped = (np.reshape(part, shape) for part, shape in ((eta, (T, n)), (mu, (T + 1, n)), (nu, (T, m))))
-    return lfo.Multipliers(1.0, *shaped, bins, np.zeros(((T + 1) // 2 + 1, n)), weights=weights)
+from lin_freq_ocp.testing import random_kinks
 
 
 def failures(certificate, label, name=""):
@@ -35,13 +23,6 @@ def failures(certificate, label, name=""):
 
 def fact(certificate, label, name=""):
     return next(one for one in certificate.borders.conditions if one.label == label and name in one.name)
-
-
-def peak_optimum():
-    """The optimum of the peak, with the multipliers of its rising sequence."""
-    problem = kinks.peak()
-    result = lfo.solve(problem.with_modes([0, 0]))
-    return problem, result.trajectory, weighted(problem, result.trajectory, np.array([0, 0]), result.multipliers)
 
 
 # --- by hand ---------------------------------------------------------------------------------------------------------
@@ -368,7 +349,7 @@ class OneStep:
     """One step from a point on as many borders as there are, with linear costs that make p whatever one wishes."""
 
     def __init__(self, rng, kind, bounded, joint):
-        dynamics = verify_flips.random_map(rng, 1, 1, kind)
+        dynamics = random_kinks.random_map(rng, 1, 1, kind)
         self.arrays, self.eta = dynamics.arrays(1), rng.standard_normal()
         self.point = meeting_point(dynamics, rng)
         self.meets = self.arrays.active(self.point[None, :1], self.point[None, 1:])[0]
@@ -410,14 +391,14 @@ def meeting_point(dynamics, rng):
     return rows[0] * limits[0] / (rows[0] @ rows[0]) + rng.standard_normal() * np.array([-rows[0][1], rows[0][0]])
 
 
-@pytest.mark.parametrize(("kind", "bounded"), list(zip(verify_flips.KINDS, [False, True] * 2, strict=True)))
+@pytest.mark.parametrize(("kind", "bounded"), list(zip(random_kinks.KINDS, [False, True] * 2, strict=True)))
 def test_the_facts_are_those_of_directional_derivatives(kind, bounded):
     """Each fact again: by steps of the map itself along many directions, and the joint one by a linear program."""
     angles = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
     around, axes = np.column_stack([np.cos(angles), np.sin(angles)]), np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
     seen = set()
     for seed in range(12):
-        rng = np.random.default_rng([seed, verify_flips.KINDS.index(kind), bounded])
+        rng = np.random.default_rng([seed, random_kinks.KINDS.index(kind), bounded])
         case = OneStep(rng, kind, bounded, joint=seed % 2 == 0)
         facts, allowed = case.facts(), around[around[:, 1] >= 0] if bounded else around
         rise, modes = case.rise(allowed)

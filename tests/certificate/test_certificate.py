@@ -6,7 +6,6 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from reference import STATED, reference_problem
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import bound as bound_module
@@ -14,6 +13,7 @@ from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.testing.reference import STATED, reference_problem
 from lin_freq_ocp.transcription.linear import transcription as linear
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]

@@ -11,11 +11,11 @@ import control.optimal
 import cvxpy as cp
 import numpy as np
 import pytest
-from verify import random_problem
-from verify_mixed import Model, problem_of, random_model
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, descent_direction
+from lin_freq_ocp.testing.random_convex import random_problem
+from lin_freq_ocp.testing.random_mixed import Model, problem_of, random_model
 
 ALONE = (5, 11)
 """Seeds whose constraints leave a single trajectory, or nearly so: that of least control is the optimum, too."""

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from reference import time_varying
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.testing.reference import time_varying
 
 T = 30
 

@@ -6,63 +6,61 @@ from functools import cache
 
 import numpy as np
 import pytest
-import verify
-import verify_explain
-import verify_flips
-import verify_mixed
-import verify_modes
 
 from lin_freq_ocp.certificate.modes.clarke import Flip
+from lin_freq_ocp.testing import random_mixed
+from lin_freq_ocp.testing.checks import convex, explain, flips, mixed, modes
+from lin_freq_ocp.testing.random_convex import random_problem
 
 
 @pytest.mark.parametrize("seed", range(16))
 def test_a_random_problem_is_solved_and_proven(seed):
-    outcome = verify.check(seed)
+    outcome = convex.check(seed)
     assert outcome.passed, outcome
 
 
 def test_the_sample_has_every_kind_and_both_endings():
-    assert {verify.random_problem(seed)[0] for seed in range(16)} == {"stable", "marginal", "unstable", "time-varying"}
-    assert verify.check(10).status == "infeasible"
+    assert {random_problem(seed)[0] for seed in range(16)} == {"stable", "marginal", "unstable", "time-varying"}
+    assert convex.check(10).status == "infeasible"
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_an_infeasible_problem_is_explained(seed):
-    outcome = verify_explain.check(seed)
+    outcome = explain.check(seed)
     assert outcome.passed, outcome
     assert outcome.family
 
 
-mixed = cache(verify_mixed.check)
+check_mixed = cache(mixed.check)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_problem_of_mixed_features_is_solved_like_by_cvxpy_and_the_judge_refuses_what_is_spoiled(seed):
-    assert mixed(seed).passed, mixed(seed)
+    assert check_mixed(seed).passed, check_mixed(seed)
 
 
 def test_the_sample_of_mixed_features_has_most_of_them_and_spoils_something():
-    outcomes = [mixed(seed) for seed in range(6)]
-    assert len({one for seed in range(20) for one in verify_mixed.random_model(seed).features}) >= 17
+    outcomes = [check_mixed(seed) for seed in range(6)]
+    assert len({one for seed in range(20) for one in random_mixed.random_model(seed).features}) >= 17
     assert sum(len(outcome.tried) for outcome in outcomes) >= 6
 
 
-flips = cache(verify_flips.check)
+check_flips = cache(flips.check)
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_flips_at_borders_improve_where_the_judge_says_so_and_nowhere_else(seed):
-    assert flips(seed).passed, flips(seed)
+    assert check_flips(seed).passed, check_flips(seed)
 
 
 def test_the_sample_of_flips_has_every_outcome():
-    counts = sum((flips(seed).counts for seed in range(8)), start=Counter())
+    counts = sum((check_flips(seed).counts for seed in range(8)), start=Counter())
     assert min(counts[what] for what in ("flip", "stay", "inside", "flip-stationary")) >= 1
     assert counts["flip"] >= 5
 
 
 def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
-    honest, what = verify_flips.judge, {}
+    honest, what = flips.judge, {}
 
     def spoiled(problem, trajectory, multipliers):
         certificate = honest(problem, trajectory, multipliers)
@@ -70,20 +68,20 @@ def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
         every = [Flip(int(t), int(j), 1.0) for t, j in np.argwhere(meeting)] if what["all"] else []
         return replace(certificate, borders=replace(certificate.borders, flips=tuple(every)))
 
-    monkeypatch.setattr(verify_flips, "judge", spoiled)
-    monkeypatch.setattr(verify_flips, "followed", lambda *given: ())
+    monkeypatch.setattr(flips, "judge", spoiled)
+    monkeypatch.setattr(flips, "followed", lambda *given: ())
     for every, words in ((False, "that would gain"), (True, "that gains")):
         what["all"] = every
-        assert any(words in one for seed in range(8) for one in verify_flips.check(seed).wrong)
+        assert any(words in one for seed in range(8) for one in flips.check(seed).wrong)
 
 
 @pytest.mark.parametrize("name", ["rotation, T = 6, freq", "pendulum, T = 6", "buck, T = 6", "network, T = 4, freq"])
 def test_four_methods_find_the_same_mode_sequences(name):
-    outcome = verify_modes.check(name)
+    outcome = modes.check(name)
     assert outcome.passed, outcome
 
 
 def test_methods_that_disagree_or_prove_nothing_are_found_out(monkeypatch):
-    system, arguments, known = verify_modes.INSTANCES["buck, T = 6"]
-    monkeypatch.setitem(verify_modes.INSTANCES, "buck, T = 6", (system, arguments, known * (1 + 2e-6)))
-    assert not verify_modes.check("buck, T = 6").passed
+    system, arguments, known = modes.INSTANCES["buck, T = 6"]
+    monkeypatch.setitem(modes.INSTANCES, "buck, T = 6", (system, arguments, known * (1 + 2e-6)))
+    assert not modes.check("buck, T = 6").passed

@@ -5,14 +5,11 @@ Nothing else appears: no traceback, and not a byte on stdout, so that a pipe nev
 
 from __future__ import annotations
 
-import io
-import warnings
-from contextlib import redirect_stderr, redirect_stdout
-
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.cli import app as cli
 
@@ -52,16 +49,6 @@ B = [[1.0]]
 [cost]
 r = [1.0]
 """
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Run the command in this process; return exit status, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with warnings.catch_warnings(), redirect_stdout(out), redirect_stderr(err):
-        warnings.simplefilter("default")
-        with pytest.raises(SystemExit) as ended:
-            cli.main(arguments)
-    return int(ended.value.code or 0), out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="module")

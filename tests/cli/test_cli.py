@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 import signal
@@ -11,8 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
@@ -34,27 +33,8 @@ HARMLESS = ("--set", f"cutoff={np.pi!r}")
 """A low pass at the Nyquist frequency: it removes nothing, and says so in a warning."""
 
 
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Run the command in this process; return exit status, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with warnings.catch_warnings(), redirect_stdout(out), redirect_stderr(err):
-        warnings.simplefilter("default")
-        with pytest.raises(SystemExit) as ended:
-            cli.main(arguments)
-    return int(ended.value.code or 0), out.getvalue(), err.getvalue()
-
-
 once = cache(run)
 """The same for runs that change nothing: each is made once."""
-
-
-def parsed(text: str):
-    """Return the one JSON object that is the whole text; NaN and Infinity, which are not JSON, are refused."""
-
-    def refuse(constant):
-        raise ValueError(f"{constant} in JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 # --- the JSON -------------------------------------------------------------------------------------------------------

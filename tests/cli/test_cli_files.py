@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 
 
 @pytest.fixture(scope="module")

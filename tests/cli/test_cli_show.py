@@ -7,10 +7,10 @@ import json
 import tomllib
 
 import pytest
-from test_cli import run
-from test_schema import SHOW, faults
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
+from helpers.schemas import SHOW, faults
 from lin_freq_ocp.cli.show import as_toml
 
 

@@ -16,18 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
-from jsonschema import Draft202012Validator
-from test_cli import parsed, run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from helpers.schemas import SWEEP, faults
 from lin_freq_ocp.comparison.sweep import point as sweep_point
 from lin_freq_ocp.comparison.sweep import tasks as sweep_tasks
 from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
-
-SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "sweep.schema.json").read_text(encoding="utf-8"))
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)
 GRID = {"cutoff_hz": [None, 0.2, 1.0, 3.0], "control_bound": [0.2, 1.0]}
@@ -472,16 +470,12 @@ def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 
 
-def faults(summary) -> list[str]:
-    return [f"{one.json_path}: {one.message}" for one in Draft202012Validator(SCHEMA).iter_errors(summary)]
-
-
 def test_the_command_prints_one_object_and_writes_the_folder(serial, tmp_path):
     grids = ("--grid", 'cutoff_hz=["none", 0.2, 1.0, 3.0]', "--grid", "control_bound=[0.2, 1.0]")
     status, out, err = run("sweep", *WORDS, *grids, "--workers", "2", "--out", str(tmp_path / "out"), "--json")
     summary = parsed(out)
     assert (status, err) == (0, "")
-    assert faults(summary) == []
+    assert faults(SWEEP, summary) == []
     assert {file.name for file in (tmp_path / "out").iterdir()} == {"sweep.jsonl", "sweep.csv", "sweep.png"}
     assert_same(lfo.load_sweep(tmp_path / "out" / "sweep.jsonl"), serial)
     status, out, _ = run("sweep", *WORDS, *grids, "--out", str(tmp_path / "out"))
@@ -492,8 +486,8 @@ def test_the_command_prints_one_object_and_writes_the_folder(serial, tmp_path):
 
 def test_the_summary_of_any_sweep_is_valid():
     found = lfo.sweep(broken_builder, {"horizon": [2, 60]}, time_limit=60)
-    assert faults(json.loads(json.dumps(sweep_summary(found)))) == []
-    assert faults({**sweep_summary(found), "schema": 2}) != []
+    assert faults(SWEEP, json.loads(json.dumps(sweep_summary(found)))) == []
+    assert faults(SWEEP, {**sweep_summary(found), "schema": 2}) != []
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from math import exp
 
 import numpy as np
 import pytest
-from test_formulas import random_formula
 
 import lin_freq_ocp as lfo
+from helpers.formulas import random_formula
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint

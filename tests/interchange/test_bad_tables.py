@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from every_table import GOOD, PIECEWISE, changed
 
 import lin_freq_ocp as lfo
+from helpers.every_table import GOOD, PIECEWISE, changed
 
 START = """
 schema = 1

@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 import pytest
 import tomli_w
-from every_table import GOOD, PIECEWISE
 from scipy.io import savemat
-from test_cli import run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
+from helpers.every_table import GOOD, PIECEWISE
 from lin_freq_ocp.api.rerun import Rerun, rerun_summary
 from lin_freq_ocp.api.rerun import _outcome as outcome
 from lin_freq_ocp.interchange import files

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from helpers.problem_files import assert_same, bands, everything_at_once
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
 from lin_freq_ocp.interchange.problem_file.sets import SETS
@@ -29,7 +30,7 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
-from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -68,36 +69,6 @@ def message(path: Path, overrides=None) -> str:
     return str(caught.value)
 
 
-def bands(given) -> list[Band]:
-    return [] if given is None else [given] if isinstance(given, Band) else list(given)
-
-
-def assert_same(one: OptimalControlProblem, other: OptimalControlProblem) -> None:
-    assert (one.name, one.horizon, one.sampling_time) == (other.name, other.horizon, other.sampling_time)
-    assert (one.state_names, one.control_names) == (other.state_names, other.control_names)
-    assert bands(one.control_spectrum) == bands(other.control_spectrum)
-    assert bands(one.state_spectrum) == bands(other.state_spectrum)
-    pairs = [
-        *((getattr(one.dynamics, field), getattr(other.dynamics, field)) for field in ("A", "B", "offset")),
-        *(
-            (getattr(one.cost, f), getattr(other.cost, f))
-            for f in ("Q", "R", "S", "q", "r", "P", "p", "x_ref", "u_ref")
-        ),
-        *(
-            (getattr(getattr(one, box), side), getattr(getattr(other, box), side))
-            for box in ("initial_state", "terminal_state", "state_tube", "control_tube")
-            for side in ("lower", "upper")
-        ),
-        (one.control_stop, other.control_stop),
-        (one.state_stop, other.state_stop),
-        *((getattr(a, f), getattr(b, f)) for a, b in zip(one.stage_rows, other.stage_rows, strict=True) for f in "CDe"),
-    ]
-    assert [rows.name for rows in one.stage_rows] == [rows.name for rows in other.stage_rows]
-    for a, b in pairs:
-        assert a.shape == b.shape
-        assert (a == b).all()
-
-
 def round_trip(problem: OptimalControlProblem, folder: Path) -> OptimalControlProblem:
     write_problem(problem, folder / "problem.toml")
     again = read_problem(folder / "problem.toml")
@@ -106,49 +77,6 @@ def round_trip(problem: OptimalControlProblem, folder: Path) -> OptimalControlPr
 
 
 # --- what is written is read back -----------------------------------------------------------------------------------
-
-
-def everything_at_once(horizon: int) -> OptimalControlProblem:
-    """Return a problem in which every field is given, per time where that is possible."""
-    T, n, m = horizon, 3, 2
-    rng = np.random.default_rng(7)
-    root = rng.normal(size=(T, n + m, n + m))
-    hessian = root @ np.swapaxes(root, 1, 2)
-    hessian = (hessian + np.swapaxes(hessian, 1, 2)) / 2
-    reach = rng.uniform(1, 2, size=(T + 1, n))
-    return OptimalControlProblem(
-        dynamics=LinearDynamics(
-            rng.normal(size=(T, n, n)),
-            rng.normal(size=(T, n, m)),
-            offset=rng.normal(size=(T, n)),
-            sampling_time=1 / 3,
-            state_names=["höhe [m]", 'a "quoted" [1]', "brackets, [ 1, ]"],
-            control_names=["u\\v", "w"],
-        ),
-        horizon=T,
-        cost=QuadraticCost(
-            Q=hessian[:, :n, :n],
-            R=hessian[:, n:, n:],
-            S=hessian[:, :n, n:],
-            q=rng.normal(size=(T, n)),
-            r=rng.normal(size=(T, m)),
-            P=hessian[0, :n, :n],
-            p=rng.normal(size=n),
-            x_ref=rng.normal(size=(T + 1, n)),
-            u_ref=np.zeros((T, m)),
-        ),
-        control_set=[Everything() if t % 2 else Box([-1, None], [None, t]) for t in range(T)],
-        state_set=Box(-reach, reach),
-        initial_state=[0.1, -0.2, 0.3],
-        terminal_state=Box([None, -0.5, 0.25], [0.5, None, 0.25]),
-        control_spectrum=[low_pass(cutoff=0.8 * np.pi), stop_band(bins=[2, -1], component="w")],
-        state_spectrum=[band_pass(lower_hz=0.1, upper_hz=1.4, component=1), high_pass(0.3, component="höhe")],
-        stage_rows=[
-            StageRows(rng.normal(size=(T, 2, n)), None, [1.0, np.inf], name="höhe [m]"),
-            StageRows(None, rng.normal(size=(1, m)), rng.uniform(1, 2, size=(T, 1))),
-        ],
-        name="all of it",
-    )
 
 
 @pytest.mark.parametrize("horizon", [9, 60])
@@ -228,7 +156,7 @@ def problems(draw) -> OptimalControlProblem:
 @given(problem=problems())
 @settings(
     derandomize=True,
-    max_examples=30,
+    max_examples=15,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from verify_mixed import FEATURES, problem_of, random_model
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.formulas.text import source_of
 from lin_freq_ocp.interchange.problem_file import array_references
 from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
+from lin_freq_ocp.testing.random_mixed import FEATURES, problem_of, random_model
 
 T, N, M = 12, 3, 2
 RNG = np.random.default_rng(5)

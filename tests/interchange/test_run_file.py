@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import parsed, run
-from test_interchange import assert_same, everything_at_once
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from helpers.problem_files import assert_same, everything_at_once
 from lin_freq_ocp.api.rerun import SAME_COST
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
@@ -140,7 +140,7 @@ def test_a_dump_says_nothing_of_who_and_where(tmp_path, monkeypatch):
         cli.cli.main(["solve", "pendulum", "--method", "convex", "--dump", "run.zip"], standalone_mode=False)
     with zipfile.ZipFile("run.zip") as archive:
         text = "".join(archive.read(name).decode() for name in archive.namelist())
-    assert lfo.load_run("run.zip").error["places"][-1].startswith("test_run_file:")
+    assert lfo.load_run("run.zip").error["places"][-1].startswith(f"{__name__}:")
     assert "No such file" in text
     names = {getpass.getuser(), platform.node(), "somebody", str(Path.home()), sys.prefix, str(tmp_path), "/"}
     for name in names:

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from every_table import GOOD, PIECEWISE, changed
 from jsonschema import Draft202012Validator
-from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
+from helpers.every_table import GOOD, PIECEWISE, changed
+from helpers.schemas import DOCS, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
@@ -26,33 +26,14 @@ from lin_freq_ocp.interchange.problem_file import dynamics, spectrum, tables
 from lin_freq_ocp.interchange.problem_file.codec import Record
 from lin_freq_ocp.interchange.problem_file.sets import SETS
 from lin_freq_ocp.interchange.problem_file.template import template
-from lin_freq_ocp.interchange.results.summary import (
-    comparison_summary,
-    failed_comparison_summary,
-    result_summary,
-    to_json,
-)
-
-DOCS = Path(__file__).parents[2] / "docs"
-
-PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
-RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
-SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
-SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
+from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary, result_summary
+from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 PARTS = PROBLEM["$defs"]
 
 
-def faults(schema: dict[str, Any], instance: Any) -> list[str]:
-    return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema).iter_errors(instance)]
-
-
 def assert_valid_file(path: Path) -> None:
     assert faults(PROBLEM, tomllib.loads(path.read_text(encoding="utf-8"))) == []
-
-
-def printed(summary: Any) -> Any:
-    return json.loads(to_json(summary))
 
 
 def properties(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.io import loadmat, savemat
-from test_cli import parsed, run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
 from lin_freq_ocp.interchange.results.csv_file import save_csv
 from lin_freq_ocp.interchange.results.mat_file import save_mat
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hybrid_equations import STEPS, outside, random_points, single_step
 
 import lin_freq_ocp as lfo
+from helpers.hybrid_equations import STEPS, outside, random_points, single_step
 from lin_freq_ocp import library
 from lin_freq_ocp.cli.app import build
 from lin_freq_ocp.errors import ProblemError

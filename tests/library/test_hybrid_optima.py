@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hybrid_equations import STEPS, random_points, single_step, successors
 
 import lin_freq_ocp as lfo
+from helpers.hybrid_equations import STEPS, random_points, single_step, successors
 from lin_freq_ocp import library
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.library.piecewise.buck_affine import buck_error

@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from modes import brute_force, random_problem
 from scipy.optimize import linprog
 from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
+from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.analysis.mode_reach import ModeReach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -64,7 +64,7 @@ def test_enumeration_finds_and_proves_the_reference_values(name, given, cost):
     assert abs(result.gap) < 1e-6
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_search_agrees_with_brute_force(seed):
     band = lfo.stop_band(bins=[2]) if seed % 2 else None
     kinks, horizon = (2, 2) if seed == 1 else (1, 4)
@@ -273,13 +273,13 @@ def test_the_same_search_twice_is_the_same():
 class Here(Executor):
     """Runs tasks when they are given; some of them are lost with their worker."""
 
-    def __init__(self, lost=(), error=BrokenExecutor("the worker died")):
+    def __init__(self, lost=(), error=BrokenExecutor):
         self.lost, self.error, self.given = set(lost), error, 0
 
     def submit(self, function, /, *arguments, **named):
         future = Future()
         if self.given in self.lost:
-            future.set_exception(self.error)
+            future.set_exception(self.error("the worker died"))
         else:
             future.set_result(function(*arguments, **named))
         self.given += 1
@@ -301,7 +301,7 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
 def test_an_error_of_the_search_itself_is_raised(monkeypatch):
     monkeypatch.setattr(parts, "PARTS", 6)
     with pytest.raises(ZeroDivisionError):
-        lfo.solve(library.buck_affine(horizon=10), executor=Here(lost=[0], error=ZeroDivisionError("a bug")))
+        lfo.solve(library.buck_affine(horizon=10), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
 def test_parts_on_two_processes(monkeypatch):
@@ -315,11 +315,11 @@ def test_parts_on_two_processes(monkeypatch):
 
 def test_what_is_refused(monkeypatch):
     hybrid, linear = library.buck_affine(horizon=4), library.double_integrator(horizon=4)
-    with pytest.raises(lfo.UnsupportedError, match="'convex', which takes linear dynamics"):
+    with pytest.raises(lfo.UnsupportedError, match="'convex', which is for linear dynamics"):
         lfo.solve(hybrid, method="convex")
-    with pytest.raises(lfo.UnsupportedError, match="have none"):
+    with pytest.raises(lfo.UnsupportedError, match="which is for piecewise-affine dynamics"):
         lfo.solve(linear, method="branch_and_bound")
-    with pytest.raises(lfo.UnsupportedError, match="needs none"):
+    with pytest.raises(lfo.UnsupportedError, match="backend: got 'osqp'"):
         lfo.solve(hybrid, method="branch_and_bound", backend="osqp")
     with pytest.raises(lfo.UnsupportedError, match="executor"):
         lfo.solve(hybrid, method="enumerate", executor=Here())

@@ -8,18 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import semismooth_newton
 from jsonschema import Draft202012Validator
-from test_cli import parsed, run
-from test_schema import RESULT
 
 import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from helpers.schemas import RESULT
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.modes.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.nonsmooth.newton import newton, starting_point
 from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum
 from lin_freq_ocp.methods.nonsmooth.system import System
+from lin_freq_ocp.testing.checks import newton as newton_check
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}
@@ -159,9 +159,9 @@ def test_one_sequence_may_have_several_local_optima_and_flips_lead_on():
 
 @pytest.mark.parametrize("name", ["norm, x_0 = (1, 1), T = 10", "buck on the border, T = 4"])
 def test_newton_returns_from_noise_and_doubles_its_digits(name):
-    problem = semismooth_newton.PROBLEMS[name]()
+    problem = newton_check.PROBLEMS[name]()
     result = lfo.solve(problem, method="nonsmooth")
-    runs = [semismooth_newton.run(problem, result, 1e-3, seed) for seed in range(10)]
+    runs = [newton_check.run(problem, result, 1e-3, seed) for seed in range(10)]
     assert sum(returned for _, returned in runs) >= 9
     falls = [(before, after) for found, _ in runs for before, after in pairwise(found.residuals) if before < 1e-4]
     assert len(falls) >= 10

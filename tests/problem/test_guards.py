@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
+from helpers.kinked_maps import problem_of, random_kinks
 
 from_guards = lfo.PiecewiseAffineDynamics.from_guards
 linearised = lfo.PiecewiseAffineDynamics.linearised

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
+from helpers.kinked_maps import problem_of, random_kinks
 from lin_freq_ocp.geometry.polyhedra import cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.dynamics.max_min import SMALLEST_PIECE
 

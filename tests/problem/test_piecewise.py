@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinked_maps import problem_of, random_kinks
 
 import lin_freq_ocp as lfo
+from helpers.kinked_maps import problem_of, random_kinks
 from lin_freq_ocp.problem.dynamics.regions import CONTINUITY_TOLERANCE
 
 SEEDS = st.integers(0, 2**32 - 1)

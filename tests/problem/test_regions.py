@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinked_maps import problem_of, random_kinks
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.kinked_maps import problem_of, random_kinks
 from lin_freq_ocp.geometry import polyhedra
 from lin_freq_ocp.geometry.polyhedra import SAME_FACET, THICKNESS, Cell
 

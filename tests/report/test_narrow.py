@@ -7,9 +7,9 @@ import io
 import pytest
 from rich.console import Console
 from rich.table import Table
-from test_cli import run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 from lin_freq_ocp.report.narrow import fitted, terms
 from lin_freq_ocp.report.tables import certificate_table, comparison_table
 

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from html.parser import HTMLParser
 from io import BytesIO, StringIO
 from xml.etree import ElementTree
 
@@ -20,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from helpers.pages import STATES, double_integrator, parsed
 from lin_freq_ocp.analysis.measures import padded_spectrum
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.solve import solve
@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import Band, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bands import low_pass, notch, stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report import words
 from lin_freq_ocp.report.entries import entries, shown_filter
@@ -57,42 +57,6 @@ from lin_freq_ocp.report.tables import (
     comparison_rows,
     comparison_table,
 )
-
-STATES = ["position <p> [m]", "speed & co [m/s]"]
-
-
-def double_integrator(
-    horizon: int = 24,
-    sampling_time: float | None = None,
-    controls: int = 1,
-    initial_state: object = (0.0, 0.0),
-    control_spectrum: Band | list[Band] | None = None,
-    state_spectrum: Band | None = None,
-    terminal_state: object = (1.0, 0.0),
-    state_set: object = None,
-    name: str = "",
-) -> OptimalControlProblem:
-    """Two states, one or two controls; names that must be escaped."""
-    B = np.array([[0.005, 0.1], [0.1, 0.0]])[:, :controls]
-    return OptimalControlProblem(
-        dynamics=LinearDynamics(
-            [[1, 0.1], [0, 1]],
-            B,
-            sampling_time=sampling_time,
-            state_names=STATES,
-            control_names=["force $a$ [N]", "pull $b$"][:controls],
-        ),
-        horizon=horizon,
-        cost=QuadraticCost(R=1.0),
-        control_set=Box(-5, 5),
-        state_set=state_set,
-        initial_state=initial_state,
-        terminal_state=terminal_state,
-        control_spectrum=control_spectrum,
-        state_spectrum=state_spectrum,
-        name=name,
-    )
-
 
 CASES: dict[str, Callable[[], OptimalControlProblem]] = {
     "pendulum": pendulum,
@@ -138,54 +102,6 @@ def page(name: str) -> str:
 @cache
 def text(name: str) -> str:
     return parsed(page(name)).text
-
-
-class Page(HTMLParser):
-    """Collects what a browser would see, would load, and would link to."""
-
-    VOID = frozenset({"meta", "br", "hr", "img", "link", "input"})
-
-    def __init__(self):
-        super().__init__()
-        self.tags: list[str] = []
-        self.open: list[str] = []
-        self.references: list[str] = []
-        self.identifiers: list[str] = []
-        self.styles = ""
-        self.text = ""
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        if tag not in self.VOID:
-            self.open.append(tag)
-        for key, value in attrs:
-            if key in ("src", "href", "xlink:href", "srcset", "data", "action", "poster"):
-                self.references.append(value or "")
-            elif key == "id":
-                self.identifiers.append(value or "")
-            self.styles += f" {value}" if key in ("style", "clip-path", "fill", "stroke") else ""
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in self.VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] == "style":
-            self.styles += data
-        else:
-            self.text += f"{data} "
-
-
-def parsed(html: str) -> Page:
-    found = Page()
-    found.feed(html)
-    found.close()
-    found.text = " ".join(found.text.split())
-    return found
 
 
 def quietly(name: str) -> list[float]:

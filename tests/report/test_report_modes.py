@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kinks import peak, rotation, valley
 from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
-from test_report import double_integrator, parsed
 
 import lin_freq_ocp as lfo
+from helpers.kinks import peak, rotation, valley
+from helpers.pages import double_integrator, parsed
 from lin_freq_ocp import library
 from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.api.compare import Comparison, compare

@@ -3,15 +3,15 @@
 import json
 from dataclasses import replace
 
-import kinks
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
-from test_borders import changed, multipliers_of, peak_optimum
-from test_schema import RESULT, faults, printed
 
 import lin_freq_ocp as lfo
+from helpers import kinks
+from helpers.borders import changed, multipliers_of, peak_optimum
+from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli

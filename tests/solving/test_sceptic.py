@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from verify_mixed import problem_of, random_model
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 

@@ -6,13 +6,13 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
+from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 from lin_freq_ocp.transcription.program import Block
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])

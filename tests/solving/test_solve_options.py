@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_cli import run
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 from lin_freq_ocp.solving.families import FAMILIES, chosen
 
 PROBLEMS = {

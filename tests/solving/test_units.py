@@ -8,18 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import random_units
-import verify_units
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.sizes import cost_scale, trajectory_sizes
+from lin_freq_ocp.testing import random_units
+from lin_freq_ocp.testing.checks import units
 
-SEEDS = {change: [3, 4, 8] for change in verify_units.CHANGES}
+SEEDS = {change: [3, 4, 8] for change in units.CHANGES}
 
 
 @pytest.mark.parametrize(("change", "seed"), [(change, seed) for change, seeds in SEEDS.items() for seed in seeds])
 def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
-    outcome = verify_units.check(seed, change)
+    outcome = units.check(seed, change)
     assert outcome.passed, outcome
 
 

@@ -7,18 +7,17 @@ import threading
 import time
 from dataclasses import replace
 
-import benchmark_modes
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from claimed import resolved
-from modes import brute_force, random_problem
 
 import lin_freq_ocp as lfo
+from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.methods.modes import mixed
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.testing.claimed import resolved
 from lin_freq_ocp.transcription.modes.big_m import excesses
 from lin_freq_ocp.transcription.modes.mixed_integer import big_m_program
 from lin_freq_ocp.transcription.program import Block
@@ -394,16 +393,3 @@ def test_solve_improves_on_a_wrong_claim(monkeypatch):
     result = lfo.solve(library.pendulum_with_wall(horizon=6), method="miqp")
     assert result.cost == pytest.approx(34.990971, rel=1e-6)
     assert result.status == "optimal"
-
-
-def test_contenders_of_the_benchmark_agree():
-    problem = library.pendulum_with_wall(horizon=5, control_spectrum="freq")
-    rows = [benchmark_modes.row_of("small", name, problem, 20.0, 1e-6) for name in benchmark_modes.CONTENDERS]
-    assert [row.status for row in rows] == ["optimal"] * len(rows)
-    assert all(row.words == "" for row in benchmark_modes.judged(rows, 1e-6))
-    wrong = [*rows, replace(rows[0], cost=2 * rows[0].cost), replace(rows[0], bound=2 * rows[0].cost)]
-    assert [row.words for row in benchmark_modes.judged(wrong, 1e-6)][-2:] == [
-        "WRONG: not optimal",
-        "WRONG: bound above the best cost",
-    ]
-    assert benchmark_modes.table_of("small", rows).row_count == len(rows)

@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, Searc
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError)
-"""What a future raises whose worker died (concurrent.futures), was cancelled, or was cut off (executors on networks)."""
+"""What a future raises whose worker died, was cancelled, or was cut off (executors on networks)."""
 
 PARTS = 32
 """Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_spectral_class import END, START, A, B, moving, plant, problem_of, residuals, wave
 
 import lin_freq_ocp as lfo
+from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmark_cases import oscillator
 
 import lin_freq_ocp as lfo
+from helpers.oscillator import oscillator
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces

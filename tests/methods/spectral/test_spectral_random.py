@@ -4,12 +4,12 @@ import signal
 from dataclasses import replace
 
 import pytest
-import verify_spectral
-from random_lti import with_witness
-from verify_spectral import Reference, Verdict
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.testing.checks import spectral
+from lin_freq_ocp.testing.checks.spectral import Reference, Verdict
+from lin_freq_ocp.testing.random_lti import with_witness
 
 BOUNDED = 4
 """A problem with active bounds, a stop band and a witness."""
@@ -24,7 +24,7 @@ TINY_REFERENCE = 338
 
 @pytest.mark.parametrize("seed", [*range(8), *HARD])
 def test_a_random_problem_is_solved_like_by_the_reference_or_proven_infeasible(seed):
-    outcome = verify_spectral.check(seed)
+    outcome = spectral.check(seed)
     assert outcome.passed, str(outcome)
 
 
@@ -46,12 +46,12 @@ def both():
 def test_a_feasible_point_that_is_not_optimal_is_not_explained(both):
     problem, witness, result, reference = both
     ours = replace(result, trajectory=witness, certificate=lfo.certify(problem, witness, result.multipliers))
-    assert verify_spectral.compare_costs(problem, ours, reference)[0] is Verdict.UNEXPLAINED
+    assert spectral.compare_costs(problem, ours, reference)[0] is Verdict.UNEXPLAINED
 
 
 def test_a_reference_above_a_certified_optimum_is_proven_wrong(both):
     problem, witness, result, reference = both
-    verdict, why, _ = verify_spectral.compare_costs(problem, result, replace(reference, trajectory=witness))
+    verdict, why, _ = spectral.compare_costs(problem, result, replace(reference, trajectory=witness))
     assert verdict is Verdict.PROVEN
     assert "above, its duality gap" in why
 
@@ -61,13 +61,13 @@ def test_a_reference_that_breaks_the_dynamics_is_explained_by_its_residuals(both
     dynamics = problem.dynamics
     moved = replace(dynamics, offset=dynamics.offset + 1e-3)
     cheating = solve_convex(replace(problem, dynamics=moved), "clarabel", 1e-11, None)
-    verdict, why, difference = verify_spectral.compare_costs(problem, result, cheating)
+    verdict, why, difference = spectral.compare_costs(problem, result, cheating)
     assert verdict is Verdict.PROVEN
     assert "its dynamics residual" in why
     assert difference > 1e-7
     unproven = replace(result, certificate=replace(result.certificate, bound=None))
-    assert verify_spectral.compare_costs(problem, unproven, cheating)[0] is Verdict.EXPLAINED
-    errors = verify_spectral.cost_errors(problem, reference.trajectory, reference.multipliers, result.trajectory)
+    assert spectral.compare_costs(problem, unproven, cheating)[0] is Verdict.EXPLAINED
+    errors = spectral.cost_errors(problem, reference.trajectory, reference.multipliers, result.trajectory)
     assert sum(errors.values()) < 1e-8 * max(1, abs(result.cost))
 
 
@@ -87,7 +87,7 @@ def test_a_reference_that_breaks_the_dynamics_is_explained_by_its_residuals(both
     ],
 )
 def test_statuses_are_compared(ours, reference, feasible, verdict):
-    assert verify_spectral.compare_statuses(ours, reference, feasible) is verdict
+    assert spectral.compare_statuses(ours, reference, feasible) is verdict
 
 
 def test_a_witness_is_not_contradicted_by_the_reference(monkeypatch):
@@ -96,11 +96,11 @@ def test_a_witness_is_not_contradicted_by_the_reference(monkeypatch):
         "clarabel": replace(solve_convex(problem, "clarabel", 1e-11, None), words="PrimalInfeasible"),
         "qpsolvers:piqp": solve_convex(problem, "qpsolvers:piqp", 1e-11, None),
     }
-    monkeypatch.setattr(verify_spectral, "solve_convex", lambda problem, name, *_: answers[name])
-    reference = verify_spectral.reference_answer(problem, witness)
+    monkeypatch.setattr(spectral, "solve_convex", lambda problem, name, *_: answers[name])
+    reference = spectral.reference_answer(problem, witness)
     assert reference.status == "solved"
     assert reference.point is answers["qpsolvers:piqp"]
-    assert verify_spectral.reference_answer(problem, None).status == "infeasible"
+    assert spectral.reference_answer(problem, None).status == "infeasible"
 
 
 def test_exceptions_and_refusals_fail_without_ending_the_run(monkeypatch):
@@ -110,21 +110,21 @@ def test_exceptions_and_refusals_fail_without_ending_the_run(monkeypatch):
 
         return solve
 
-    monkeypatch.setattr(verify_spectral, "reference_answer", lambda *_: Reference("unsure", "none"))
+    monkeypatch.setattr(spectral, "reference_answer", lambda *_: Reference("unsure", "none"))
     for error, verdict in (
         (lfo.UnsupportedError("time-varying"), Verdict.REFUSED),
         (ZeroDivisionError("1 / 0"), Verdict.BROKEN),
     ):
-        monkeypatch.setattr(verify_spectral.lfo, "solve", raising(error))
-        outcome = verify_spectral.check(BOUNDED)
+        monkeypatch.setattr(spectral.lfo, "solve", raising(error))
+        outcome = spectral.check(BOUNDED)
         assert outcome.verdict is verdict
         assert not outcome.passed
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no such clock on this system")
 def test_no_problem_takes_too_long(monkeypatch):
-    monkeypatch.setattr(verify_spectral, "PROBLEM_SECONDS", 1e-3)
-    outcome = verify_spectral.check(BOUNDED)
+    monkeypatch.setattr(spectral, "PROBLEM_SECONDS", 1e-3)
+    outcome = spectral.check(BOUNDED)
     assert outcome.verdict is Verdict.BROKEN
     assert not outcome.passed
 
@@ -132,6 +132,6 @@ def test_no_problem_takes_too_long(monkeypatch):
 def test_a_gap_that_proves_nothing_fails(both):
     _, _, result, _ = both
     loose = replace(result.certificate, bound=replace(result.certificate.bound, value=result.cost - 1.0))
-    outcome = verify_spectral.Outcome(BOUNDED, "optimal", "", Verdict.AGREES, certificate=loose)
+    outcome = spectral.Outcome(BOUNDED, "optimal", "", Verdict.AGREES, certificate=loose)
     assert not outcome.passed
     assert replace(outcome, certificate=result.certificate).passed

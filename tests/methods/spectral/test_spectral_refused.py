@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from test_spectral_class import END, START, A, B, T, plant, problem_of, tube
 
 import lin_freq_ocp as lfo
+from helpers.spectral_plants import END, START, A, B, T, plant, problem_of, tube
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.transcription.linear.real_rows import real_rows

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_spectral_class import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 
 import lin_freq_ocp as lfo
+from helpers.spectral_plants import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_spectral_class import LARGE_BOX, START, T, problem_of
 
 import lin_freq_ocp as lfo
+from helpers.spectral_plants import LARGE_BOX, START, T, problem_of
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 from lin_freq_ocp.methods.spectral.rows import whole_horizon

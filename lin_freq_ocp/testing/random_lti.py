@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
@@ -153,7 +153,7 @@ def _freedom(problem: lfo.OptimalControlProblem) -> int:
     return T * problem.control_dim - stopped
 
 
-def _end_codes(rng: np.random.Generator, problem: lfo.OptimalControlProblem) -> Array:
+def _end_codes(rng: np.random.Generator, problem: lfo.OptimalControlProblem) -> Indices:
     """Return FREE, BOXED or FIXED for every component of both ends, (2, n), as far as the controls can serve them."""
     n = problem.state_dim
     patterns = [(FIXED, FIXED), (FIXED, FREE), (FREE, FREE), (FIXED, BOXED), (BOXED, BOXED)]
@@ -168,7 +168,7 @@ def _end_codes(rng: np.random.Generator, problem: lfo.OptimalControlProblem) -> 
 
 def _growth(problem: lfo.OptimalControlProblem) -> float:
     """Return how much the open loop amplifies over the horizon."""
-    return float(np.linalg.norm(np.linalg.matrix_power(problem.dynamics.A, problem.horizon)))
+    return float(np.linalg.norm(np.linalg.matrix_power(problem.linear.A, problem.horizon)))
 
 
 def _end(rng: np.random.Generator, problem: lfo.OptimalControlProblem, code: Array, x: Array) -> lfo.Box:
@@ -249,7 +249,7 @@ def _with_bounds(
         changes["control_set"] = _box_between(rng, calm.u, liked.u)
     if rng.random() < 0.35:
         changes["state_set"] = (_box_between if rng.random() < 0.7 else _tube_around)(rng, calm.x, liked.x)
-    if hasattr(lfo, "StageRows") and rng.random() < 0.2:
+    if rng.random() < 0.2:
         rows = int(rng.integers(1, 4))
         C = rng.standard_normal((rows, problem.state_dim)) * (rng.random() < 0.8)
         D = rng.standard_normal((rows, problem.control_dim)) * (rng.random() < 0.8)

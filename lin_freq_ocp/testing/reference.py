@@ -1,19 +1,23 @@
-"""Linear problems with known optimal values (tests/data/linear.json), and the six of the pendulum."""
+"""Linear problems with known optimal values: those of reference.json, and the six of the pendulum."""
+
+from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.arrays import Array
 
-INSTANCES = {
-    one["name"]: one for one in json.loads((Path(__file__).parent / "data" / "linear.json").read_text())["instances"]
+INSTANCES: dict[str, dict[str, Any]] = {
+    one["name"]: one for one in json.loads(Path(__file__).with_name("reference.json").read_text())["instances"]
 }
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]
 """Those that boxes and stop bands can state; dint200_soft has a mask, and is known to 1e-6 only."""
 
-PENDULUM = {  # (keyword arguments): optimal cost
+PENDULUM: dict[str, tuple[dict[str, Any], float]] = {  # keyword arguments, optimal cost
     "paper, constrained": ({}, 3199.18631986),
     "paper, classical": ({"cutoff": None}, 2852.70530277),
     "to rest, constrained": ({"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0)}, 359.660659090),
@@ -26,7 +30,8 @@ PENDULUM = {  # (keyword arguments): optimal cost
 }
 
 
-def reference_problem(name, **changes):
+def reference_problem(name: str, **changes: Any) -> lfo.OptimalControlProblem:
+    """Return the problem of an instance; ``changes`` replace entries of its data."""
     one = INSTANCES[name] | changes
     T = one["T"]
     bounds = lfo.Box([-bound for bound in one["xmax"]], one["xmax"])
@@ -48,7 +53,8 @@ def reference_problem(name, **changes):
     )
 
 
-def time_varying(T):
+def time_varying(T: int) -> tuple[Array, Array]:
+    """Return A (T, 2, 2) and B (T, 2, 1) of the time-varying instance."""
     t = np.arange(T)
     A, B = np.zeros((T, 2, 2)), np.zeros((T, 2, 1))
     A[:, 0, 0] = 1

@@ -1,10 +1,14 @@
-"""The benchmark measures what it says: contenders agree on small problems, and rows hold their residuals. No times."""
+"""The benchmark measures what it says: contenders agree on small problems, and rows hold their residuals. No times.
+
+Run by .ci/run: python -m pytest -o pythonpath=scripts scripts
+"""
 
 import csv
 from dataclasses import replace
 
 import benchmark
 import benchmark_measures
+import benchmark_modes
 import benchmark_resolve
 import numpy as np
 import pytest
@@ -112,3 +116,16 @@ def test_labels_are_spread():
 def test_the_machine_is_described():
     assert "one thread" in benchmark.machine()
     assert f"lin_freq_ocp {lfo.__version__}" in benchmark.machine()
+
+
+def test_contenders_of_the_benchmark_agree():
+    problem = lfo.library.pendulum_with_wall(horizon=5, control_spectrum="freq")
+    rows = [benchmark_modes.row_of("small", name, problem, 20.0, 1e-6) for name in benchmark_modes.CONTENDERS]
+    assert [row.status for row in rows] == ["optimal"] * len(rows)
+    assert all(row.words == "" for row in benchmark_modes.judged(rows, 1e-6))
+    wrong = [*rows, replace(rows[0], cost=2 * rows[0].cost), replace(rows[0], bound=2 * rows[0].cost)]
+    assert [row.words for row in benchmark_modes.judged(wrong, 1e-6)][-2:] == [
+        "WRONG: not optimal",
+        "WRONG: bound above the best cost",
+    ]
+    assert benchmark_modes.table_of("small", rows).row_count == len(rows)

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from random_lti import least_cost
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.testing.random_lti import least_cost
 
 SPOILT = 0.06
 """Share of the problems with an end moved away; most of these are infeasible."""
@@ -73,7 +73,7 @@ def random_linear(seed: int) -> Sample:
 
 def in_units(problem: lfo.OptimalControlProblem, units: Units) -> lfo.OptimalControlProblem:
     """Return a problem of boxes, stop bands and joint rows in other units of its states, controls and costs."""
-    x, u, old, cost = units.x, units.u, problem.dynamics, problem.quadratic
+    x, u, old, cost = units.x, units.u, problem.linear, problem.quadratic
     rows = [lfo.StageRows(one.C * x, one.D * u, one.e, one.name) for one in problem.stage_rows]
     scaled = {
         "q": x,

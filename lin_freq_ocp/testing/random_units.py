@@ -45,7 +45,7 @@ class Change:
     @classmethod
     def none(cls, n: int, m: int, **changed: Any) -> Change:
         """Return the change to the same words, or to others where they are given."""
-        plain = {"x": np.ones(n), "u": np.ones(m), "x_origin": np.zeros(n), "u_origin": np.zeros(m)}
+        plain: dict[str, Any] = {"x": np.ones(n), "u": np.ones(m), "x_origin": np.zeros(n), "u_origin": np.zeros(m)}
         return cls(**{**plain, **changed})
 
 
@@ -202,8 +202,10 @@ def problem(data: Drawn, change: Change | None = None) -> lfo.OptimalControlProb
         spectra.append(lfo.low_pass(cutoff_hz=data.cutoff / (2 * np.pi * sampling_time)))
     if data.mask is not None:
         spectra.append(lfo.MagnitudeBound(data.mask * change.u[0], bins=[1, 2], component=0))
-    end = None if data.end is None else change.x * data.end + a
-    free = None if end is None else ~np.isfinite(end)
+    end = None
+    if data.end is not None:
+        target, free = change.x * data.end + a, ~np.isfinite(data.end)
+        end = lfo.Box(np.where(free, -np.inf, target), np.where(free, np.inf, target))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", lfo.BandWarning)
         return lfo.OptimalControlProblem(
@@ -213,7 +215,7 @@ def problem(data: Drawn, change: Change | None = None) -> lfo.OptimalControlProb
             control_set=lfo.Box(change.u * u_low + b, change.u * u_high + b),
             state_set=lfo.Box(change.x * x_low + a, change.x * x_high + a),
             initial_state=change.x * data.start + a,
-            terminal_state=None if end is None else lfo.Box(np.where(free, -np.inf, end), np.where(free, np.inf, end)),
+            terminal_state=end,
             control_spectrum=spectra or None,
             stage_rows=rows,
             name=data.kind,

@@ -1,0 +1,92 @@
+"""An infeasible problem is explained: the family can spare no block, each cure helps, and less than it does not.
+
+What can be satisfied is asked of CVXPY and Clarabel on a program written by ``to_cvxpy``, never of what explains.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+
+import cvxpy as cp
+import numpy as np
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.certificate.conflict import PRACTICAL
+from lin_freq_ocp.explain.blocks import ENDS, Block, blocks, widened, without
+from lin_freq_ocp.testing.random_infeasible import random_infeasible
+
+LESS = 0.95
+"""Part of a cure that must not help."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one problem: what is wrong, if anything, what was not decided, and the blocks of the cures."""
+
+    seed: int
+    kind: str
+    family: tuple[str, ...]
+    cures: tuple[str, ...]
+    wrong: tuple[str, ...]
+    unsure: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.wrong
+
+
+def feasible(problem: lfo.OptimalControlProblem) -> bool | None:
+    """Return what Clarabel says of the constraints alone; None where it is not sure, or the trajectory impractical."""
+    for cost in (lfo.QuadraticCost(), lfo.QuadraticCost(R=1.0)):  # some solver's trouble goes away with a cost
+        oracle = lfo.to_cvxpy(replace(problem, cost=cost))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            try:
+                oracle.solve(solver="CLARABEL")
+            except cp.SolverError:
+                continue
+        if oracle.status in ("optimal", "infeasible"):
+            break
+    if oracle.status == "optimal":
+        signals = {one.name(): np.abs(np.asarray(one.value)).max(0) for one in oracle.variables()}
+        x, u = stated_sizes(problem)
+        practical = (signals["x"] <= PRACTICAL * x).all() and (signals["u"] <= PRACTICAL * u).all()
+        return True if practical else None
+    return False if oracle.status == "infeasible" else None
+
+
+def check(seed: int) -> Outcome:
+    """Explain one problem, and try everything that is said."""
+    kind, problem = random_infeasible(seed)
+    explanation = lfo.explain(problem)
+    named = {block.name: block for block in blocks(problem)}
+    family = [named[name] for name in explanation.family]
+    others = [block for block in named.values() if block not in family]
+    wrong, answers = [] if explanation.irreducible else ["not shown to be irreducible"], list[bool | None]()
+
+    def expect(answer: bool | None, expected: bool, what: str) -> None:
+        answers.append(answer)
+        if answer is not None and answer != expected:
+            wrong.append(what)
+
+    expect(feasible(without(problem, others)), False, "the family can hold together")
+    for block in family:
+        expect(feasible(without(problem, [*others, block])), True, f"the family can spare the {block.name}")
+    for cure in explanation.cures:
+        enough, less = amounts(problem, named[cure.block], cure.amount)
+        expect(feasible(widened(problem, named[cure.block], enough)), True, f"no cure: {cure}")
+        expect(feasible(widened(problem, named[cure.block], less)), False, f"less would do: {cure}")
+    cures = tuple(named[cure.block].kind for cure in explanation.cures)
+    return Outcome(seed, kind, explanation.family, cures, tuple(wrong), answers.count(None))
+
+
+def amounts(problem: lfo.OptimalControlProblem, block: Block, amount: float) -> tuple[float | Array, float | Array]:
+    """Return a little more than a cure, and less than it, as ``widened`` takes them."""
+    if block.kind.endswith("stop band"):
+        return amount, amount - 1
+    units = stated_sizes(problem)[0] if block.kind in ENDS else 1.0
+    return 1.0001 * amount * units + 1e-9, LESS * amount * units

@@ -1,0 +1,73 @@
+"""A random linear problem in any units, against plain Clarabel on the same quadratic program.
+
+Counted are problems without an answer where Clarabel has one, and costs that differ by more than 1e-6 of what the terms
+of the cost add up to in absolute value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.testing.oracle import AGREEMENT, NOISE, Reference, cost_scale, fitted, solved_plainly, worth
+from lin_freq_ocp.testing.random_linear import random_linear
+
+ANSWERS = ("optimal", "locally_optimal")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one random problem."""
+
+    seed: int
+    ours: str
+    method: str
+    theirs: str
+    difference: float | None
+    words: str = ""
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether Clarabel has an answer, and there is none here."""
+        return self.theirs == "Solved" and self.ours not in ANSWERS
+
+    @property
+    def wrong(self) -> bool:
+        """Whether both have an answer, at different costs."""
+        return self.theirs == "Solved" and self.difference is not None and self.difference > AGREEMENT
+
+
+def check(seed: int) -> Outcome:
+    """Solve one problem here, in its units, and plainly, in good ones."""
+    sample = random_linear(seed)
+    reference = solved_plainly(sample.good)
+    result = lfo.solve(sample.problem, throw=False)
+    outcome = Outcome(seed, result.status, result.method, reference.status, None, result.message)
+    if reference.status != "Solved" or result.status not in ANSWERS or result.trajectory is None:
+        return outcome
+    x, u = result.trajectory.x * sample.units.x, result.trajectory.u * sample.units.u
+    excess, scale = sample.good.value(x, u) - reference.cost, cost_scale(sample.good, x, u)
+    difference = abs(excess) / scale if abs(excess) > NOISE else 0.0
+    outcome = replace(outcome, difference=difference)
+    return outcome if difference <= AGREEMENT else _arbitrated(outcome, reference, excess, scale, x, u)
+
+
+def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: float, x: Array, u: Array) -> Outcome:
+    """Return the outcome of two different costs: Clarabel is wrong where its own rules say so of its point.
+
+    That is where ours is cheaper though its violations, by Clarabel's multipliers, are not worth it; where Clarabel's
+    is cheaper, and its violations, by the multipliers that fit our point, are; and where multipliers fit ours as well.
+    """
+    program, z = reference.program, np.concatenate([x.ravel(), u.ravel()])
+    y, error = fitted(program, z)
+    ours, theirs = worth(program, reference.y, z), worth(program, y, reference.z)
+    words = (
+        f"{'dearer' if excess > 0 else 'cheaper'} by {abs(excess):.1e}; violations here are worth {ours:.1e}, "
+        f"Clarabel's {theirs:.1e}; multipliers fit here to {error:.1e}, there to {reference.error:.1e}"
+    )
+    wrong = ours < -excess / 2 if excess < 0 else theirs > excess / 2
+    status = "not the optimum" if wrong else "another optimum" if error <= AGREEMENT * scale else reference.status
+    return replace(outcome, theirs=status, words=words)

@@ -1,0 +1,241 @@
+# pyright: reportAttributeAccessIssue=false
+"""The optimal cost of linear problems by plain Clarabel, on a quadratic program that shares no code with the package.
+
+The program is written from a problem of boxes, stop bands and joint rows, in good units, with scipy.sparse alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import lsq_linear
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.arrays import Array, Indices
+
+TOLERANCE = 1e-10
+"""Asked of Clarabel."""
+
+
+AGREEMENT = 1e-6
+"""Difference of the two costs, relative to what the terms of the cost add up to."""
+
+
+NONE = 1e6
+"""Bounds from here on are left out if the answer is far within them: they stand for none."""
+
+
+NOISE = 1e-9
+"""Difference of two costs, in good units, that Clarabel's tolerance can make."""
+
+
+ACTIVE = 1e-7
+"""Distance from a limit, in good units, at which it may carry a multiplier."""
+
+
+NEAR = 1e4
+"""An answer below this is far within bounds of NONE."""
+
+
+@dataclass(frozen=True)
+class PlainProgram:
+    """min 1/2 z'P z + q'z + constant with A z = b, G z <= h, in z = (x_0 .. x_T, u_0 .. u_{T-1})."""
+
+    P: sp.csc_array
+    q: Array
+    constant: float
+    A: sp.csc_array
+    b: Array
+    G: sp.csc_array
+    h: Array
+
+
+def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgram:
+    """Return the quadratic program of a problem with boxes, stop bands and joint rows, and bounds below ``none``."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    states, variables = (T + 1) * n, (T + 1) * n + T * m
+    equations, limits = _Rows(variables), _Rows(variables)
+    P, gradient, constant = np.zeros((variables, variables)), np.zeros(variables), 0.0
+    cost = problem.quadratic
+    per_time = [np.broadcast_to(getattr(cost, one), (T, *shape)) for one, shape in _shapes(n, m).items()]
+    x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
+    for t in range(T + 1):
+        here = np.arange(t * n, t * n + n)
+        if t == T:
+            H, linear, at, reference = cost.P, cost.p, here, x_ref[T]
+        else:
+            now = states + np.arange(t * m, t * m + m)
+            A, B, d = problem.linear.at(t)
+            for i in range(n):
+                equations.add(np.concatenate([[here[i] + n], here, now]), np.concatenate([[1.0], -A[i], -B[i]]), d[i])
+            Q, R, S, q, r = (one[t] for one in per_time)
+            H, linear = np.block([[Q, S], [S.T, R]]), np.concatenate([q, r])
+            at, reference = np.concatenate([here, now]), np.concatenate([x_ref[t], u_ref[t]])
+        P[np.ix_(at, at)] += H
+        gradient[at] += linear - H @ reference
+        constant += 0.5 * float(reference @ H @ reference)
+    _add_bounds(problem, equations, limits, none)
+    _add_bands(problem, equations)
+    for family in problem.stage_rows:
+        for t in range(T):
+            C, D = (np.broadcast_to(one, (T, *one.shape[-2:]))[t] for one in (family.C, family.D))
+            e = np.broadcast_to(family.e, (T, family.rows))[t]
+            at = np.concatenate([np.arange(t * n, t * n + n), states + np.arange(t * m, t * m + m)])
+            for i in np.flatnonzero(e < none):
+                limits.add(at, np.concatenate([C[i], D[i]]), e[i])
+    return PlainProgram(sp.csc_array(P), gradient, constant, *equations.matrix(), *limits.matrix())
+
+
+class _Rows:
+    """Rows of a sparse matrix, one after the other, with their right-hand sides."""
+
+    def __init__(self, columns: int):
+        self._columns, self._entries, self._right = columns, list[tuple[Indices, Array]](), list[float]()
+
+    def add(self, at: Indices | int, values: Array | float, right: float) -> None:
+        self._entries.append((np.atleast_1d(at), np.atleast_1d(values)))
+        self._right.append(float(right))
+
+    def matrix(self) -> tuple[sp.csc_array, Array]:
+        at, values = (np.concatenate([np.zeros(0), *(one[k] for one in self._entries)]) for k in (0, 1))
+        row = np.repeat(np.arange(len(self._right)), [len(one[0]) for one in self._entries])
+        shape = len(self._right), self._columns
+        return sp.csc_array((values, (row, at.astype(int))), shape=shape), np.array(self._right)
+
+
+def _shapes(n: int, m: int) -> dict[str, tuple[int, ...]]:
+    return {"Q": (n, n), "R": (m, m), "S": (n, m), "q": (n,), "r": (m,)}
+
+
+def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _Rows, none: float) -> None:
+    """Add the bounds of all states and controls; an interval of no width is an equation."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    x = [
+        _bounds(problem.state_set, T + 1, n),
+        *(_bounds(end, 1, n) for end in (problem.initial_state, problem.terminal_state)),
+    ]
+    lower, upper = x[0]
+    for t, (low, high) in zip((0, T), x[1:], strict=True):
+        lower[t], upper[t] = np.maximum(lower[t], low[0]), np.minimum(upper[t], high[0])
+    u = _bounds(problem.control_set, T, m)
+    lower, upper = (np.concatenate([a.ravel(), b.ravel()]) for a, b in zip((lower, upper), u, strict=True))
+    for i in range(len(lower)):
+        if lower[i] == upper[i]:
+            equations.add(i, 1.0, lower[i])
+            continue
+        if upper[i] < none:
+            limits.add(i, 1.0, upper[i])
+        if lower[i] > -none:
+            limits.add(i, -1.0, -lower[i])
+
+
+def _bounds(box: lfo.Box | None, times: int, count: int) -> tuple[Array, Array]:
+    if box is None:
+        return np.full((times, count), -np.inf), np.full((times, count), np.inf)
+    return np.broadcast_to(box.lower, (times, count)).copy(), np.broadcast_to(box.upper, (times, count)).copy()
+
+
+def _add_bands(problem: lfo.OptimalControlProblem, equations: _Rows) -> None:
+    """Add real and imaginary part of every stopped bin."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    for stop, length, count, first in ((problem.state_stop, T + 1, n, 0), (problem.control_stop, T, m, (T + 1) * n)):
+        for k, j in np.argwhere(stop):
+            turns = 2 * np.pi * k * np.arange(length) / length
+            at = first + np.arange(length) * count + j
+            equations.add(at, np.cos(turns), 0.0)
+            if 0 < 2 * k < length:
+                equations.add(at, np.sin(turns), 0.0)
+
+
+def fitted(program: PlainProgram, z: Array) -> tuple[Array, float]:
+    """Return the multipliers that fit a point best, of equations and limits, and how wrong its cost can be with them.
+
+    To first order, that is what violations, slopes that are left, and distances from limits are worth.
+    """
+    slack = program.h - program.G @ z
+    active = slack <= ACTIVE * (1 + np.abs(program.h))
+    held = np.concatenate([np.ones(len(program.b), dtype=bool), active])
+    columns = sp.csc_array(sp.vstack([program.A, program.G]))[held].T.toarray()
+    gradient = program.P @ z + program.q
+    least = np.where(np.arange(columns.shape[1]) < len(program.b), -np.inf, 0.0)
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    y = np.zeros(len(held))
+    if columns.size:
+        y[held] = lsq_linear(columns / norms, -gradient, (least, np.inf), tol=1e-15).x / norms
+    slope = gradient + columns @ y[held]
+    missed = np.concatenate([program.A @ z - program.b, slack])
+    beyond = np.abs(np.minimum(slack, 0.0)).sum()
+    return y, float(np.abs(y) @ np.abs(missed) + np.abs(slope) @ np.abs(z) + beyond)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Clarabel's answer, in good units.
+
+    Attributes
+    ----------
+    status : str
+        Its own word, or "unsure" where it says "Solved" of a point whose cost is not known to AGREEMENT.
+    program : PlainProgram
+    z, y : (variables,), (rows,)
+        The point, and the duals of equations and limits: >= 0 for limits.
+    cost : float
+    error : float
+        How wrong the cost can be, to first order: residuals times multipliers, and complementarity.
+    """
+
+    status: str
+    program: PlainProgram
+    z: Array
+    y: Array
+    cost: float
+    error: float
+
+
+def worth(program: PlainProgram, y: Array, z: Array) -> float:
+    """Return by how much the violations of a point can make it cheaper, to first order, with multipliers y."""
+    missed = np.concatenate([np.abs(program.A @ z - program.b), np.maximum(program.G @ z - program.h, 0.0)])
+    return float(np.abs(y) @ missed)
+
+
+def solved_plainly(problem: lfo.OptimalControlProblem) -> Reference:
+    """Return what plain Clarabel says; bounds that stand for none are left out first."""
+    reference = _clarabel(problem, plain_program(problem, NONE))
+    if reference.status == "Solved" and np.abs(reference.z).max() < NEAR:
+        return reference
+    return _clarabel(problem, plain_program(problem, np.inf))
+
+
+def _clarabel(problem: lfo.OptimalControlProblem, program: PlainProgram) -> Reference:
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    A, b = sp.csc_matrix(sp.vstack([program.A, program.G])), np.concatenate([program.b, program.h])
+    cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.h))]
+    answer = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
+    z, y, status = np.array(answer.x), np.array(answer.z), str(answer.status)
+    cost, slack = 0.5 * z @ (program.P @ z) + program.q @ z + program.constant, b - A @ z
+    error = float((np.abs(y) * np.abs(slack)).sum() + (np.abs(z) * np.abs(program.P @ z + program.q + A.T @ y)).sum())
+    if status == "Solved" and error > max(AGREEMENT * cost_scale(problem, *_signals(problem, z)), NOISE):
+        status = "unsure"
+    return Reference(status, program, z, y, float(cost), error)
+
+
+def _signals(problem: lfo.OptimalControlProblem, z: Array) -> tuple[Array, Array]:
+    x, u = np.split(z, [(problem.horizon + 1) * problem.state_dim])
+    return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
+
+
+def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
+    """Return what the terms of the cost add up to in absolute value."""
+    a, b = (np.abs(one) for one in problem.quadratic.deviations(x, u))
+    absolute = problem.quadratic.magnitudes()
+    no_linear = lfo.QuadraticCost(Q=absolute.Q, R=absolute.R, S=absolute.S, P=absolute.P)
+    T, n = len(u), x.shape[1]
+    quadratic = no_linear.at_dimensions(n, u.shape[1], T).value(a, b)
+    return quadratic + lfo.QuadraticCost(q=absolute.q, r=absolute.r, p=absolute.p).at_dimensions(
+        n, u.shape[1], T
+    ).value(np.abs(x), np.abs(u))
