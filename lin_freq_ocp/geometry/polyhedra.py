@@ -180,7 +180,7 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
     d = rows.shape[1] - 1
     bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
     equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
-    options = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
     answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs-ds", options=options, **equal)
     if answer.status not in (OPTIMAL, INFEASIBLE):
         raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")

@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem
@@ -16,6 +15,7 @@ from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
 from lin_freq_ocp.methods.modes.node import relaxed
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 library = lfo.library
 
@@ -103,17 +103,12 @@ def test_everything_that_linear_problems_have(fields):
     assert abs(result.gap) < 1e-6
 
 
-def test_relaxations_get_stronger_and_stay_below_the_optimum():
+def test_the_root_relaxation_is_below_the_optimum():
     for problem in (random_problem(5, horizon=5), library.buck_affine(horizon=6)):
-        bounds = []
-        for kind in ("big-M", "hull", "perspective"):
-            relaxation = RELAXATIONS[kind](problem)
-            bounds.append(relaxed(relaxation, relaxation.reach.from_start(ones(problem))).bound)
-        cost = lfo.solve(problem).cost
-        assert bounds[0] <= bounds[1] + 1e-6
-        assert bounds[1] <= bounds[2] + 1e-6
-        assert bounds[2] <= cost + 1e-6
-        assert bounds[0] < cost - 1e-4  # there is something to relax
+        relaxation = ModeRelaxation(problem)
+        bound = relaxed(relaxation, relaxation.reach.from_start(ones(problem))).bound
+        assert np.isfinite(bound)
+        assert bound <= lfo.solve(problem).cost + 1e-6
 
 
 @pytest.mark.parametrize("kinks", [1, 2])
