@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.errors import ProblemError
@@ -88,10 +88,8 @@ def elliptic_rendezvous(
             B,
             sampling_time=step,
             state_names=[
-                "radial distance [km]",
-                "along-track distance [km]",
-                "radial speed [m/s]",
-                "along-track speed [m/s]",
+                *("radial distance [km]", "along-track distance [km]"),
+                *("radial speed [m/s]", "along-track speed [m/s]"),
             ],
             control_names=["radial thrust [mm/s^2]", "along-track thrust [mm/s^2]"],
         ),
@@ -152,13 +150,8 @@ def _sampled_model(orbit: _Orbit, first_anomaly: float, horizon: int, step: floa
 
 def _integrated(rates: Callable[[float, Array], Array], initial: Array, times: Array) -> Array:
     """Return the solution at the given times, shape (len(initial), len(times))."""
-    solution = solve_ivp(
-        rates,
-        (0.0, float(times[-1])),
-        initial,
-        method="DOP853",
-        t_eval=times,
-        rtol=INTEGRATION_TOLERANCE,
-        atol=INTEGRATION_TOLERANCE,
-    )
+    from scipy.integrate import solve_ivp  # slow to import
+
+    accuracy: dict[str, Any] = {"method": "DOP853", "rtol": INTEGRATION_TOLERANCE, "atol": INTEGRATION_TOLERANCE}
+    solution = solve_ivp(rates, (0.0, float(times[-1])), initial, t_eval=times, **accuracy)
     return np.asarray(solution.y)
