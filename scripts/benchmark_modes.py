@@ -30,15 +30,16 @@ from benchmark import duration, machine
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
+from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import solve_miqp
 from lin_freq_ocp.methods.modes.node import relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits
+from lin_freq_ocp.testing.claimed import resolved
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
-from lin_freq_ocp.transcription.modes.relaxation import RELAXATIONS, ModeRelaxation
 
 GAP, LIMIT = 1e-6, 60.0
 
@@ -207,7 +208,7 @@ def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: floa
     seconds = time.perf_counter() - started
     if answer.sequence is None:
         return Row(case, name, seconds, None, None, answer.bound, answer.status)
-    outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, 0.0, "")
+    outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, "")
     again = resolved(problem, outcome)
     if again.cost is None:
         return Row(case, name, seconds, None, None, answer.bound, answer.status, again.words)
@@ -254,8 +255,8 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
     for name, build in cases.items():
         problem, cells = build(), list[str]()
         best = lfo.solve(problem, time_limit=limit, throw=False).cost
-        for kind in RELAXATIONS:
-            relaxation = ModeRelaxation(problem, kind)
+        for kind in RELAXATIONS.values():
+            relaxation = kind(problem)
             everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
             reach = relaxation.reach.from_start(everything)
             outcome = BranchAndBound(problem, SearchLimits(gap, limit), relaxation=kind).run()

@@ -9,11 +9,12 @@ import minlp_scip
 import numpy as np
 from minlp_program import SmoothProgram, smooth_program
 
-from lin_freq_ocp.backends.mixed import MixedSolution
+from lin_freq_ocp.backends.base import Solution
 from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.testing.claimed import differences
 from lin_freq_ocp.transcription.linear.units import COST_LEVEL
 
 POINT_TOLERANCE = 1e-5
@@ -26,16 +27,19 @@ class GlobalClaim(SolverClaim):
 
     Attributes
     ----------
+    slope : float
+        What an error of 1 in the units of the program, where rows are of order 1, could change of J, roughly.
     excluded : bool
         Whether our intervals prove that there is no trajectory; the solver was not asked then.
     """
 
+    slope: float = 0.0
     excluded: bool = False
 
     def mismatches(self, cost: float, scale: float) -> list[str]:
         """Return what the claim gets wrong, if its point led to a trajectory of that cost; ``scale`` is S."""
         allowed = AGREEMENT * scale + POINT_TOLERANCE * self.slope
-        return self.differences(cost, allowed, "the trajectory it leads to")
+        return differences(self, cost, allowed, "the trajectory it leads to")
 
 
 def solve_minlp(
@@ -65,7 +69,7 @@ def solve_minlp(
     if left is not None and left <= 0:
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         slope = program.cost(COST_LEVEL) * problem.horizon
-        return GlobalClaim("limit", None, None, None, None, slope, words, {"setup": ready - started, "solve": 0.0})
+        return GlobalClaim("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0}, slope)
     solution = minlp_scip.solve(program, left, gap)
     return _claim(program, solution, {"setup": ready - started, "solve": time.perf_counter() - ready})
 
@@ -83,13 +87,13 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np
     return local_optimum(problem, claim.trajectory, nearest, end=end) or found
 
 
-def _claim(program: SmoothProgram, solution: MixedSolution, seconds: dict[str, float]) -> GlobalClaim:
+def _claim(program: SmoothProgram, solution: Solution, seconds: dict[str, float]) -> GlobalClaim:
     bound = None if solution.bound is None else program.cost(solution.bound)
     status, words = status_of(solution)
     slope = program.cost(COST_LEVEL) * program.problem.horizon
     if solution.z is None:
-        return GlobalClaim(status, None, None, None, bound, slope, words, seconds, program.excluded)
+        return GlobalClaim(status, None, None, None, bound, words, seconds, slope, program.excluded)
     z, deltas = np.split(solution.z, [len(program.program.q)])
     sequence = np.argmax(deltas.reshape(program.possible.shape), axis=1)
     cost = program.cost(program.program.objective(z))
-    return GlobalClaim(status, sequence, program.trajectory(z), cost, bound, slope, words, seconds)
+    return GlobalClaim(status, sequence, program.trajectory(z), cost, bound, words, seconds, slope)

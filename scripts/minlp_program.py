@@ -127,7 +127,7 @@ def smooth_program(problem: OptimalControlProblem) -> SmoothProgram:
     lower, upper, possible = _reach(problem, modes)
     hosts = _hosts(problem, lower, upper)
     host, scaling = hosts[0], common_scaling(hosts)
-    whole = scaling.apply(host.program)
+    whole = host.program.scaled(scaling)
     first = whole.rows[Block.DYNAMICS].stop  # the host's first rows
     program = replace(
         whole,

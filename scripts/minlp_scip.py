@@ -20,7 +20,7 @@ from minlp_program import ModeFormulas, SmoothProgram, enclosures
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.backends.mixed import NOTHING, MixedSolution, bounded
+from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Solution
 from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
@@ -40,7 +40,7 @@ SMALLEST_UNIT = 1e-30
 Range = tuple[float, float]
 
 
-def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> MixedSolution:
+def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solution:
     """Solve; z has the variables of the program, then delta_{t,i}, (T * modes,), time after time.
 
     Raises
@@ -49,16 +49,16 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Mixed
         If SCIP has no function of a formula.
     """
     started, convex = time.perf_counter(), program.program
-    rows = bounded(convex)
-    if program.excluded or not rows.consistent:
-        return NOTHING
+    rows = convex.single_bounds()
+    if program.excluded or rows.excess > EXCLUDED:
+        return NO_POINT
     units, origin = program.units, program.origin
     below, above = rows.below.copy(), rows.above.copy()
     count = len(units)
     below[:count] = np.maximum(below[:count], (program.lower - origin) / units)
     above[:count] = np.minimum(above[:count], (program.upper - origin) / units)
     above = np.maximum(below, above)
-    model, z = convex_model(convex, replace(rows, below=below, above=above), np.zeros(len(convex.q), dtype=bool))
+    model, z = convex_model(convex, replace(rows, below=below, above=above))
     deltas = _add_dynamics(model, program, z)
     set_objective(model, convex, z)
     found = optimised(model, [*z, *deltas], remaining(time_limit, started), gap)

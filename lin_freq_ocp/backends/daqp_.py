@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.backends.base import Claim, require_no_cones
+from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solver
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.backends.mixed import EXCLUDED, NOTHING, Bounded, MixedSolution, bounded
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.transcription.program import Program, SingleBounds
 
 BINARY_CURVATURES = (0.1, 0.01)
 """Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
@@ -62,14 +61,18 @@ CLAIMS = {
 }
 
 
-def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
+def solver(member: str) -> Solver:
+    """Return the solver."""
+    return solve
+
+
+def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; what it stops with early has no bound."""
-    require_no_cones(program, "daqp")
-    started, found = time.perf_counter(), list[MixedSolution]()
+    started, found = time.perf_counter(), list[Solution]()
     for curvature in BINARY_CURVATURES:
         left = None if time_limit is None else time_limit - (time.perf_counter() - started)
         if left is None or left > 0:
-            found.append(_attempt(program, binaries, curvature, left, gap))
+            found.append(_attempt(program, curvature, left, gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
             break
     answers = [one for one in found if one.claim is not Claim.FAILED]
@@ -77,14 +80,12 @@ def solve(program: Program, binaries: Indices, time_limit: float | None, gap: fl
     return replace(last, words="; then ".join(one.words for one in found))
 
 
-def _attempt(
-    program: Program, binaries: Indices, curvature: float, time_limit: float | None, gap: float
-) -> MixedSolution:
+def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
     """Solve with one curvature of the binaries."""
-    rows = bounded(program)
-    dense = _dense(program, rows, binaries, curvature)
+    rows = program.single_bounds()
+    dense = _dense(program, rows, curvature)
     if dense is None:
-        return NOTHING
+        return NO_POINT
     with interrupts_noted() as noted:
         x, flag, nodes = _called(dense, time_limit, gap)
     claim, words = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
@@ -92,13 +93,14 @@ def _attempt(
     if noted.is_set():
         claim, words = Claim.INTERRUPTED, f"interrupted ({words})"
     if flag < 0 or not np.isfinite(x).all():
-        return MixedSolution(claim, None, None, words)
+        return Solution(claim, None, None, words)
     z = dense.fixed.copy()
     z[dense.free] = x
     if claim is not Claim.SOLVED:
-        return MixedSolution(claim, z, None, words)
+        return Solution(claim, z, None, words)
     bound, unsure = _bound(program, rows, dense, z, gap)
-    return MixedSolution(claim, z, bound, words + (f", optimal but for {unsure:.1e} by regularisation" * (unsure > 0)))
+    unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
+    return Solution(claim, z, None, words + unknown, bound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +127,16 @@ class _Dense:
     added: Array
 
 
-def _dense(program: Program, rows: Bounded, binaries: Indices, curvature: float) -> _Dense | None:
+def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | None:
     """Return the program as DAQP takes it; None if its bounds alone have no point."""
     free = np.flatnonzero(rows.below < rows.above)
     fixed = np.where(rows.below < rows.above, 0.0, rows.below)
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
-    if not rows.consistent or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
+    if rows.excess > EXCLUDED or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
         return None
-    added = _regularisation(program, binaries)
+    added, binaries = _regularisation(program), program.binaries
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
     hessian[binaries, binaries] += 2 * curvature
     gradient[binaries] -= curvature
@@ -154,12 +156,12 @@ def _dense(program: Program, rows: Bounded, binaries: Indices, curvature: float)
     )
 
 
-def _regularisation(program: Program, binaries: Indices) -> Array:
+def _regularisation(program: Program) -> Array:
     """Return what is added to the diagonal of P, (variables,): nothing to blocks that have curvature of their own."""
     added = np.zeros(len(program.q))
     _, labels = connected_components(program.P, directed=False)
     block = np.asarray(labels, dtype=np.intp)
-    block[binaries] = -1
+    block[program.binaries] = -1
     largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
     for b in np.unique(block[block >= 0]):
         places = np.flatnonzero(block == b)
@@ -187,7 +189,7 @@ def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array,
     return np.asarray(x), int(flag), int(info["nodes"])
 
 
-def _bound(program: Program, rows: Bounded, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
+def _bound(program: Program, rows: SingleBounds, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
     """Return the bound that follows if the claim is true, and which part of the cost regularisation leaves unknown."""
     objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
     searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to

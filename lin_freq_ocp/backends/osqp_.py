@@ -9,7 +9,7 @@ import numpy as np
 import osqp
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, require_no_cones
+from lin_freq_ocp.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.transcription.program import Program
 
 MAX_ITERATIONS = 200_000
@@ -31,13 +31,17 @@ CLAIMS = {
 }
 
 
+def solver(member: str) -> Solver:
+    """Return the solver."""
+    return solve
+
+
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
     """Solve with polishing."""
-    require_no_cones(program, "osqp")
-    solver = osqp.OSQP()
+    run = osqp.OSQP()
     eps = max(tolerance, FINEST)
     limit = {} if time_limit is None else {"time_limit": time_limit}
-    solver.setup(
+    run.setup(
         P=sp.csc_matrix(sp.triu(program.P)),
         q=program.q,
         A=sp.csc_matrix(program.A),
@@ -51,7 +55,7 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
         **limit,
     )
     with redirect_stdout(StringIO()):  # it remarks on polishing even when told to be silent
-        answer = solver.solve(raise_error=False)
+        answer = run.solve(raise_error=False)
     words = str(answer.info.status)
     claim = CLAIMS.get(words, Claim.FAILED)
     z, y = answer.x, answer.y

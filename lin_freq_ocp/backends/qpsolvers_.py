@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 import warnings
+from functools import partial
 from typing import Any
 
 import numpy as np
 import qpsolvers
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, Solver, require_no_cones
+from lin_freq_ocp.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
@@ -36,7 +37,7 @@ TIME_LIMITS = {
 """How each solver spells its time limit; one that is not here has none."""
 
 
-def named(member: str) -> Solver:
+def solver(member: str) -> Solver:
     """Return a solver function that calls qpsolvers with ``member``."""
     if member not in qpsolvers.available_solvers:
         raise MissingExtraError(
@@ -45,19 +46,16 @@ def named(member: str) -> Solver:
             f"Install it with: pip install 'qpsolvers[{member}]'."
         )
 
-    def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
-        require_no_cones(program, f"qpsolvers:{member}")
-        return _solve(member, program, tolerance, time_limit)
-
-    return solve
+    return partial(_solve, member)
 
 
 def _solve(member: str, program: Program, tolerance: float, time_limit: float | None) -> Solution:
-    sides = program.one_sided()
-    form = sp.csc_matrix if member in qpsolvers.sparse_solvers else _dense
-    inequalities = (form(sides.G), sides.h) if len(sides.h) else (None, None)
-    equations = (form(sides.A), sides.b) if len(sides.b) else (None, None)
-    problem = qpsolvers.Problem(form(program.P), program.q, *inequalities, *equations)
+    form = program.standard()
+    typed = sp.csc_matrix if member in qpsolvers.sparse_solvers else _dense
+    count = form.equations
+    inequalities = (typed(form.A[count:]), form.b[count:]) if form.inequalities else (None, None)
+    equations = (typed(form.A[:count]), form.b[:count]) if count else (None, None)
+    problem = qpsolvers.Problem(typed(program.P), program.q, *inequalities, *equations)
     settings = SETTINGS[member](tolerance) if member in SETTINGS else {}
     if time_limit is not None:
         if member not in TIME_LIMITS:
@@ -72,12 +70,12 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
             return Solution(Claim.FAILED, None, None, str(error))
     late = time_limit is not None and time.perf_counter() - start >= time_limit
     missed = Claim.LIMIT if late else Claim.FAILED
-    parts = [answer.x, answer.y if len(sides.b) else np.zeros(0), answer.z if len(sides.h) else np.zeros(0)]
+    parts = [answer.x, answer.y if count else np.zeros(0), answer.z if form.inequalities else np.zeros(0)]
     x, y, z = (np.full(1, np.nan) if part is None else np.asarray(part) for part in parts)
     if not all(np.isfinite(part).all() for part in (x, y, z)):
         return Solution(missed, None, None, "no solution")
     claim = Claim.SOLVED if answer.found else missed
-    return Solution(claim, x, sides.dual(len(program.lower), y, z), f"found: {answer.found}")
+    return Solution(claim, x, form.dual(len(program.lower), np.append(y, z)), f"found: {answer.found}")
 
 
 def _dense(matrix: Any) -> np.ndarray:

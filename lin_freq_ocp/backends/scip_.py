@@ -19,11 +19,10 @@ from pyscipopt import Eventhdlr, Model, quicksum
 from pyscipopt.scip import PY_SCIP_EVENTTYPE
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solver
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.backends.mixed import NOTHING, Bounded, MixedSolution, bounded
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.transcription.program import Program, SingleBounds
 
 FEASIBILITY = 1e-6
 """Of rows of order 1: SCIP's own. With less, its LP solver is asked for what it cannot give, and says so on stderr or
@@ -62,17 +61,21 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 """Between these, Python does not run."""
 
 
-def solve(program: Program, binaries: Indices, time_limit: float | None, gap: float) -> MixedSolution:
-    """Solve; the best point found is returned whatever ended the search, Ctrl-C included."""
+def solver(member: str) -> Solver:
+    """Return the solver."""
+    return solve
+
+
+def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
+    """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
     started = time.perf_counter()
-    rows, integer = bounded(program), np.zeros(len(program.q), dtype=bool)
-    if not rows.consistent:
-        return NOTHING
-    integer[binaries] = True
-    model, variables = convex_model(program, rows, integer)
+    rows = program.single_bounds()
+    if rows.excess > EXCLUDED:
+        return NO_POINT
+    model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
     solution = optimised(model, variables, remaining(time_limit, started), gap)
-    return solution or undecided(lambda nothing: solve(nothing, binaries, remaining(time_limit, started), gap), program)
+    return solution or undecided(lambda nothing: solve(nothing, gap, remaining(time_limit, started)), program)
 
 
 def remaining(time_limit: float | None, started: float) -> float | None:
@@ -80,7 +83,7 @@ def remaining(time_limit: float | None, started: float) -> float | None:
     return None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
 
 
-def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: float) -> MixedSolution | None:
+def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: float) -> Solution | None:
     """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
@@ -90,22 +93,21 @@ def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: f
         try:
             model.optimize()
         except Exception as error:  # PySCIPOpt has no class of its own for SCIP's errors
-            return MixedSolution(Claim.FAILED, None, None, str(error))
+            return Solution(Claim.FAILED, None, None, str(error))
     status = str(model.getStatus())
     if status == "inforunbd":
         return None
     bound = float(model.getDualbound())
     z = np.array([model.getVal(variable) for variable in variables]) if model.getNSols() else None
-    return MixedSolution(
-        CLAIMS.get(status, Claim.FAILED), z, bound if abs(bound) < INFINITE else None, f"{status}, {_nodes(model)}"
-    )
+    words, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < INFINITE else None
+    return Solution(CLAIMS.get(status, Claim.FAILED), z, None, words, claimed)
 
 
-def undecided(solve_one: Callable[[Program], MixedSolution], program: Program) -> MixedSolution:
+def undecided(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
     """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
     found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
     claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
-    return MixedSolution(claim, None, None, f"infeasible or unbounded; without its cost: {found.words}")
+    return Solution(claim, None, None, f"infeasible or unbounded; without its cost: {found.words}")
 
 
 class _Watch(Eventhdlr):
@@ -127,13 +129,9 @@ class _Watch(Eventhdlr):
             self.model.interruptSolve()
 
 
-def _nodes(model: Any) -> str:
-    return f"{int(model.getNTotalNodes())} nodes"
-
-
-def convex_model(program: Program, rows: Bounded, integer: Mask) -> tuple[Any, list[Any]]:
+def convex_model(program: Program, rows: SingleBounds) -> tuple[Any, list[Any]]:
     """Return a model with all rows of a program and no objective, and its variables."""
-    model = Model()
+    model, integer = Model(), np.isin(np.arange(len(program.q)), program.binaries)
     model.hideOutput()
     z = [
         model.addVar(vtype="B" if whole else "C", lb=_finite(low), ub=_finite(high))

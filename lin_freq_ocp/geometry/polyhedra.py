@@ -1,4 +1,3 @@
-# pyright: reportAttributeAccessIssue=false
 """Polyhedra {y : a'y <= b, row by row}: the largest ball in one, what several leave uncovered, rows that say nothing.
 
 Every question is the linear program of the largest ball. Its answer is measured again, from its centre and the rows:
@@ -11,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import clarabel
 import numpy as np
-import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 
-TOLERANCE = 1e-12
-"""Of the solver's residuals and gap; in good units the radius is then right to 1e-10 or so."""
+TOLERANCE = 1e-10
+"""Of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii that are asked for."""
 
 THICKNESS = 1e-7
 """A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers meet rows to 1e-8
@@ -30,9 +27,11 @@ SAME_FACET = 4 * THICKNESS
 """Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
 counts as no gap, so that regions without a gap between them have a border."""
 
-NEARNESS = 1e-10
-"""Price of |y|^2 against the radius of a ball, so that of many largest balls one near the origin is found: it costs
-less than 1e-8 of radius within |y| <= 10, and without it nothing keeps y from infinity where the rows do not."""
+EASY_RADIUS = 0.05
+"""A ball of this radius is looked for by a few projections before a linear program is asked for the largest."""
+
+PROJECTIONS, OVERSHOOT = 12, 1.2
+"""Their number, and their length: a little beyond the row, so that two rows at an acute angle take few."""
 
 LARGEST_BALL = 1.0
 """No larger one is looked for: in an unbounded polyhedron there is no largest."""
@@ -47,8 +46,8 @@ SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
 FLAT = 1e-9
 """A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
 
-SOLVED = ("Solved", "AlmostSolved")
-"""Ends of the solver at which there is no larger ball than it found."""
+OPTIMAL, INFEASIBLE = 0, 2
+"""Statuses of ``linprog``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +140,7 @@ def ball_centre(
     Raises
     ------
     NumericalError
-        If neither of two solvers can tell.
+        If the solver cannot tell.
     """
     grows = radii > FLAT
     rows = np.column_stack([normals, np.where(grows, radii, 0.0)])
@@ -153,42 +152,39 @@ def ball_centre(
         there = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
         return bool(np.isfinite(y).all() and free and there and (slack[~grows] >= 0).all())
 
-    y, status = _interior_point(rows, right, plane)
-    if holds(y):
+    y = _projected(normals, right - EASY_RADIUS * rows[:, -1], plane)
+    if y is not None and EASY_RADIUS > thickness and holds(y):
         return y
-    if status in SOLVED or status.endswith("PrimalInfeasible"):
-        return None
-    y = _simplex(rows, right, plane)
+    y = _largest_ball(rows, right, plane)
     return y if y is not None and holds(y) else None
 
 
-def _interior_point(rows: Array, right: Array, plane: tuple[Array, float] | None) -> tuple[Array, str]:
-    """Return y of the largest r with rows (y, r) <= right and r <= 1, and how the solver ended."""
-    d = rows.shape[1] - 1
-    parts, sides = [rows, np.eye(d + 1)[-1:]], [right, np.array([LARGEST_BALL])]
-    cones: list[object] = [clarabel.NonnegativeConeT(len(right) + 1)]
+def _projected(normals: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+    """Return a point of normals y <= right by projections on the most violated row, None if a few do not lead there."""
+    y, steps = np.zeros(normals.shape[1]), normals
     if plane is not None:
-        parts.insert(0, np.append(plane[0], 0.0)[None])
-        sides.insert(0, np.array([plane[1]]))
-        cones.insert(0, clarabel.ZeroConeT(1))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
-    price = sp.diags_array(np.append(np.full(d, NEARNESS), 0.0), format="csc")
-    A, b = sp.csc_array(np.vstack(parts)), np.concatenate(sides)
-    answer = clarabel.DefaultSolver(price, -np.eye(d + 1)[-1], A, b, cones, settings).solve()
-    return np.array(answer.x)[:-1], str(answer.status)
+        along = plane[0] / (plane[0] @ plane[0])
+        y, steps = plane[1] * along, normals - np.outer(normals @ along, plane[0])
+    steps = steps / np.maximum((steps**2).sum(axis=1), FLAT)[:, None]
+    for _ in range(PROJECTIONS):
+        slack = right - normals @ y
+        row = int(np.argmin(np.append(slack, 0.0)))
+        if row == len(slack):
+            return y
+        y = y + OVERSHOOT * slack[row] * steps[row]
+    return None
 
 
-def _simplex(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
-    """Return the same y by the simplex method, None if there is none: slower, and surer where the other one stalls."""
+def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+    """Return y of the largest r with rows (y, r) <= right and r <= 1; None if there is none."""
     d = rows.shape[1] - 1
     bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
     equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
-    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs", **equal)
-    if answer.status not in (0, 2):
-        raise NumericalError(f"The largest ball in a polyhedron: neither solver ends ({answer.message}).")
-    return np.asarray(answer.x[:-1]) if answer.status == 0 else None
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
+    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs-ds", options=options, **equal)
+    if answer.status not in (OPTIMAL, INFEASIBLE):
+        raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")
+    return np.asarray(answer.x[:-1]) if answer.status == OPTIMAL else None
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:

@@ -1,20 +1,18 @@
-"""What other people's mixed-integer solvers say of a problem: measured, compared, and never believed."""
+"""What mixed-integer solvers say of a problem: measured, and never believed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from lin_freq_ocp.arrays import Indices
-from lin_freq_ocp.backends.base import Claim
-from lin_freq_ocp.backends.mixed import MixedSolution
+from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DEFAULT_GAP = 1e-6
 """Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
 
 AGREEMENT = 1e-6
-"""Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to, beside what
-a solver's tolerance in its rows can change."""
+"""Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to."""
 
 STATUS = {
     Claim.SOLVED: "optimal",
@@ -43,8 +41,6 @@ class SolverClaim:
         Its cost J, in the problem's units, as far as the solver's point is a trajectory.
     bound : float or None
         A claimed lower bound on J.
-    slope : float
-        What an error of 1 in the units of the program, where rows are of order 1, could change of J, roughly.
     words : str
         The solver's own status, and what is wrong with its claim.
     seconds : dict
@@ -56,22 +52,11 @@ class SolverClaim:
     trajectory: Trajectory | None
     cost: float | None
     bound: float | None
-    slope: float
     words: str
     seconds: dict[str, float] = field(default_factory=dict[str, float])
 
-    def differences(self, cost: float, allowed: float, source: str) -> list[str]:
-        """Return in words where the claim differs by more than is allowed from the cost of what ``source`` names."""
-        found: list[str] = []
-        if self.cost is not None and abs(self.cost - cost) > allowed:
-            which = "above" if self.cost > cost else "below"
-            found.append(f"the claimed cost {self.cost:.9g} is {which} that of {source}, {cost:.9g}")
-        if self.bound is not None and self.bound > cost + allowed:
-            found.append(f"the claimed bound {self.bound:.9g} is above the cost {cost:.9g} of a trajectory")
-        return found
 
-
-def status_of(solution: MixedSolution) -> tuple[str, str]:
+def status_of(solution: Solution) -> tuple[str, str]:
     """Return the status of a solver's answer, and its words: without a point, nothing is optimal."""
     if solution.claim is Claim.SOLVED and solution.z is None:
         return "failed", f"{solution.words}, without a point"

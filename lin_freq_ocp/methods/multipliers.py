@@ -77,7 +77,7 @@ def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near
         If the fitting problem could not be solved.
     """
     transcription, scaling, program = scaled_program(problem)
-    y, s = fitted_duals(program, transcription.point(trajectory) / scaling.columns, near)
+    y, s = fitted_duals(program, scaling.scaled_primal(transcription.point(trajectory)), near)
     return Fit(transcription.multipliers(scaling.dual(y), 1.0), transcription.direction(scaling.primal(-s)))
 
 
@@ -104,7 +104,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     linear program asks for those with the largest product with a fixed random vector, all entries within [-1, 1].
     """
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE)
+    cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE)
     count, variables = len(cone.lower), program.A.shape[1]
     signs = np.sign(cone.lower) + np.sign(cone.upper)
     free = (cone.lower < 0) & (cone.upper > 0)
@@ -168,7 +168,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     if problem.dynamics.mode_names:
         problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, transcription.point(trajectory) / scaling.columns, ACTIVE, at_edges=True)
+    cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
         what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.backends.base import backend as solver_named
+from lin_freq_ocp.backends.base import names
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
-
-MIXED = ("scip", "daqp")
-"""Backends of the method "miqp", which looks for them itself."""
 
 
 def solve_judged(
@@ -51,7 +49,7 @@ def require_options(
     """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
     if isinstance(method, str):
         require_shorthand(method)
-    if backend not in ("auto", *MIXED):
+    if backend not in ("auto", *names(binaries=True)):
         solver_named(backend)
     limits = {"time_limit": time_limit, "tolerance": tolerance, "gap": gap, "node_limit": node_limit}
     for name, value in limits.items():

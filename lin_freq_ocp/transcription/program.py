@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 
@@ -62,32 +62,60 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
-class OneSided:
-    """The rows of a program as equations A z = b and inequalities G z <= h, with the way back for their duals.
+class StandardForm:
+    """Minimise 1/2 z'P z + q'z subject to A z + s = b, s in cones, with the way back for duals.
+
+    Rows in this order: equations (s = 0), inequalities (s >= 0), second-order cones (s_0 >= |(s_1, ...)|).
 
     Attributes
     ----------
-    A : sparse (equations, variables); b : (equations,)
-    G : sparse (inequalities, variables); h : (inequalities,)
-        First the upper bounds, then the lower ones with their sign changed.
-    equations, above, below : indices of the program's rows
+    P : sparse (variables, variables), the upper triangle; q : (variables,)
+    A : sparse (rows, variables); b : (rows,)
+    equations, inequalities : int
+        Numbers of rows.
+    cones : tuple of int
+        Numbers of rows of each cone.
+    row, sign : (rows,)
+        The row of the program that each row is, and its sign.
     """
 
+    P: sp.csc_array
+    q: Array
     A: sp.csc_array
     b: Array
-    G: sp.csc_array
-    h: Array
-    equations: Indices
-    above: Indices
-    below: Indices
+    equations: int
+    inequalities: int
+    cones: tuple[int, ...]
+    row: Indices
+    sign: Array
 
-    def dual(self, rows: int, of_equations: Array, of_inequalities: Array) -> Array:
+    def dual(self, rows: int, y: Array) -> Array:
         """Return one dual per row of the program, upper minus lower, shape (rows,)."""
-        y = np.zeros(rows)
-        y[self.equations] = of_equations
-        y[self.above] += of_inequalities[: len(self.above)]
-        y[self.below] -= of_inequalities[len(self.above) :]
-        return y
+        duals = np.zeros(rows)
+        np.add.at(duals, self.row, self.sign * y)
+        return duals
+
+
+@dataclass(frozen=True, eq=False)
+class SingleBounds:
+    """The rows of a program outside cones, with those on one variable as bounds of that variable.
+
+    Attributes
+    ----------
+    below, above : (variables,)
+        Bounds of the variables.
+    A : sparse (rows, variables); lower, upper : (rows,)
+        The other rows; none is empty.
+    excess : float
+        By how much two bounds exclude each other, or rows without variables are violated.
+    """
+
+    below: Array
+    above: Array
+    A: sp.csr_array
+    lower: Array
+    upper: Array
+    excess: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +132,7 @@ class Program:
     rows : mapping from Block to slice
     cones : tuple of slice
         The rows of every second-order cone; any other row stands alone.
+    binaries : indices of variables that are 0 or 1
     """
 
     P: sp.csc_array
@@ -114,6 +143,7 @@ class Program:
     upper: Array
     rows: Mapping[Block, slice]
     cones: tuple[slice, ...] = ()
+    binaries: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def equality(self) -> Mask:
@@ -140,20 +170,55 @@ class Program:
             return None
         return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
 
-    def one_sided(self) -> OneSided:
-        """Return the rows outside cones as most solvers want them."""
+    def standard(self) -> StandardForm:
+        """Return the program as interior-point methods take it."""
         equal = self.equality
-        equations = np.flatnonzero(equal)
-        above = np.flatnonzero(~equal & np.isfinite(self.upper))
-        below = np.flatnonzero(~equal & np.isfinite(self.lower) & self.alone)
-        return OneSided(
-            A=sp.csc_array(self.A[equations]),
-            b=self.upper[equations],
-            G=sp.csc_array(sp.vstack([self.A[above], -self.A[below]])),
-            h=np.concatenate([self.upper[above], -self.lower[below]]),
-            equations=equations,
-            above=above,
-            below=below,
+        above = ~equal & np.isfinite(self.upper)
+        below = ~equal & np.isfinite(self.lower) & self.alone
+        parts = *(np.flatnonzero(rows) for rows in (equal, above, below)), self.in_cones
+        row, sign = np.concatenate(parts), np.repeat([1.0, 1.0, -1.0, -1.0], [len(part) for part in parts])
+        A = self.A[row]
+        A.sort_indices()
+        A.data *= sign[A.indices]
+        return StandardForm(
+            P=_upper_triangle(self.P),
+            q=self.q,
+            A=A,
+            b=np.where(sign > 0, self.upper[row], -self.lower[row]),
+            equations=len(parts[0]),
+            inequalities=len(parts[1]) + len(parts[2]),
+            cones=tuple(cone.stop - cone.start for cone in self.cones),
+            row=row,
+            sign=sign,
+        )
+
+    def single_bounds(self) -> SingleBounds:
+        """Return the rows outside cones, those on one variable as its bounds."""
+        A = sp.csr_array(self.A)
+        count = np.diff(A.indptr)
+        single = self.alone & (count == 1)
+        below, above = np.full(len(self.q), -np.inf), np.full(len(self.q), np.inf)
+        first = A.indptr[:-1][single]
+        column, value = A.indices[first], A.data[first]
+        limits = np.sort([self.lower[single] / value, self.upper[single] / value], axis=0)
+        np.maximum.at(below, column, limits[0])
+        np.minimum.at(above, column, limits[1])
+        empty, rest = self.alone & (count == 0), self.alone & (count > 1)
+        excess = np.concatenate([below - above, self.lower[empty], -self.upper[empty]]).max(initial=0.0)
+        above = np.maximum(below, above)
+        return SingleBounds(below, above, sp.csr_array(A[rest]), self.lower[rest], self.upper[rest], float(excess))
+
+    def scaled(self, scaling: Scaling) -> Program:
+        """Return the program in other units; the scaling is the way back."""
+        D, E = sp.diags_array(scaling.columns), sp.diags_array(scaling.rows)
+        return replace(
+            self,
+            P=sp.csc_array(scaling.cost * (D @ self.P @ D)),
+            q=scaling.cost * scaling.columns * self.q,
+            constant=scaling.cost * self.constant,
+            A=sp.csc_array(E @ self.A @ D),
+            lower=scaling.rows * self.lower,
+            upper=scaling.rows * self.upper,
         )
 
     def objective(self, z: Array) -> float:
@@ -171,9 +236,9 @@ class Program:
         violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
         outside = max((_outside_cone((Az - self.lower)[cone]) for cone in self.cones), default=0.0)
         outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
-        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
-        impossible = ~np.isfinite(bound) & (y != 0)
-        slope, apart = Pz + self.q + Aty, np.where(np.isfinite(bound), bound, 0.0) - Az
+        bound, carried = self._bound_of(y)
+        impossible = ~carried & (y != 0)
+        slope, apart = Pz + self.q + Aty, bound - Az
         with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
             wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
@@ -189,6 +254,16 @@ class Program:
             gap=wrong / total if total > 0 else wrong,
         )
 
+    def dual_objective(self, z: Array, y: Array) -> float:
+        """Return -1/2 z'P z - (support of y) + constant: a lower bound if P z + q + A'y = 0."""
+        return float(-0.5 * z @ (self.P @ z) - y @ self._bound_of(y)[0] + self.constant)
+
+    def _bound_of(self, y: Array) -> tuple[Array, Mask]:
+        """Return the bound that each dual belongs to, 0 if it is infinite, and whether it is finite."""
+        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
+        finite = np.isfinite(bound)
+        return np.where(finite, bound, 0.0), finite
+
     def _magnitude(self, z: Array) -> float:
         """Return what the terms of the objective add up to in absolute value, for z >= 0."""
         return float(0.5 * z @ (abs(self.P) @ z) + np.abs(self.q) @ z)
@@ -198,9 +273,8 @@ class Program:
 
         What a row's bounds cannot carry, y on a side without one or outside the polar of a cone, counts likewise.
         """
-        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
-        carried = np.isfinite(bound)
-        support = float((y * np.where(carried, bound, 0.0)).sum())
+        bound, carried = self._bound_of(y)
+        support = float((y * bound).sum())
         if support >= 0:
             return np.inf
         outside = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
@@ -231,20 +305,6 @@ class Scaling:
     rows: Array
     cost: float
 
-    def apply(self, program: Program) -> Program:
-        """Return the program in the new units."""
-        D, E = sp.diags_array(self.columns), sp.diags_array(self.rows)
-        return Program(
-            P=sp.csc_array(self.cost * (D @ program.P @ D)),
-            q=self.cost * self.columns * program.q,
-            constant=self.cost * program.constant,
-            A=sp.csc_array(E @ program.A @ D),
-            lower=self.rows * program.lower,
-            upper=self.rows * program.upper,
-            rows=program.rows,
-            cones=program.cones,
-        )
-
     def primal(self, z: Array) -> Array:
         """Return z in the program's own units."""
         return self.columns * z
@@ -252,6 +312,25 @@ class Scaling:
     def dual(self, y: Array) -> Array:
         """Return y in the program's own units."""
         return self.rows * y / self.cost
+
+    def scaled_primal(self, z: Array) -> Array:
+        """Return z, in the program's own units, in the new ones."""
+        return z / self.columns
+
+    def scaled_dual(self, y: Array) -> Array:
+        """Return y, in the program's own units, in the new ones."""
+        return y * self.cost / self.rows
+
+
+def _upper_triangle(matrix: sp.csc_array) -> sp.csc_array:
+    """Return the upper triangle; scipy's takes several times as long."""
+    columns = matrix.shape[1]
+    column = np.repeat(np.arange(columns), np.diff(matrix.indptr))
+    kept = matrix.indices <= column
+    pointers = np.append(0, np.cumsum(np.bincount(column[kept], minlength=columns)))
+    triangle = sp.csc_array((matrix.data[kept], matrix.indices[kept], pointers), shape=matrix.shape)
+    triangle.sort_indices()
+    return triangle
 
 
 def _outside_cone(s: Array) -> float:

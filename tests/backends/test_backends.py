@@ -19,7 +19,9 @@ import pytest
 import qpsolvers
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, backend
+import lin_freq_ocp as lfo
+from lin_freq_ocp.backends import base
+from lin_freq_ocp.backends.base import Claim, Solution, backend, register
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
@@ -478,3 +480,32 @@ def test_outside_the_main_thread_nothing_is_installed():
     thread.start()
     thread.join()
     assert seen == [(before, False), Claim.SOLVED]
+
+
+def least_squares(program, tolerance, time_limit):
+    """Solve a program whose rows are equations, or inactive, by its KKT equations: a solver as others may add it."""
+    rows = np.flatnonzero(program.equality)
+    A, P = program.A.toarray()[rows], program.P.toarray()
+    matrix = np.block([[P, A.T], [A, np.zeros((len(rows), len(rows)))]])
+    z, y = np.split(np.linalg.lstsq(matrix, np.append(-program.q, program.upper[rows]))[0], [len(program.q)])
+    duals = np.zeros(len(program.lower))
+    duals[rows] = y
+    return Solution(Claim.SOLVED, z, duals, "solved")
+
+
+def test_a_new_solver_is_one_registration(monkeypatch):
+    monkeypatch.setattr("lin_freq_ocp.backends.base._REGISTER", dict(base._REGISTER))
+    register("toy", lambda member: least_squares)
+    problem = OptimalControlProblem(
+        dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),
+        horizon=10,
+        cost=QuadraticCost(Q=1.0, R=0.1),
+        initial_state=[1.0, 0.0],
+    )
+    result = lfo.solve(problem, method="convex", backend="toy")
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(lfo.solve(problem, method="convex").cost, rel=1e-9)
+    with pytest.raises(UnsupportedError, match="'toy' solves quadratic programs only"):
+        lfo.solve(replace(problem, state_set=lfo.Ball(2.0)), method="convex", backend="toy")
+    with pytest.raises(UnsupportedError, match="for a mixed-integer program"):
+        backend("toy", binaries=True)

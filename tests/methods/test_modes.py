@@ -1,6 +1,6 @@
 """The search over mode sequences: reach, relaxations, branch and bound, enumeration, and the judge of their trees."""
 
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from dataclasses import replace
 from itertools import product
 
@@ -15,7 +15,7 @@ from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
 from lin_freq_ocp.methods.modes.node import relaxed
-from lin_freq_ocp.transcription.modes.relaxation import RELAXATIONS, ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 library = lfo.library
 
@@ -103,18 +103,12 @@ def test_everything_that_linear_problems_have(fields):
     assert abs(result.gap) < 1e-6
 
 
-def test_relaxations_get_stronger_and_stay_below_the_optimum():
+def test_the_root_relaxation_is_below_the_optimum():
     for problem in (random_problem(5, horizon=5), library.buck_affine(horizon=6)):
-        bounds = []
-        for kind in ("big_m", "hull", "perspective"):
-            relaxation = ModeRelaxation(problem, kind)
-            bounds.append(relaxed(relaxation, relaxation.reach.from_start(ones(problem))).bound)
-        cost = lfo.solve(problem).cost
-        assert bounds[0] <= bounds[1] + 1e-6
-        assert bounds[1] <= bounds[2] + 1e-6
-        assert bounds[2] <= cost + 1e-6
-        assert bounds[0] < cost - 1e-4  # there is something to relax
-    assert set(RELAXATIONS) == {"big_m", "hull", "perspective"}
+        relaxation = ModeRelaxation(problem)
+        bound = relaxed(relaxation, relaxation.reach.from_start(ones(problem))).bound
+        assert np.isfinite(bound)
+        assert bound <= lfo.solve(problem).cost + 1e-6
 
 
 @pytest.mark.parametrize("kinks", [1, 2])
@@ -274,13 +268,13 @@ def test_the_same_search_twice_is_the_same():
 class Here(Executor):
     """Runs tasks when they are given; some of them are lost with their worker."""
 
-    def __init__(self, lost=()):
-        self.lost, self.given = set(lost), 0
+    def __init__(self, lost=(), error=BrokenExecutor):
+        self.lost, self.error, self.given = set(lost), error, 0
 
     def submit(self, function, /, *arguments, **named):
         future = Future()
         if self.given in self.lost:
-            future.set_exception(RuntimeError("the worker died"))
+            future.set_exception(self.error("the worker died"))
         else:
             future.set_result(function(*arguments, **named))
         self.given += 1
@@ -297,6 +291,12 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
         assert result.cost == pytest.approx(alone.cost, rel=1e-9)
         assert abs(result.gap) < 1e-6
         assert result.tree_bound.covers
+
+
+def test_an_error_of_the_search_itself_is_raised(monkeypatch):
+    monkeypatch.setattr(parts, "PARTS", 6)
+    with pytest.raises(ZeroDivisionError):
+        lfo.solve(library.buck_affine(horizon=10), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
 def test_parts_on_two_processes(monkeypatch):

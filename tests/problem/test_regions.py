@@ -271,14 +271,13 @@ def test_the_largest_ball_is_that_of_a_linear_program(seed, d, rows):
     assert cell.inner_point(radius + margin) is None
 
 
-def test_where_one_solver_stalls_the_other_decides(monkeypatch):
-    stalled = polyhedra._interior_point
-    monkeypatch.setattr(polyhedra, "_interior_point", lambda *given: (np.full_like(stalled(*given)[0], np.nan), "?"))
+def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch):
     square = Cell(np.vstack([np.eye(2), -np.eye(2)]), np.array([1.0, 1.0, 1.0, 0.5]))
     point = square.inner_point(0.7)
     assert point is not None
     assert point[1] == pytest.approx(0.25)
     assert square.inner_point(0.76) is None
+    monkeypatch.setattr(polyhedra, "_projected", lambda *given: None)
     assert halves(0.0, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
     with pytest.raises(lfo.ProblemError, match="no mode around"):
         halves(0.0, 0.1)

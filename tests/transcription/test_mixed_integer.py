@@ -13,10 +13,11 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem
-from lin_freq_ocp.backends.base import Claim
-from lin_freq_ocp.backends.mixed import MixedSolution, bounded, mixed_backend
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.methods.modes import mixed
-from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.testing.claimed import resolved
 from lin_freq_ocp.transcription.modes.big_m import excesses
 from lin_freq_ocp.transcription.modes.mixed_integer import big_m_program
 from lin_freq_ocp.transcription.program import Block
@@ -160,7 +161,7 @@ def test_rows_and_columns_are_of_order_one():
         A = abs(program.program.A)
         largest = A.max(axis=1).toarray().ravel()
         np.testing.assert_allclose(largest, 1.0)
-        np.testing.assert_array_equal(program.scaling.columns[program.binaries], 1.0)
+        np.testing.assert_array_equal(program.scaling.columns[program.program.binaries], 1.0)
 
 
 def micrometres(problem, factor=1e6):
@@ -254,8 +255,6 @@ def test_what_has_no_trajectory_is_infeasible(backend):
     held = library.switched_rotation(horizon=4, initial_state=(-6, 7), terminal_state=(0.3, 0.3))
     assert solve_miqp(held, backend).status == "infeasible"
     assert lfo.solve(held, throw=False).status == "infeasible"
-    with pytest.raises(lfo.UnsupportedError, match="without a sequence"):
-        resolved(held, outcome)
 
 
 @each_backend
@@ -322,8 +321,8 @@ def test_what_cannot_be_taken_is_refused():
 
 def claiming(monkeypatch, change):
     """Let every mixed-integer backend return what ``change`` makes of DAQP's answer."""
-    real = mixed_backend("daqp")
-    monkeypatch.setattr(mixed, "mixed_backend", lambda name: lambda *asked: change(real(*asked)))
+    real = solver_named("daqp", binaries=True)
+    monkeypatch.setattr(mixed, "backend", lambda name, binaries: lambda *asked: change(real(*asked)))
 
 
 def test_a_point_that_is_none_is_no_answer(monkeypatch):
@@ -336,7 +335,7 @@ def test_a_point_that_is_none_is_no_answer(monkeypatch):
     outcome = solve_miqp(problem)
     assert outcome.status == "failed"
     assert "violates a row of order 1 by" in outcome.words
-    claiming(monkeypatch, lambda answer: MixedSolution(Claim.SOLVED, None, None, "done"))
+    claiming(monkeypatch, lambda answer: Solution(Claim.SOLVED, None, None, "done"))
     assert solve_miqp(problem).status == "failed"
 
 
@@ -352,7 +351,7 @@ def test_wrong_claims_are_told():
 
 def test_bounds_of_single_variables_are_told_from_rows():
     program = big_m_program(library.pendulum_with_wall(horizon=3)).program
-    rows = bounded(program)
+    rows = program.single_bounds()
     singles = np.diff(program.A.tocsr().indptr) == 1
     assert len(rows.lower) == (~singles).sum()
     z = np.random.default_rng(0).uniform(-1, 1, len(program.q))
@@ -362,18 +361,17 @@ def test_bounds_of_single_variables_are_told_from_rows():
 
 @each_backend
 def test_rows_without_variables_hold_or_exclude_everything(backend):
-    given = big_m_program(library.pendulum_with_wall(horizon=3))
-    program, binaries = given.program, given.binaries
+    program = big_m_program(library.pendulum_with_wall(horizon=3)).program
     A = sp.csc_array(sp.vstack([program.A, sp.csc_array((1, program.A.shape[1]))]))
 
     def with_row(lower, upper):
         return replace(program, A=A, lower=np.append(program.lower, lower), upper=np.append(program.upper, upper))
 
-    solve = mixed_backend(backend)
-    free, held = (solve(one, binaries, 20.0, 1e-6) for one in (program, with_row(-1.0, 1.0)))
+    solve = solver_named(backend, binaries=True)
+    free, held = (solve(one, 1e-6, 20.0) for one in (program, with_row(-1.0, 1.0)))
     assert (free.claim, held.claim) == (Claim.SOLVED, Claim.SOLVED)
     np.testing.assert_allclose(free.z, held.z, atol=1e-7)
-    assert solve(with_row(0.5, 1.0), binaries, 20.0, 1e-6).claim is Claim.INFEASIBLE
+    assert solve(with_row(0.5, 1.0), 1e-6, 20.0).claim is Claim.INFEASIBLE
 
 
 @each_backend

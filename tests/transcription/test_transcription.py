@@ -374,7 +374,7 @@ def test_a_change_of_units_is_undone_exactly(problem):
     program = LinearTranscription(problem).program
     rng = np.random.default_rng(9)
     scaling = Scaling(10 ** rng.uniform(-3, 3, len(program.q)), 10 ** rng.uniform(-3, 3, program.A.shape[0]), 0.02)
-    scaled = scaling.apply(program)
+    scaled = program.scaled(scaling)
     z, y = rng.normal(size=len(program.q)), rng.normal(size=program.A.shape[0])
     own, dual = scaling.primal(z), scaling.dual(y)
     assert scaled.objective(z) == pytest.approx(scaling.cost * program.objective(own), rel=1e-12)
@@ -384,7 +384,7 @@ def test_a_change_of_units_is_undone_exactly(problem):
     np.testing.assert_array_equal(scaled.equality, program.equality)
     np.testing.assert_array_equal(np.isfinite(scaled.upper), np.isfinite(program.upper))
     np.testing.assert_array_equal(np.isfinite(scaled.lower), np.isfinite(program.lower))
-    identity = Scaling(np.ones(len(z)), np.ones(len(y)), 1.0).apply(program)
+    identity = program.scaled(Scaling(np.ones(len(z)), np.ones(len(y)), 1.0))
     assert identity.residuals(z, y) == program.residuals(z, y)
     assert scaled.rows == program.rows
 

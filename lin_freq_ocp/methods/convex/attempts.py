@@ -83,7 +83,7 @@ class Solves:
 
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, and measure."""
-        program = scaling.apply(self.transcription.program)
+        program = self.transcription.program.scaled(scaling)
         near = program.without_bounds_beyond(FAR)
         if near is None:
             return self._solve(program, scaling, tolerance)
@@ -95,14 +95,14 @@ class Solves:
 
     def complete(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds, however far, and measure."""
-        return self._solve(scaling.apply(self.transcription.program), scaling, None)
+        return self._solve(self.transcription.program.scaled(scaling), scaling, None)
 
     def near(self, scaling: Scaling) -> Attempt | None:
         """Solve in the given units without far bounds, and measure with them.
 
         None if there are no far bounds, or nothing else bounds the cost.
         """
-        near = scaling.apply(self.transcription.program).without_bounds_beyond(FAR)
+        near = self.transcription.program.scaled(scaling).without_bounds_beyond(FAR)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
@@ -223,5 +223,5 @@ def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y
     if not (np.abs(z) < ENDLESS * scaling.columns).all():  # it has diverged
         return Residuals(np.inf, np.inf, np.inf)
     own = own_scaling(transcription, z, scaling.columns)
-    sizes = own_sizes(transcription, z) / own.columns
-    return own.apply(transcription.program).residuals(z / own.columns, y * own.cost / own.rows, sizes)
+    sizes = own.scaled_primal(own_sizes(transcription, z))
+    return transcription.program.scaled(own).residuals(own.scaled_primal(z), own.scaled_dual(y), sizes)

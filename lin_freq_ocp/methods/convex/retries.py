@@ -83,11 +83,11 @@ def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Ca
     if attempt.z is None or attempt.y is None or attempt.error > HOPELESS:
         return
     yield from _rounded(solves, natural, attempt)
-    program = attempt.scaling.apply(solves.transcription.program)
+    program = solves.transcription.program.scaled(attempt.scaling)
     if program.cones or over(solves):
         return
     scaling = attempt.scaling
-    found = polished(program, attempt.z / scaling.columns, attempt.y * scaling.cost / scaling.rows)
+    found = polished(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
     if found is not None:
         better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, POLISHED))
         if better.z is not None and better.error <= HOPELESS:
@@ -99,12 +99,12 @@ def _rounded(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Can
     """Return a point with exact zeros for what is rounding in the natural units, if that changes it."""
     assert attempt.z is not None
     assert attempt.y is not None
-    program, before = natural.apply(solves.transcription.program), (attempt.z, attempt.y)
+    program, before = solves.transcription.program.scaled(natural), (attempt.z, attempt.y)
     for level in ROUNDING_LEVELS:
         z = without_rounding(attempt.z, natural.columns, level)
         y = without_rounding(attempt.y, natural.rows / natural.cost, level)
         if np.array_equal(z, before[0]) and np.array_equal(y, before[1]):
             continue
         before = z, y
-        scaled = z / natural.columns, y * natural.cost / natural.rows
+        scaled = natural.scaled_primal(z), natural.scaled_dual(y)
         yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.words)).candidate

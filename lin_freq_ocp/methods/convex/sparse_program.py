@@ -142,4 +142,4 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription,
     """Return the transcription, its natural units, and the program in them."""
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
-    return transcription, scaling, scaling.apply(transcription.program)
+    return transcription, scaling, transcription.program.scaled(scaling)

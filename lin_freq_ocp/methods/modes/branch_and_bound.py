@@ -39,12 +39,12 @@ class BranchAndBound:
 
     problem: OptimalControlProblem
     limits: SearchLimits = field(default_factory=SearchLimits)
-    relaxation: str = "perspective"
     progress: Callable[[SearchProgress], None] | None = None
+    relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = ModeRelaxation
 
     def __post_init__(self):
         self._started = time.perf_counter()
-        self._relaxation = ModeRelaxation(self.problem, self.relaxation)
+        self._relaxation = self.relaxation(self.problem)
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | None] = []

@@ -139,7 +139,7 @@ class _Place:
             transcription=transcription,
             scaling=scaling,
             program=program,
-            z=transcription.point(trajectory) / scaling.columns,
+            z=scaling.scaled_primal(transcription.point(trajectory)),
             rows=transcription.multipliers(numbers, 1.0),
             stages=[(int(t), int(j)) for t, j in np.argwhere(meeting) if j != sequence[t]],
         )

@@ -1,19 +1,15 @@
-"""Mode sequences from other people's mixed-integer solvers: asked, measured, compared, and never believed."""
+"""Mode sequences from mixed-integer solvers: measured, and never believed."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.backends.mixed import MixedSolution, mixed_backend
-from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
-from lin_freq_ocp.methods.convex.sparse_program import require_convex, solve_convex
+from lin_freq_ocp.backends.base import Solution, backend
+from lin_freq_ocp.methods.claims import DEFAULT_GAP, SolverClaim, status_of
+from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.linear.units import COST_LEVEL
 from lin_freq_ocp.transcription.modes.mixed_integer import MixedInteger, big_m_program
 
 POINT_TOLERANCE = 1e-5
@@ -25,27 +21,8 @@ LEAST_TIME = 1e-3
 """Seconds that a solver is given when setting up has used them all: it says that the limit was reached."""
 
 
-@dataclass(frozen=True, eq=False)
-class Resolved:
-    """A claimed sequence, solved again as a convex program.
-
-    Attributes
-    ----------
-    candidate : Candidate
-        Of problem.with_modes(sequence): to be judged.
-    cost : float or None
-        Its cost, if it was solved.
-    words : str
-        What the claim got wrong; empty if nothing.
-    """
-
-    candidate: Candidate
-    cost: float | None
-    words: str
-
-
 def solve_miqp(
-    problem: OptimalControlProblem, backend: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
+    problem: OptimalControlProblem, solver_name: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
 ) -> SolverClaim:
     """Ask a mixed-integer solver for the best mode sequence of a problem with piecewise-affine dynamics.
 
@@ -53,7 +30,7 @@ def solve_miqp(
     ----------
     problem : OptimalControlProblem
         With a convex cost and bounded states and controls.
-    backend : {"scip", "daqp"}
+    solver_name : {"scip", "daqp"}
         "daqp" takes no Euclidean norms, and cannot be interrupted.
     time_limit : float, optional
         Seconds for the solver.
@@ -68,60 +45,33 @@ def solve_miqp(
     MissingExtraError
         If the backend's package is not installed.
     """
-    solver = mixed_backend(backend)
+    solver = backend(solver_name, binaries=True)
     require_convex(problem)
     started = time.perf_counter()
     try:
         mixed = big_m_program(problem, np.inf if time_limit is None else started + time_limit)
     except TimeoutError:
         seconds = {"setup": time.perf_counter() - started, "solve": 0.0}
-        return SolverClaim("limit", None, None, None, None, 0.0, f"time limit of {time_limit:.3g} s", seconds)
+        return SolverClaim("limit", None, None, None, None, f"time limit of {time_limit:.3g} s", seconds)
     ready = time.perf_counter()
     left = None if time_limit is None else max(time_limit - (ready - started), LEAST_TIME)
-    solution = solver(mixed.program, mixed.binaries, left, gap)
+    solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
     return _outcome(mixed, solution, seconds)
 
 
-def resolved(
-    problem: OptimalControlProblem,
-    outcome: SolverClaim,
-    backend: str = "clarabel",
-    tolerance: float | None = None,
-    time_limit: float | None = None,
-) -> Resolved:
-    """Solve the convex program of the claimed sequence, and say in words what the claim got wrong.
-
-    Raises
-    ------
-    UnsupportedError
-        If the outcome has no sequence, or there is no such backend.
-    """
-    if outcome.sequence is None:
-        raise UnsupportedError(
-            f"outcome: got one without a sequence ({outcome.words}); there is nothing to solve again."
-        )
-    candidate = solve_convex(problem.with_modes(outcome.sequence), backend, tolerance, time_limit)
-    if candidate.status != "optimal" or candidate.trajectory is None:
-        words = f"the program of the claimed sequence ended as {candidate.status} ({candidate.words})"
-        return Resolved(candidate, None, words)
-    cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
-    allowed = AGREEMENT * abs(cost) + POINT_TOLERANCE * outcome.slope
-    return Resolved(candidate, cost, "; ".join(outcome.differences(cost, allowed, "its sequence")))
-
-
-def _outcome(mixed: MixedInteger, solution: MixedSolution, seconds: dict[str, float]) -> SolverClaim:
+def _outcome(mixed: MixedInteger, solution: Solution, seconds: dict[str, float]) -> SolverClaim:
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    (status, words), slope = status_of(solution), mixed.cost(COST_LEVEL)
+    status, words = status_of(solution)
     if status == "unbounded":  # with bounds on all states and controls, nothing is
         status = "failed"
     if solution.z is None:
-        return SolverClaim(status, None, None, None, bound, slope, words, seconds)
+        return SolverClaim(status, None, None, None, bound, words, seconds)
     z, sequence = solution.z.copy(), mixed.sequence(solution.z)
-    z[mixed.binaries] = mixed.deltas(sequence)
+    z[mixed.program.binaries] = mixed.deltas(sequence)
     violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
     if violation > POINT_TOLERANCE:
         status = "failed"
         words = f"{words}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
     cost = mixed.cost(mixed.program.objective(z))
-    return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, slope, words, seconds)
+    return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, words, seconds)

@@ -10,11 +10,10 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.backends.clarabel_ import solve_standard
+from lin_freq_ocp.backends.base import Claim, Solution, backend
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
-from lin_freq_ocp.transcription.standard_form import StandardForm
+from lin_freq_ocp.transcription.program import Program
 
 TOLERANCES = (1e-8, 1e-6)
 """Residuals and gap asked of a node's relaxation: a hundredth of the gap that is to be proven; if that fails, a looser
@@ -70,9 +69,9 @@ def relaxed(
     if time.perf_counter() > end:
         return Relaxed(reach, -np.inf, None, None, None)
     member = relaxation.member(reach)
-    form = member.form
+    program = member.program
     solution = next(
-        (one for one in _solutions(form, tolerances, end) if one.claim in DECIDED),
+        (solution for solution in _solutions(program, tolerances, end) if solution.claim in DECIDED),
         Solution(Claim.FAILED, None, None, "no tolerance was reached"),
     )
     z, y = solution.z, solution.y
@@ -80,16 +79,17 @@ def relaxed(
         return Relaxed(reach, np.inf, Duals(member.rows, y, 0.0), None, None)
     if solution.claim is not Claim.SOLVED or z is None or y is None:
         return Relaxed(reach, -np.inf, None, None, None)
-    curved = form.P @ z + form.P.T @ z - form.P.diagonal() * z
-    dual = -0.5 * float(z @ curved) - float(form.b @ y)
-    trajectory, weights = relaxation.point(member, z)
-    return Relaxed(reach, relaxation.cost(dual), Duals(member.rows, y, 1.0), trajectory, weights)
+    bound = relaxation.cost(program.dual_objective(z, y))
+    return Relaxed(reach, bound, Duals(member.rows, y, 1.0), *relaxation.point(member, z))
 
 
-def _solutions(form: StandardForm, tolerances: Sequence[float], end: float) -> Iterator[Solution]:
-    """Yield a solution for each tolerance, as long as there is time."""
+def _solutions(program: Program, tolerances: Sequence[float], end: float) -> Iterator[Solution]:
+    """Yield a solution for each tolerance, as long as there is time; KeyboardInterrupt after Ctrl-C."""
     for tolerance in tolerances:
         left = end - time.perf_counter()
         if left <= 0:
             return
-        yield solve_standard(form, tolerance, None if left == np.inf else left)
+        solution = backend("clarabel")(program, tolerance, None if left == np.inf else left)
+        if solution.claim is Claim.INTERRUPTED:
+            raise KeyboardInterrupt
+        yield solution

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,9 @@ from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+LOST = (BrokenExecutor, CancelledError, ConnectionError)
+"""What a future raises whose worker died, was cancelled, or was cut off (executors on networks)."""
 
 PARTS = 32
 """Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they
@@ -67,10 +70,10 @@ def search_part(
 
 
 def _result(future: Future[SearchOutcome]) -> SearchOutcome | None:
-    """Return what a worker found; None if it was lost, whatever the executor calls that."""
+    """Return what a worker found; None if the worker was lost, or the future was cancelled by its executor."""
     try:
         return future.result()
-    except Exception:
+    except LOST:
         return None
 
 

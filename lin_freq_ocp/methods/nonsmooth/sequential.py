@@ -182,7 +182,7 @@ class _Frame:
             return None
         transcription = LinearTranscription(problem.affine_at(start).with_modes(sequence))
         scaling = natural_scaling(transcription)
-        program = scaling.apply(transcription.program)
+        program = transcription.program.scaled(scaling)
         numbers = transcription.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
         maps, regions = (part.astype(np.intp) - 1 for part in (numbers.eta, numbers.stage[REGION]))
         signals = np.hstack([np.arange(T * n).reshape(T, n), (T + 1) * n + np.arange(T * m).reshape(T, m)])
@@ -206,7 +206,7 @@ class _Frame:
 
     def within_sets(self, trajectory: Trajectory) -> Array | None:
         """Return the nearest point that satisfies everything but maps and regions; None if it was not found."""
-        z, program = self.transcription.point(trajectory) / self.scaling.columns, self.program
+        z, program = self.scaling.scaled_primal(self.transcription.point(trajectory)), self.program
         kept = np.ones(len(program.lower), dtype=bool)
         kept[self.maps] = kept[self.regions[self.regions >= 0]] = False
         lower, upper = np.where(kept, program.lower, -np.inf), np.where(kept, program.upper, np.inf)

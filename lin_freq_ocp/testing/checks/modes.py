@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.modes.mixed import resolved, solve_miqp
+from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.testing.claimed import resolved
 
 AGREEMENT = 1e-6
 """Relative difference of two costs, and relative gap."""

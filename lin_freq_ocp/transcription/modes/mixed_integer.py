@@ -53,14 +53,9 @@ class MixedInteger:
     host: LinearTranscription
     possible: Mask
 
-    @property
-    def binaries(self) -> Indices:
-        """Return which variables are delta_{t,i}, (T * modes,), time after time."""
-        return np.arange(len(self.program.q) - self.possible.size, len(self.program.q))
-
     def sequence(self, z: Array) -> Indices:
         """Return the mode with the largest delta at every time, (T,)."""
-        return np.argmax(z[self.binaries].reshape(self.possible.shape), axis=1)
+        return np.argmax(z[self.program.binaries].reshape(self.possible.shape), axis=1)
 
     def trajectory(self, z: Array) -> Trajectory:
         """Return (x, u) from a point of the program."""
@@ -135,7 +130,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     require_time(end)
     own = _joined(rows, hosts[0], columns)
     scaling = _scaling(own, common_scaling(hosts))
-    return MixedInteger(problem, scaling.apply(own), scaling, hosts[0], found.possible)
+    return MixedInteger(problem, own.scaled(scaling), scaling, hosts[0], found.possible)
 
 
 def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
@@ -213,6 +208,7 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
         upper=np.append(limits[1], program.upper[first:]),
         rows={block: _shifted(place, moved) for block, place in program.rows.items()} | blocks,
         cones=tuple(_shifted(cone, moved) for cone in program.cones),
+        binaries=np.arange(columns.host, columns.count),
     )
 
 

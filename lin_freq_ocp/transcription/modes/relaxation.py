@@ -10,8 +10,7 @@ Where one mode is left, its map and region are rows on (x_t, u_t). Where several
     BOX     lower_i delta_i <= y_i <= upper_i delta_i
     CONE    cost sum_i delta_i c_t(y_i / delta_i) by epigraphs: 2 epsilon_i delta_i >= |L y_i|^2, L'L the Hessian
 
-It is the convex hull of graph and cost of each stage. Two weaker ones, to compare with: "hull" has the cost of
-(x_t, u_t) itself, and "big_m" no shares, but the rows of each mode within M (1 - delta_i), with M from the same boxes.
+It is the convex hull of graph and cost of each stage.
 """
 
 from __future__ import annotations
@@ -32,10 +31,11 @@ from lin_freq_ocp.transcription.linear.units import common_scaling
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.transcription.modes.rows import ModeColumns, mode_rows
 from lin_freq_ocp.transcription.modes.stages import hessian_roots, mode_stages
-from lin_freq_ocp.transcription.program import Block
-from lin_freq_ocp.transcription.standard_form import StandardForm
+from lin_freq_ocp.transcription.program import Block, Program
 
-RELAXATIONS = ("perspective", "hull", "big_m")
+COST_SHARE = 0.1
+"""Of the cost in common units, so that its slopes are of order 1: bounds are asked for to a part of the cost, and a
+larger cost takes more iterations."""
 
 FIXED = 1e-9
 """A box narrower than this, in natural units, is an equation: interior-point methods need an interior."""
@@ -45,7 +45,7 @@ FIXED = 1e-9
 class Member:
     """The relaxation of one reach, and which rows and columns of the template it has."""
 
-    form: StandardForm
+    program: Program
     reach: Reach
     rows: Indices
     columns: Indices
@@ -58,30 +58,33 @@ class ModeRelaxation:
     ----------
     problem : OptimalControlProblem
         With piecewise-affine dynamics and a convex cost.
-    kind : {"perspective", "hull", "big_m"}
     """
 
-    def __init__(self, problem: OptimalControlProblem, kind: str = "perspective"):
-        self.problem, self.kind, self.reach = problem, kind, ModeReach(problem)
+    bounds_where_several = False
+    """Whether (x_t, u_t) has its own bounds where shares have them, too."""
+
+    def __init__(self, problem: OptimalControlProblem):
+        self.problem, self.reach = problem, ModeReach(problem)
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         sequences = [np.full(T, mode, dtype=np.intp) for mode in range(len(problem.piecewise.modes))]
         hosts = [LinearTranscription(replace(problem, dynamics=problem.piecewise.along(one))) for one in sequences]
-        self._host, self._scaling = hosts[0], common_scaling(hosts)
-        self._program = self._scaling.apply(self._host.program)
+        self._host, units = hosts[0], common_scaling(hosts)
+        self._scaling = replace(units, cost=COST_SHARE * units.cost)
+        self._program = self._host.program.scaled(self._scaling)
         states = (T + 1) * n
-        units = np.concatenate([self._scaling.columns[:n], self._scaling.columns[states : states + m]])
-        self._stages, self._n = mode_stages(problem, units), n
+        sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
+        self._stages, self._n = mode_stages(problem, sizes), n
         self._at = ModeColumns(T, len(problem.piecewise.modes), n, m, len(self._program.q))
         template = RowTemplate()
         self._add_host_rows(template)
         self._x_boxes, self._u_boxes = self._add_boxes(template)
-        roots = np.sqrt(self._scaling.cost) * hessian_roots(problem.quadratic, units, T)
-        self._rows = mode_rows(template, self._stages, self._at, roots)
+        roots = np.sqrt(units.cost) * hessian_roots(problem.quadratic, sizes, T)
+        self._add_rows(template, roots)
         self._template = template.finished(self._at.count)
-        self._hessian = sp.coo_array(sp.triu(self._program.P))
+        self._hessian = sp.coo_array(self._program.P)
         self._price = np.zeros(self._at.count)
         self._price[: len(self._program.q)] = self._program.q
-        self._price[self._at.epsilon] = 1.0
+        self._price[self._at.epsilon] = COST_SHARE
         self._stage = np.full(self._at.count, -1)
         self._stage[self._at.y] = np.arange(T)[:, None]
 
@@ -99,28 +102,29 @@ class ModeRelaxation:
         rows, columns = np.zeros(len(right), dtype=bool), np.ones(self._at.count, dtype=bool)
         for part in self._host_rows:
             rows[part.rows] = True
-        self._take_boxes(rows, right, reach, ~single)
+        self._take_boxes(rows, right, reach, ~single & (not self.bounds_where_several))
         one, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
-        _take(rows, self._rows.one_map, one)
-        _take(rows, self._rows.one_region, one, finite)
-        _take(rows, self._rows.weight_sum, ~single)
-        _take(rows, self._rows.weight, many)
-        if self.kind == "big_m":
-            self._take_far_rows(rows, values, right, reach, many, finite)
-        else:
-            self._take_shares(rows, values, reach, many, finite)
-        columns[self._at.delta] = many
-        columns[self._at.share] = many[..., None] & (self.kind != "big_m")
-        columns[self._at.epsilon] = many & (self.kind == "perspective")
-        assembled = self._template.member(rows, columns, values, right)
+        take(rows, self._rows.one_map, one)
+        take(rows, self._rows.one_region, one, finite)
+        take(rows, self._rows.weight_sum, ~single)
+        take(rows, self._rows.weight, many)
+        self._take_several(rows, values, right, reach, many)
+        self._several_columns(columns, many)
+        A, lower, upper = self._template.member(rows, columns, values, right)
         kept = np.flatnonzero(columns)
-        rank = self._rows.cone.rows.shape[1]
-        own = int(many.sum()) if self.kind == "perspective" else 0
-        cones = (*(cone.stop - cone.start for cone in self._program.cones), *[rank] * own)
-        equations, inequalities = assembled.senses[Sense.EQUATION], assembled.senses[Sense.INEQUALITY]
-        P = self._hessian_of(single, columns, kept)
-        form = StandardForm(P, self._price[kept], assembled.A, assembled.b, equations, inequalities, cones)
-        return Member(form, reach, assembled.rows, kept)
+        program = Program(
+            self._hessian_of(single, kept), self._price[kept], 0.0, A, lower, upper, {}, self._cones(rows)
+        )
+        return Member(program, reach, np.flatnonzero(rows), kept)
+
+    def _cones(self, taken: Mask) -> tuple[slice, ...]:
+        """Return the rows of the cones of a member: all rows of a cone are taken, or none."""
+        host, own = self._host_rows[2].rows.ravel(), self._rows.cone.rows
+        firsts = np.concatenate([host[self._host_cones[:, 0]], own[:, 0]])
+        sizes = np.append(self._host_cones[:, 1], np.full(len(own), own.shape[1]))
+        chosen = taken[firsts]
+        starts = (np.cumsum(taken) - 1)[firsts[chosen]]
+        return tuple(slice(int(a), int(a) + int(size)) for a, size in zip(starts, sizes[chosen], strict=True))
 
     @property
     def state_curvature(self) -> Array:
@@ -142,23 +146,14 @@ class ModeRelaxation:
 
     def multipliers(self, kept: Indices, y: Array, eta_C: float) -> ModeMultipliers:
         """Return the multipliers of duals y of the rows that a member kept, P z + q + A'y = 0."""
-        full = np.zeros(len(self._template.right))
-        full[kept] = y
-        rows, shape = self._rows, self._stages.offsets.shape
-        eta = full[rows.one_map.rows].reshape(shape).sum(axis=1) + full[rows.share_map.rows]
-        if self.kind == "big_m":
-            above, below = (
-                full[part.rows].reshape(self._stages.offsets.shape) for part in (rows.far_above, rows.far_below)
-            )
-            eta = eta + (above - below).sum(axis=1)
-        of_regions = (full[part.rows] for part in (rows.one_region, rows.share_region, rows.far_region))
-        region = sum(of_regions, np.zeros(rows.one_region.rows.shape)).reshape(self._stages.limits.shape)
-        program = self._program
-        host = self._sides.dual(len(program.lower), *(full[part.rows].ravel() for part in self._host_rows[:2]))
-        host[program.in_cones] = -full[self._host_rows[2].rows].ravel()
+        full, rows, program = self._filled(kept, y), self._rows, self._program
+        region = full[rows.one_region.rows] + full[rows.share_region.rows]
+        of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
+        host = self._sides.dual(len(program.lower), np.concatenate([of_equations, of_inequalities, -of_cones]))
         host[program.rows[Block.DYNAMICS]] = self._scaled_adjoint(full).ravel()
         own = self._host.multipliers(self._scaling.dual(host), eta_C)
-        return ModeMultipliers(own, region / self._stages.norms / self._scaling.cost)
+        region = region.reshape(self._stages.limits.shape) / self._stages.norms / self._scaling.cost
+        return ModeMultipliers(own, region)
 
     def adjoint(self, kept: Indices, y: Array) -> Array:
         """Return eta alone, (T, n)."""
@@ -173,11 +168,7 @@ class ModeRelaxation:
 
     def _scaled_adjoint(self, full: Array) -> Array:
         rows, shape = self._rows, self._stages.offsets.shape
-        eta = full[rows.one_map.rows].reshape(shape).sum(axis=1) + full[rows.share_map.rows]
-        if self.kind == "big_m":
-            above, below = (full[part.rows].reshape(shape) for part in (rows.far_above, rows.far_below))
-            eta = eta + (above - below).sum(axis=1)
-        return eta
+        return full[rows.one_map.rows].reshape(shape).sum(axis=1) + full[rows.share_map.rows]
 
     def _add_host_rows(self, template: RowTemplate) -> None:
         """Add what the host program has beyond dynamics and boxes: spectra and terms."""
@@ -185,15 +176,19 @@ class ModeRelaxation:
         for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
             others[program.rows[block]] = False
         lower, upper = np.where(others, program.lower, -np.inf), np.where(others, program.upper, np.inf)
-        self._sides, curved = replace(program, lower=lower, upper=upper).one_sided(), program.in_cones
-        self._host_rows = tuple(
-            _added(template, sense, matrix, right)
-            for sense, matrix, right in (
-                (Sense.EQUATION, self._sides.A, self._sides.b),
-                (Sense.INEQUALITY, self._sides.G, self._sides.h),
-                (Sense.CONE, -program.A[curved], -program.lower[curved]),
-            )
+        form = self._sides = replace(program, lower=lower, upper=upper).standard()
+        ends = form.equations, form.equations + form.inequalities
+        A, b = sp.csr_array(form.A), np.split(form.b, ends)
+        self._host_rows = (
+            _added(template, Sense.EQUATION, A[: ends[0]], b[0]),
+            _added(template, Sense.INEQUALITY, A[ends[0] : ends[1]], b[1]),
+            _added(template, Sense.CONE, -A[ends[1] :], -b[2]),
         )
+        sizes = np.array(form.cones, dtype=np.intp)
+        self._host_cones = np.column_stack([np.cumsum(sizes) - sizes, sizes])
+
+    def _add_rows(self, template: RowTemplate, roots: Array) -> None:
+        self._rows = mode_rows(template, self._stages, self._at, roots)
 
     def _add_boxes(self, template: RowTemplate) -> tuple[tuple[Groups, ...], tuple[Groups, ...]]:
         """Add upper, lower and equal rows for x, (T+1, n), and for u, (T, m)."""
@@ -210,7 +205,7 @@ class ModeRelaxation:
         stages, n, tube = self._stages, self._n, self.problem.control_tube
         u_lower, u_upper = np.maximum(tube.lower, -ENDLESS), np.minimum(tube.upper, ENDLESS)
         references = np.vstack([stages.references[:, :n], stages.last_reference])
-        wanted = np.append(~several | (self.kind == "big_m"), True)
+        wanted = np.append(~several, True)
         for groups, lower, upper, units, taken in (
             (self._x_boxes, reach.lower - references, reach.upper - references, stages.units[:n], wanted),
             (
@@ -233,48 +228,28 @@ class ModeRelaxation:
                 rows[group.rows[mask]] = True
                 right[group.rows[mask]] = value[mask]
 
-    def _take_shares(self, rows: Mask, values: Array, reach: Reach, many: Mask, finite: Mask) -> None:
-        several, groups = np.asarray(many.any(axis=1)), self._rows
+    def _several_columns(self, columns: Mask, many: Mask) -> None:
+        """Take the variables of modes where several are left."""
+        columns[self._at.delta] = columns[self._at.epsilon] = many
+        columns[self._at.share] = many[..., None]
+
+    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
+        """Take the rows of modes where several are left, and fill in what depends on the reach."""
+        several, groups, finite = np.asarray(many.any(axis=1)), self._rows, np.isfinite(self._stages.limits)
         lower, upper = self._bounded(reach.mode_lower, many), self._bounded(reach.mode_upper, many)
         equal = upper - lower <= FIXED
         for part in (groups.share_sum, groups.share_map):
-            _take(rows, part, several)
-        _take(rows, groups.share_region, many, finite)
+            take(rows, part, several)
+        take(rows, groups.share_region, many, finite)
         k = lower.shape[-1]
         for part, bound, mask in (
             (groups.share_upper, -upper, ~equal),
             (groups.share_lower, lower, ~equal),
             (groups.share_equal, -(lower + upper) / 2, equal),
         ):
-            _take(rows, part, many, mask)
+            take(rows, part, many, mask)
             values[part.entries[:, k:]] = bound.reshape(-1, k)
-        if self.kind == "perspective":
-            _take(rows, groups.cone, many)
-
-    def _take_far_rows(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask, finite: Mask) -> None:
-        """Take the rows of modes with M, the most by which any point of the boxes violates them."""
-        stages, groups, n = self._stages, self._rows, self._n
-        lower, upper = self._bounded(reach.mode_lower, many), self._bounded(reach.mode_upper, many)
-        low = np.where(many[..., None], lower, np.inf).min(axis=1, keepdims=True)
-        high = np.where(many[..., None], upper, -np.inf).max(axis=1, keepdims=True)
-        low, high = (np.where(np.isfinite(bound), bound, 0.0) for bound in (low, high))
-        references = np.vstack([stages.references[1:, :n], stages.last_reference])
-        next_low, next_high = (
-            ((bound[1:] - references) / stages.units[:n])[:, None] for bound in (reach.lower, reach.upper)
-        )
-        least, most = _range(stages.maps, low, high)
-        reached = _range(stages.rows, low, high)[1]
-        limits = np.where(finite, stages.limits, 0.0)
-        above, below = next_high - least - stages.offsets, most + stages.offsets - next_low
-        for part, excess, limit, mask in (
-            (groups.far_above, above, stages.offsets, np.ones_like(above, dtype=bool)),
-            (groups.far_below, below, -stages.offsets, np.ones_like(below, dtype=bool)),
-            (groups.far_region, reached - limits, limits, finite),
-        ):
-            M = np.maximum(excess, 0.0).reshape(part.rows.shape)
-            _take(rows, part, many, mask)
-            values[part.entries[:, -part.rows.shape[1] :]] = M
-            right[part.rows] = limit.reshape(M.shape) + M
+        take(rows, groups.cone, many)
 
     def _bounded(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units."""
@@ -289,15 +264,15 @@ class ModeRelaxation:
             )
         return self._stages.scaled(np.where(bounded, bounds, 0.0))
 
-    def _hessian_of(self, single: Mask, columns: Mask, kept: Indices) -> sp.csc_matrix:
+    def _hessian_of(self, single: Mask, kept: Indices) -> sp.csc_array:
+        """Return the cost of what has no shares; the columns of the host come first, and are all kept."""
         row, column = self._hessian.coords
         stage = self._stage[row]
-        keep = (stage < 0) | single[stage] if self.kind == "perspective" else np.ones(len(row), dtype=bool)
-        shape = (len(kept), len(kept))
-        return sp.csc_matrix((self._hessian.data[keep], (row[keep], column[keep])), shape=shape)
+        keep = (stage < 0) | single[stage]
+        return sp.csc_array((self._hessian.data[keep], (row[keep], column[keep])), shape=(len(kept), len(kept)))
 
 
-def _take(rows: Mask, groups: Groups, chosen: Mask, within: Mask | None = None) -> None:
+def take(rows: Mask, groups: Groups, chosen: Mask, within: Mask | None = None) -> None:
     """Take the groups where ``chosen`` (any shape of as many), and of their rows those ``within`` (groups, size)."""
     mask = np.broadcast_to(chosen.reshape(-1, 1), groups.rows.shape)
     if within is not None:
@@ -305,13 +280,7 @@ def _take(rows: Mask, groups: Groups, chosen: Mask, within: Mask | None = None) 
     rows[groups.rows[mask]] = True
 
 
-def _added(template: RowTemplate, sense: Sense, matrix: sp.csc_array, right: Array) -> Groups:
+def _added(template: RowTemplate, sense: Sense, matrix: sp.csr_array, right: Array) -> Groups:
     entries = sp.coo_array(matrix)
     row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
     return template.add(sense, right[None], row, column[None], entries.data[None])
-
-
-def _range(matrices: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the least and largest value of every row of (T, modes, rows, k) over boxes (T, 1, k)."""
-    ends = matrices * low[:, :, None], matrices * high[:, :, None]
-    return np.minimum(*ends).sum(axis=-1), np.maximum(*ends).sum(axis=-1)

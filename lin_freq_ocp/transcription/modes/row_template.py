@@ -6,7 +6,6 @@ assembled by a few vector operations. A search over modes asks for thousands of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -17,7 +16,7 @@ from lin_freq_ocp.arrays import Array, Indices, Mask
 
 
 class Sense(Enum):
-    """Kinds of rows, in the order of the standard form."""
+    """Kinds of rows: A z = b, A z <= b, or A z - b in a second-order cone."""
 
     EQUATION = 0
     INEQUALITY = 1
@@ -41,7 +40,7 @@ class Groups:
 
 
 class RowTemplate:
-    """Rows sum_j A_ij z_j = b_i, or <= b_i, or b - A z in a cone; collected kind by kind."""
+    """Rows of every ``Sense``, collected kind by kind."""
 
     def __init__(self):
         self._rows: list[Indices] = []
@@ -82,37 +81,24 @@ class RowTemplate:
         return Assembler(row, column, np.concatenate(self._values), np.concatenate(self._right), senses, columns)
 
 
-@dataclass(frozen=True, eq=False)
-class Assembled:
-    """The matrix and right-hand side of a member, and which rows of the template it has, in its order."""
-
-    A: sp.csc_matrix
-    b: Array
-    rows: Indices
-    senses: Mapping[Sense, int]
-
-
 class Assembler:
     """A finished template."""
 
     def __init__(self, row: Indices, column: Indices, values: Array, right: Array, senses: Indices, columns: int):
         self.values, self.right, self.columns = values, right, columns
         self._senses = senses
-        self._row_order = np.argsort(senses, kind="stable")
-        rank = np.empty(len(senses), dtype=np.intp)
-        rank[self._row_order] = np.arange(len(senses))
-        self._order = np.lexsort((rank[row], column))
+        self._order = np.lexsort((row, column))
         self._row, self._column = row[self._order], column[self._order]
 
-    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> Assembled:
-        """Return the member with some rows and columns, of all coefficients in the order they were added."""
-        kept = self._row_order[rows[self._row_order]]
-        place = np.empty(len(rows), dtype=np.int32)
-        place[kept] = np.arange(len(kept), dtype=np.int32)
+    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> tuple[sp.csc_array, Array, Array]:
+        """Return A, lower and upper of some rows and columns, from all coefficients in the order they were added."""
+        kept = np.flatnonzero(rows)
+        place = np.cumsum(rows, dtype=np.int32) - np.int32(1)
         data = values[self._order]
         keep = rows[self._row] & columns[self._column] & (data != 0)
         counts = np.bincount(self._column[keep], minlength=self.columns)[columns]
         pointers = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        A = sp.csc_matrix((data[keep], place[self._row[keep]], pointers), shape=(len(kept), len(counts)))
-        found = np.bincount(self._senses[kept], minlength=len(Sense))
-        return Assembled(A, right[kept], kept, {sense: int(found[sense.value]) for sense in Sense})
+        A = sp.csc_array((data[keep], place[self._row[keep]], pointers), shape=(len(kept), len(counts)))
+        senses, limits = self._senses[kept], right[kept]
+        lower = np.where(senses == Sense.INEQUALITY.value, -np.inf, limits)
+        return A, lower, np.where(senses == Sense.CONE.value, np.inf, limits)

@@ -1,4 +1,4 @@
-"""The rows of mode relaxations (see mode_relaxation.py), and the columns they stand on."""
+"""The rows of mode relaxations (see relaxation.py), and the columns they stand on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ModeColumns:
 
 @dataclass(frozen=True, eq=False)
 class ModeRows:
-    """Groups of rows, one for each (t, mode) or each t; names as in mode_relaxation.py.
+    """Groups of rows, one for each (t, mode) or each t; names as in relaxation.py.
 
     Attributes
     ----------
@@ -43,8 +43,6 @@ class ModeRows:
         For each t: SUM and MAP.
     share_region, share_upper, share_lower, share_equal, weight, cone
         REGION, BOX (its three kinds), delta >= 0, CONE.
-    far_above, far_below, far_region
-        big_m: x_{t+1} - f_i <= M (1 - delta), f_i - x_{t+1} <= M (1 - delta), G y - h <= M (1 - delta).
     """
 
     one_map: Groups
@@ -58,9 +56,6 @@ class ModeRows:
     share_equal: Groups
     weight: Groups
     cone: Groups
-    far_above: Groups
-    far_below: Groups
-    far_region: Groups
 
 
 def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots: Array) -> ModeRows:
@@ -72,7 +67,7 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
     rows_n, rows_r, rows_k = np.arange(n), np.arange(r), np.arange(k)
     map_rows = np.repeat(rows_n, k)
     region_rows = np.repeat(rows_r, k)
-    ones, zero = np.ones((T, modes, n)), np.zeros((T, modes, 1))
+    zero = np.zeros((T, modes, 1))
 
     def added(sense: Sense, right: Array, row: Indices, column: list[Indices], value: list[Array]) -> Groups:
         groups = int(np.prod(right.shape[:-1]))
@@ -81,23 +76,23 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
             sense, right.reshape(groups, -1), row, columns.reshape(groups, -1), values.reshape(groups, -1)
         )
 
-    def mapped(sense: Sense, sign: float, columns: Indices) -> tuple[Indices, list[Indices], list[Array]]:
-        """Return sign (x_{t+1} - maps y), y on the given columns."""
-        values = [sign * ones, -sign * stages.maps.reshape(T, modes, -1)]
-        return np.concatenate([rows_n, map_rows]), [after, np.tile(columns, n)], values
-
     def with_weight(size: int, parts: tuple[Indices, list[Indices], list[Array]], weight: Array):
         row, column, value = parts
         delta = np.broadcast_to(at.delta[..., None], (T, modes, size))
         return np.concatenate([row, np.arange(size)]), [*column, delta], [*value, np.broadcast_to(weight, delta.shape)]
 
+    one_map = (
+        np.concatenate([rows_n, map_rows]),
+        [after, np.tile(y, n)],
+        [np.ones((T, modes, n)), -stages.maps.reshape(T, modes, -1)],
+    )
     region = region_rows, [np.tile(y, r)], [stages.rows.reshape(T, modes, -1)]
     share_region = region_rows, [np.tile(at.share, r)], [stages.rows.reshape(T, modes, -1)]
     identity = rows_k, [at.share], [np.ones((T, modes, k))]
     minus = rows_k, [at.share], [-np.ones((T, modes, k))]
-    nothing_k, nothing_n = np.zeros((T, modes, k)), np.zeros((T, modes, n))
+    nothing_k = np.zeros((T, modes, k))
     return ModeRows(
-        one_map=added(Sense.EQUATION, stages.offsets, *mapped(Sense.EQUATION, 1.0, y)),
+        one_map=added(Sense.EQUATION, stages.offsets, *one_map),
         one_region=added(Sense.INEQUALITY, limits, *region),
         share_sum=added(
             Sense.EQUATION,
@@ -122,21 +117,18 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
         share_equal=added(Sense.EQUATION, nothing_k, *with_weight(k, identity, zero)),
         weight=added(Sense.INEQUALITY, zero, np.zeros(1, dtype=int), [at.delta[..., None]], [zero - 1.0]),
         cone=_cones(template, at, roots),
-        far_above=added(Sense.INEQUALITY, nothing_n, *with_weight(n, mapped(Sense.INEQUALITY, 1.0, y), zero)),
-        far_below=added(Sense.INEQUALITY, nothing_n, *with_weight(n, mapped(Sense.INEQUALITY, -1.0, y), zero)),
-        far_region=added(Sense.INEQUALITY, np.zeros((T, modes, r)), *with_weight(r, region, zero)),
     )
 
 
 def _cones(template: RowTemplate, at: ModeColumns, roots: Array) -> Groups:
-    """Add (epsilon + delta, epsilon - delta, sqrt(2) L y) in the second-order cone, rows b - A z with b = 0."""
+    """Add (epsilon + delta, epsilon - delta, sqrt(2) L y) in the second-order cone."""
     T, modes, k = at.share.shape
     rank = roots.shape[1]
     row = np.concatenate([[0, 0, 1, 1], np.repeat(2 + np.arange(rank), k)])
     pair = np.stack([at.epsilon, at.delta], axis=-1)
     column = np.concatenate([pair, pair, np.tile(at.share, rank)], axis=-1)
-    signs = np.broadcast_to([-1.0, -1.0, -1.0, 1.0], (T, modes, 4))
-    through = np.broadcast_to(-np.sqrt(2.0) * roots.reshape(T, 1, -1), (T, modes, rank * k))
+    signs = np.broadcast_to([1.0, 1.0, 1.0, -1.0], (T, modes, 4))
+    through = np.broadcast_to(np.sqrt(2.0) * roots.reshape(T, 1, -1), (T, modes, rank * k))
     value = np.concatenate([signs, through], axis=-1)
     groups = T * modes
     right = np.zeros((groups, rank + 2))

@@ -1,0 +1,42 @@
+"""What a mixed-integer solver claims of a mode sequence, compared with that sequence solved again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.claims import AGREEMENT, SolverClaim
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """A claimed sequence, solved again: its candidate, its cost if it was solved, and what the claim got wrong."""
+
+    candidate: Candidate
+    cost: float | None
+    words: str
+
+
+def resolved(problem: OptimalControlProblem, claim: SolverClaim, backend: str = "clarabel") -> Resolved:
+    """Solve the convex program of the claimed sequence, and say in words what the claim got wrong."""
+    assert claim.sequence is not None
+    candidate = solve_convex(problem.with_modes(claim.sequence), backend, None, None)
+    if candidate.status != "optimal" or candidate.trajectory is None:
+        words = f"the program of the claimed sequence ended as {candidate.status} ({candidate.words})"
+        return Resolved(candidate, None, words)
+    cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
+    allowed = 2 * AGREEMENT * max(1.0, abs(cost))  # its rows are met to 1e-6 only
+    return Resolved(candidate, cost, "; ".join(differences(claim, cost, allowed, "its sequence")))
+
+
+def differences(claim: SolverClaim, cost: float, allowed: float, source: str) -> list[str]:
+    """Return in words where the claim differs by more than is allowed from the cost of what ``source`` names."""
+    found: list[str] = []
+    if claim.cost is not None and abs(claim.cost - cost) > allowed:
+        which = "above" if claim.cost > cost else "below"
+        found.append(f"the claimed cost {claim.cost:.9g} is {which} that of {source}, {cost:.9g}")
+    if claim.bound is not None and claim.bound > cost + allowed:
+        found.append(f"the claimed bound {claim.bound:.9g} is above the cost {cost:.9g} of a trajectory")
+    return found
