@@ -10,7 +10,7 @@ from typing import Any
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
-from lin_freq_ocp.explain.explanation import explain
+from lin_freq_ocp.explanation.explanation import explain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.solve import solve_judged

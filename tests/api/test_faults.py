@@ -27,7 +27,7 @@ SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cu
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1", "--set", "cutoff_hz=1.0")
 """The same on the command line."""
 
-ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.LinFreqOCPError)]
+ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)]
 
 
 def failing(error):
@@ -44,7 +44,9 @@ def failing(error):
 
 @pytest.mark.parametrize("kind", ERRORS)
 def test_every_error_survives_pickling_with_all_it_holds(kind):
-    arguments = ("cost.R", "-1", "a number above 0", "Square it.") if kind is lfo.ProblemError else ("what happened",)
+    arguments = (
+        ("cost.R", "-1", "a number above 0", "Square it.") if kind is lfo.errors.ProblemError else ("what happened",)
+    )
     error = kind(*arguments)
     error.noted = "on the way"
     for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
@@ -53,7 +55,7 @@ def test_every_error_survives_pickling_with_all_it_holds(kind):
 
 
 def test_the_result_of_an_error_survives_pickling():
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(SHORT(control_bound=1e-3))
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
@@ -66,7 +68,7 @@ def test_a_bad_problem_kills_no_pool():
     """What a worker raises is unpickled by the pool's own thread, whose death takes the whole pool with it."""
     with process_pool(1) as pool:
         error = pool.submit(SHORT, control_bound=-1.0).exception(60)
-        assert isinstance(error, lfo.ProblemError)
+        assert isinstance(error, lfo.errors.ProblemError)
         assert error.field == "control_bound"
         rows = lfo.sweep(SHORT, {"control_bound": [-1.0, 1.0]}, pool).rows
     assert [row["status"] for row in rows] == ["error", "optimal"]
@@ -167,7 +169,7 @@ WRITERS = {
     "mat": lambda result, path: result.to_mat(path),
     "json": lambda result, path: result.to_json(path),
     "problem": lambda result, path: lfo.write_problem(result.problem, path),
-    "sweep": lambda result, path: lfo.Sweep("none", {"a": (1,)}, (), {}).to_csv(path),
+    "sweep": lambda result, path: lfo.results.Sweep("none", {"a": (1,)}, (), {}).to_csv(path),
 }
 
 
@@ -183,7 +185,7 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(writer, result, tmp_path, m
     path.chmod(0o640)
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", failing(errno.ENOSPC))
-        with pytest.raises(lfo.ProblemError, match="file: got No space left on device"):
+        with pytest.raises(lfo.errors.ProblemError, match="file: got No space left on device"):
             write(result, path)
     assert (path.read_bytes(), os.listdir(tmp_path)) == (b"precious", ["file"])
     with monkeypatch.context() as patched:
@@ -196,14 +198,14 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(writer, result, tmp_path, m
     assert (tmp_path / "link").is_symlink()
     assert path.read_bytes() != b"precious"
     assert path.stat().st_mode & 0o777 == 0o640
-    with pytest.raises(lfo.ProblemError, match="got No such file or directory"):
+    with pytest.raises(lfo.errors.ProblemError, match="got No such file or directory"):
         write(result, tmp_path / "nowhere" / "file")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
 @pytest.mark.parametrize("writer", WRITERS)
 def test_what_is_no_regular_file_is_written_to_as_it_is(writer, result):
-    with pytest.raises(lfo.ProblemError, match="/dev/full: got No space left on device"):
+    with pytest.raises(lfo.errors.ProblemError, match="/dev/full: got No space left on device"):
         WRITERS[writer](result, "/dev/full")
     WRITERS[writer](result, os.devnull)
     assert stat.S_ISCHR(os.stat(os.devnull).st_mode)

@@ -449,7 +449,7 @@ def test_overflow_proves_nothing():
     assert not Condition("C-iii", "state equation", np.inf, np.inf, 1e-6).passed
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[2.0]], [[1.0]]), 4, lfo.QuadraticCost())
     trajectory = lfo.Trajectory(1e308 * np.array([[1.0], [-1.0], [1.0], [-1.0], [1.0]]), np.full((4, 1), 1e308))
-    zero = lfo.Multipliers(
+    zero = lfo.results.Multipliers(
         1.0, np.zeros((4, 1)), np.zeros((5, 1)), np.zeros((4, 1)), np.zeros((3, 1)), np.zeros((3, 1))
     )
     certificate = lfo.certify(problem, trajectory, zero)
@@ -506,7 +506,7 @@ BAD_CALLS = {
     "box upside down": (lambda: lfo.Box([0, 2], [1, 1]), "Box.lower[1]: got 2 above upper[1] = 1"),
     "box of two shapes": (lambda: lfo.Box([0, 0], [1, 1, 1]), "Box: got lower of shape (2,), upper of shape (3,)"),
     "box of text": (lambda: lfo.Box("a", "b"), "Box.lower: got 'a'"),
-    "point with None": (lambda: lfo.Point([None, 0.0]), "Point: got [None, 0.0]"),
+    "point with None": (lambda: lfo.sets.Point([None, 0.0]), "Point: got [None, 0.0]"),
     "set a pair": (lambda: problem(control_set=(-5, 5)), "control_set: got a sequence of 2"),
     "sets too few": (lambda: problem(state_set=[lfo.Box(-1, 1)] * 8), "state_set: got a sequence of 8"),
     "band a number": (lambda: problem(control_spectrum=20), "control_spectrum: got 20"),
@@ -519,11 +519,11 @@ BAD_CALLS = {
         "control_spectrum: got low_pass(0 .. 1 Hz); expected a sampling time",
     ),
     "cut-off twice": (lambda: lfo.low_pass(1.0, cutoff_hz=1.0), "low_pass.cutoff: got both of cutoff and cutoff_hz"),
-    "cut-off nowhere": (lambda: lfo.high_pass(), "high_pass.cutoff: got neither of cutoff and cutoff_hz"),
-    "cut-off beyond Nyquist": (lambda: lfo.high_pass(3.2), "high_pass.cutoff: got 3.2 rad/sample"),
-    "edges exchanged": (lambda: lfo.band_pass(2, 1), "band_pass: got lower 2 above upper 1"),
-    "notch of no width": (lambda: lfo.notch(1.0, 0.0), "notch.width: got 0"),
-    "notch of negative width": (lambda: lfo.notch(1.0, -1.0), "notch.width: got -1"),
+    "cut-off nowhere": (lambda: lfo.spectrum.high_pass(), "high_pass.cutoff: got neither of cutoff and cutoff_hz"),
+    "cut-off beyond Nyquist": (lambda: lfo.spectrum.high_pass(3.2), "high_pass.cutoff: got 3.2 rad/sample"),
+    "edges exchanged": (lambda: lfo.spectrum.band_pass(2, 1), "band_pass: got lower 2 above upper 1"),
+    "notch of no width": (lambda: lfo.spectrum.notch(1.0, 0.0), "notch.width: got 0"),
+    "notch of negative width": (lambda: lfo.spectrum.notch(1.0, -1.0), "notch.width: got -1"),
     "no bins": (lambda: lfo.stop_band(bins=[]), "stop_band.bins: got []"),
     "bins by halves": (lambda: lfo.stop_band(bins=[0.5]), "stop_band.bins: got [0.5]"),
     "bin true": (lambda: lfo.stop_band(bins=[True]), "stop_band.bins: got [True]"),
@@ -560,7 +560,7 @@ BAD_CALLS = {
 @pytest.mark.parametrize("case", BAD_CALLS)
 def test_bad_call(case):
     call, words = BAD_CALLS[case]
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         call()
     assert words in str(caught.value)
     assert f"{caught.value.field}: got {caught.value.got}; expected {caught.value.expected}." in str(caught.value)
@@ -569,15 +569,19 @@ def test_bad_call(case):
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: lfo.solve(problem(), method="magic"), lfo.UnsupportedError, "method: got 'magic'"),
-        (lambda: lfo.solve(problem(), backend="magic"), lfo.UnsupportedError, "backend: got 'magic'"),
-        (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.UnsupportedError, "time_limit: got -1.0"),
-        (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.UnsupportedError, "tolerance: got nan"),
-        (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.UnsupportedError, "eigenvalue -3"),
-        (lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"), lfo.MissingExtraError, "'qpsolvers:nonesuch'"),
+        (lambda: lfo.solve(problem(), method="magic"), lfo.errors.UnsupportedError, "method: got 'magic'"),
+        (lambda: lfo.solve(problem(), backend="magic"), lfo.errors.UnsupportedError, "backend: got 'magic'"),
+        (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.errors.UnsupportedError, "time_limit: got -1.0"),
+        (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.errors.UnsupportedError, "tolerance: got nan"),
+        (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.errors.UnsupportedError, "eigenvalue -3"),
+        (
+            lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"),
+            lfo.errors.MissingExtraError,
+            "'qpsolvers:nonesuch'",
+        ),
         (
             lambda: lfo.simulate(problem(dynamics=dynamics(A=1e200 * np.eye(2))), np.ones((8, 1))),
-            lfo.NumericalError,
+            lfo.errors.NumericalError,
             "overflows at t = 3",
         ),
     ],
@@ -586,7 +590,7 @@ def test_what_is_not_supported_says_so(call, error, words):
     with pytest.raises(error) as caught:
         call()
     assert words in str(caught.value)
-    assert isinstance(caught.value, lfo.LinFreqOCPError)
+    assert isinstance(caught.value, lfo.errors.LinFreqOCPError)
 
 
 @pytest.mark.parametrize(
@@ -594,5 +598,5 @@ def test_what_is_not_supported_says_so(call, error, words):
     [lfo.solve, lfo.compare, lfo.explain, lambda text: lfo.certify(text, 1), lambda text: lfo.rate_limited(text, 1)],
 )
 def test_what_is_no_problem_is_refused(call):
-    with pytest.raises(lfo.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
         call("cart.toml")

@@ -279,7 +279,7 @@ def test_json_of_solve_says_what_the_library_says(method, backend):
 @pytest.mark.parametrize("method", ["auto", "convex"])
 def test_json_of_an_infeasible_problem_names_the_conflict(method):
     summary = parsed(once("solve", "pendulum", *TOO_WEAK, "--method", method, "--json")[1])
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1), method=method)
     assert [one["block"] for one in summary["conflict"]] == [one.block for one in caught.value.result.conflict]
     assert [one["times"] for one in summary["conflict"]] == [list(one.times) for one in caught.value.result.conflict]
@@ -622,7 +622,7 @@ def test_a_report_is_written_and_named(tmp_path, monkeypatch):
 
 def test_a_report_does_not_disturb_the_json(tmp_path, monkeypatch):
     folders = []
-    monkeypatch.setattr(lfo.Comparison, "save", lambda comparison, folder: folders.append(folder))
+    monkeypatch.setattr(lfo.results.Comparison, "save", lambda comparison, folder: folders.append(folder))
     status, out, _ = run(
         "compare", "pendulum", "--filters", "brickwall", "--out", str(tmp_path / "[red]report"), "--json"
     )

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat, savemat
 
 from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.atomic import write_bytes
@@ -48,6 +47,8 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }
+    from scipy.io import savemat  # slow to import
+
     stream: Any = BytesIO()  # stubs of scipy know names of files only
     savemat(stream, variables)
     write_bytes(path, stream.getvalue())
@@ -72,6 +73,8 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     ProblemError
         If it is no such file, or a variable does not fit: the field names file and variable.
     """
+    from scipy.io import loadmat  # slow to import
+
     path = Path(path)
     content = read_bytes(path)
     try:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.errors import ProblemError
@@ -152,6 +151,8 @@ def _sampled_model(orbit: _Orbit, first_anomaly: float, horizon: int, step: floa
 
 def _integrated(rates: Callable[[float, Array], Array], initial: Array, times: Array) -> Array:
     """Return the solution at the given times, shape (len(initial), len(times))."""
+    from scipy.integrate import solve_ivp  # slow to import
+
     solution = solve_ivp(
         rates,
         (0.0, float(times[-1])),

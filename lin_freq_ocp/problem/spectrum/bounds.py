@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import get_window
 
 from lin_freq_ocp.arrays import (
     Array,
@@ -388,6 +387,8 @@ def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
+    from scipy.signal import get_window  # slow to import
+
     try:
         return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
     except ValueError:

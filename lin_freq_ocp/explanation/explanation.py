@@ -11,8 +11,8 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.explain.blocks import Block, blocks, without
-from lin_freq_ocp.explain.relaxation import least_cure
+from lin_freq_ocp.explanation.blocks import Block, blocks, without
+from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
