@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pydoc
 import re
-from operator import attrgetter
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
