@@ -14,7 +14,6 @@ from typing import Any
 import clarabel
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import linprog
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError
@@ -182,6 +181,8 @@ def _interior_point(rows: Array, right: Array, plane: tuple[Array, float] | None
 
 def _simplex(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
     """Return the same y by the simplex method, None if there is none: slower, and surer where the other one stalls."""
+    from scipy.optimize import linprog  # slow to import
+
     d = rows.shape[1] - 1
     bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
     equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}

@@ -63,5 +63,5 @@ def test_a_name_that_moved_says_where_it_is(name, now):
 
 
 def test_a_name_that_does_not_exist_is_no_attribute():
-    with pytest.raises(AttributeError, match="^module 'lin_freq_ocp' has no attribute 'Bull'$"):
+    with pytest.raises(AttributeError, match=r"^module 'lin_freq_ocp' has no attribute 'Bull'$"):
         lfo.Bull  # noqa: B018
