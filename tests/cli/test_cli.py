@@ -756,13 +756,6 @@ def test_the_whole_process(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_the_import_is_light():
-    heavy = ("control", "matplotlib", "cvxpy", "jinja2")
-    code = f"import sys, lin_freq_ocp, lin_freq_ocp.cli.app; print([name for name in {heavy} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
-
-
 def test_a_reader_that_goes_away_is_no_obstacle():
     with subprocess.Popen([COMMAND, "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         process.stdout.close()
