@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
 schema = 1
@@ -314,7 +315,7 @@ def test_bad_input(case, files, monkeypatch):
     monkeypatch.chdir(files)
     for more in ((), ("--json",)):
         status, out, err = run(*arguments, *more)
-        assert (status, out) == (cli.BAD_INPUT, "")
+        assert (status, out) == (BAD_INPUT, "")
         assert err.startswith("error: ")
         assert err.count("\n") == 1
         for word in words:
@@ -337,7 +338,7 @@ def test_bad_input(case, files, monkeypatch):
 )
 def test_wrong_usage(arguments, words):
     status, out, err = run(*arguments)
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert "Error: " in err
     assert words in err
 
@@ -350,7 +351,7 @@ def test_init_replaces_nothing(files, monkeypatch):
         "nowhere/new.toml": "nowhere/new.toml: got No such file or directory",
     }.items():
         status, out, err = run("init", name)
-        assert (status, out) == (cli.BAD_INPUT, "")
+        assert (status, out) == (BAD_INPUT, "")
         assert words in err
     assert (files / "precious.toml").read_text() == "precious"
 
@@ -362,7 +363,7 @@ def test_where_nothing_can_be_written_nothing_is_solved(case, files, monkeypatch
     for name in ("solve", "compare"):
         monkeypatch.setattr(cli, name, lambda *given, **named: pytest.fail("solved before the path was looked at"))
     status, out, err = run(*UNWRITABLE[case][0])
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert UNWRITABLE[case][1] in err
 
 
@@ -371,7 +372,7 @@ def test_a_problem_file_is_not_replaced_by_its_solution(tmp_path, monkeypatch):
     (tmp_path / "cart.toml").write_text(CART)
     status, out, err = run("solve", "cart.toml", "--save", "./cart.toml")
     assert (tmp_path / "cart.toml").read_bytes() == CART.encode()
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert "cart.toml" in err
 
 
@@ -387,7 +388,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
 
     monkeypatch.setattr(cli, "solve", exhausted)
     status, out, err = run("solve", "pendulum")
-    assert status in (cli.BAD_INPUT, cli.NOT_PROVEN)
+    assert status in (BAD_INPUT, NOT_PROVEN)
     assert out == ""
     assert "7.45 GiB" in err
 
@@ -398,22 +399,22 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (solve_pendulum("control_bound=1"), cli.NO_SOLUTION, "control bound on force [N]"),
-        (solve_cart("control_set.upper=0.1"), cli.NO_SOLUTION, "control bound on force [N]"),
-        (("solve", "unbounded.toml"), cli.NO_SOLUTION, "unbounded"),
-        (("compare", "unbounded.toml"), cli.NO_SOLUTION, "no lower bound"),
-        (("compare", "pendulum", *settings("control_bound=1")), cli.NO_SOLUTION, "control bound on force [N]"),
+        (solve_pendulum("control_bound=1"), NO_SOLUTION, "control bound on force [N]"),
+        (solve_cart("control_set.upper=0.1"), NO_SOLUTION, "control bound on force [N]"),
+        (("solve", "unbounded.toml"), NO_SOLUTION, "unbounded"),
+        (("compare", "unbounded.toml"), NO_SOLUTION, "no lower bound"),
+        (("compare", "pendulum", *settings("control_bound=1")), NO_SOLUTION, "control bound on force [N]"),
         (
             ("compare", "pendulum", "--filters", "clipped", *settings("control_bound=4.5")),
-            cli.NO_SOLUTION,
+            NO_SOLUTION,
             "control bound on force [N]",
         ),
-        (("solve", "pendulum", "--time-limit", "1e-3"), cli.NOT_PROVEN, "limit"),
-        (("solve", "pendulum", "--time-limit", "1e-3", "--backend", "osqp"), cli.NOT_PROVEN, "limit"),
-        (("compare", "pendulum", "--time-limit", "1e-3"), cli.NOT_PROVEN, "stopped before"),
-        (solve_pendulum("initial_state=[9, 0, 0, 0]"), cli.NO_SOLUTION, "state bound on"),
-        (solve_cart("initial_state=[3, 0]"), cli.NO_SOLUTION, "state bound on"),
-        (("certify", "cart.toml", "run.npz", *settings("cost.Q=1.0")), cli.NOT_PROVEN, "violated"),
+        (("solve", "pendulum", "--time-limit", "1e-3"), NOT_PROVEN, "limit"),
+        (("solve", "pendulum", "--time-limit", "1e-3", "--backend", "osqp"), NOT_PROVEN, "limit"),
+        (("compare", "pendulum", "--time-limit", "1e-3"), NOT_PROVEN, "stopped before"),
+        (solve_pendulum("initial_state=[9, 0, 0, 0]"), NO_SOLUTION, "state bound on"),
+        (solve_cart("initial_state=[3, 0]"), NO_SOLUTION, "state bound on"),
+        (("certify", "cart.toml", "run.npz", *settings("cost.Q=1.0")), NOT_PROVEN, "violated"),
     ],
 )
 def test_no_solution_and_no_proof(arguments, status, words, files, monkeypatch):
@@ -439,7 +440,7 @@ def test_a_trajectory_of_any_size_can_be_judged(size, with_multipliers, files, t
         fields = dict(saved) if with_multipliers else {"x": saved["x"], "u": saved["u"]}
     np.savez(tmp_path / "sized.npz", **fields | {name: size * fields[name] for name in ("x", "u")})
     status, out, _ = run("certify", "cart.toml", str(tmp_path / "sized.npz"))
-    assert status == cli.NOT_PROVEN
+    assert status == NOT_PROVEN
     assert "violated" in out
 
 
