@@ -49,6 +49,12 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     UnsupportedError
         If the problem has a solution, or none of the methods could prove that it has none; or if its dynamics have
         modes.
+
+    Examples
+    --------
+    >>> explanation = lfo.explain(lfo.library.double_integrator(cutoff_hz=0.3))
+    >>> print(explanation.cures[0])
+    initial state: ...
     """
     require_problem(problem)
     if isinstance(problem.dynamics, PiecewiseAffineDynamics):

@@ -65,6 +65,14 @@ class OptimalControlProblem:
     UnsupportedError
         If the signals do not fit into memory.
 
+    Examples
+    --------
+    >>> dynamics = lfo.LinearDynamics([[1.0]], [[1.0]])
+    >>> cost = lfo.QuadraticCost(R=1.0)
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, cost, initial_state=[0], terminal_state=[2])
+    >>> round(lfo.solve(problem).cost, 9)
+    0.5
+
     Methods
     -------
     with_ends(initial_state, terminal_state)

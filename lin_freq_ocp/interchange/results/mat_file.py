@@ -68,10 +68,21 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     problem : OptimalControlProblem
         Its horizon, dimensions and sampling time.
 
+    Returns
+    -------
+    Trajectory
+
     Raises
     ------
     ProblemError
         If it is no such file, or a variable does not fit: the field names file and variable.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> result.to_mat("run.mat")
+    >>> bool((lfo.read_mat("run.mat", result.problem).x == result.trajectory.x).all())
+    True
     """
     from scipy.io import loadmat  # slow to import
 

@@ -39,6 +39,11 @@ class LinearDynamics:
     ProblemError
         If shapes do not match, entries are not finite, or names are repeated.
 
+    Examples
+    --------
+    >>> lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]], sampling_time=0.1).state_dim
+    2
+
     Methods
     -------
     from_continuous(A, B, sampling_time)

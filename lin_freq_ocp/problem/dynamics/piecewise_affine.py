@@ -43,6 +43,12 @@ class PiecewiseAffineDynamics:
     ProblemError
         If there is no mode, or their dimensions differ.
 
+    Examples
+    --------
+    >>> right, left = (lfo.AffineMode([[a]], [[1.0]], G=[[g]], h=[0.0]) for a, g in ((0.5, -1.0), (-0.5, 1.0)))
+    >>> len(lfo.PiecewiseAffineDynamics([right, left]).modes)
+    2
+
     Methods
     -------
     from_guards(...)

@@ -123,6 +123,12 @@ class PiecewiseSmoothDynamics:
     ProblemError
         Saying which field, what was got and what was expected.
 
+    Examples
+    --------
+    >>> dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["abs(x_0) + x_0*u_0"], 1, 1)
+    >>> len(dynamics.modes)
+    2
+
     Methods
     -------
     from_formulas(...)

@@ -185,6 +185,11 @@ class MagnitudeBound(_SpectrumBound):
         If a value is not of this kind.
     UnsupportedError
         For ``at_least``: signals above a mask are no convex set.
+
+    Examples
+    --------
+    >>> lfo.MagnitudeBound(0.5, band=lfo.low_pass(1.0))  # at the bins that the low pass would remove
+    MagnitudeBound(...)
     """
 
     limit: Array
