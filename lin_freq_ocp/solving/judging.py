@@ -35,8 +35,10 @@ def judged(
         if not candidate.interrupted:
             status, message = _verified(status, message, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
-    if status == Status.UNBOUNDED:
-        message = _descent(problem, direction) if direction else f"{message}, without a verified direction"
+    if status == Status.UNBOUNDED and direction is not None:
+        message = _descent(problem, direction)
+    elif status == Status.UNBOUNDED:
+        status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
     ray = candidate.ray if status == Status.INFEASIBLE else _diverged(candidate)
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": time.perf_counter() - clock}

@@ -66,7 +66,7 @@ class Convex:
             first = _diagnosed(problem, first, _left(end))
         outcome = verified(first)
         outcome = self._at_no_cost(outcome, backend, end) or outcome
-        if outcome.status not in UNPROVEN or outcome.interrupted:
+        if outcome.interrupted or not (outcome.status in UNPROVEN or (backend == PROVER and _at_odds(outcome))):
             return outcome
         return next((other for other in map(verified, candidates) if _counts(other)), outcome)
 
@@ -112,6 +112,8 @@ class Spectral:
             candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
+        if candidate.status == "unbounded" and candidate.descent is None:  # the sparse program has a direction
+            candidate = _diagnosed(problem, candidate, _left(end))
         return judged(problem, candidate, "spectral", None, self.tolerance)
 
 
@@ -182,10 +184,15 @@ def _rank(outcome: Outcome) -> int:
     return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
 
 
+def _at_odds(outcome: Outcome) -> bool:
+    """Whether a trajectory is proven optimal while its multipliers fail a condition: better ones exist."""
+    certificate = outcome.certificate
+    return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
+
+
 def _counts(outcome: Outcome) -> bool:
     """Whether a further candidate ends the search for one: it is worth something, or the user interrupted it."""
-    verified = outcome.status != Status.UNBOUNDED or outcome.direction is not None
-    return outcome.interrupted or (_rank(outcome) > 0 and verified)
+    return outcome.interrupted or (_rank(outcome) > 0 and not _at_odds(outcome))
 
 
 def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+<<<<<<< HEAD:tests/explanation/test_explain.py
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.explanation import explanation as explanation_module
 from lin_freq_ocp.explanation.blocks import blocks, widened, without
 from lin_freq_ocp.explanation.relaxation import least_cure
+=======
+from lin_freq_ocp.explain import explanation as explanation_module
+from lin_freq_ocp.explain.blocks import blocks, widened, without
+from lin_freq_ocp.explain.relaxation import least_cure
+from lin_freq_ocp.solving.solve import solve_judged
+>>>>>>> house:tests/explain/test_explain.py
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -191,12 +198,12 @@ def test_a_cure_that_does_not_help_when_tried_is_none():
 def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
     solved = []
 
-    def interrupted(problem, **options):
+    def interrupted(problem, *given, **options):
         solved.append(problem)
-        result = solve(problem, **options)
+        result = solve_judged(problem, *given, **options)
         return replace(result, interrupted=True) if len(solved) == 3 else result
 
-    monkeypatch.setattr(explanation_module, "solve", interrupted)
+    monkeypatch.setattr(explanation_module, "solve_judged", interrupted)
     explanation = lfo.explain(carriage())
     assert len(solved) == 3
     assert not explanation.irreducible

@@ -256,8 +256,8 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
 
 
 def box_of(one: ConvexSet) -> Box:
-    """Return the bounds of a set as a box."""
-    return _checked(*one.bounds)
+    """Return a box as it is, and the bounds of any other set."""
+    return one if isinstance(one, Box) else _checked(*one.bounds)
 
 
 def _checked(lower: Array, upper: Array) -> Box:
