@@ -10,17 +10,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-<<<<<<< HEAD:tests/explanation/test_explain.py
-from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.explanation import explanation as explanation_module
 from lin_freq_ocp.explanation.blocks import blocks, widened, without
 from lin_freq_ocp.explanation.relaxation import least_cure
-=======
-from lin_freq_ocp.explain import explanation as explanation_module
-from lin_freq_ocp.explain.blocks import blocks, widened, without
-from lin_freq_ocp.explain.relaxation import least_cure
 from lin_freq_ocp.solving.solve import solve_judged
->>>>>>> house:tests/explain/test_explain.py
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2

@@ -310,19 +310,11 @@ def test_parts_on_two_processes(monkeypatch):
 
 def test_what_is_refused(monkeypatch):
     hybrid, linear = library.buck_affine(horizon=4), library.double_integrator(horizon=4)
-<<<<<<< HEAD
-    with pytest.raises(lfo.errors.UnsupportedError, match="'convex', which takes linear dynamics"):
-        lfo.solve(hybrid, method="convex")
-    with pytest.raises(lfo.errors.UnsupportedError, match="have none"):
-        lfo.solve(linear, method="branch_and_bound")
-    with pytest.raises(lfo.errors.UnsupportedError, match="needs none"):
-=======
     with pytest.raises(lfo.errors.UnsupportedError, match="'convex', which is for linear dynamics"):
         lfo.solve(hybrid, method="convex")
     with pytest.raises(lfo.errors.UnsupportedError, match="which is for piecewise-affine dynamics"):
         lfo.solve(linear, method="branch_and_bound")
     with pytest.raises(lfo.errors.UnsupportedError, match="backend: got 'osqp'"):
->>>>>>> house
         lfo.solve(hybrid, method="branch_and_bound", backend="osqp")
     with pytest.raises(lfo.errors.UnsupportedError, match="executor"):
         lfo.solve(hybrid, method="enumerate", executor=Here())

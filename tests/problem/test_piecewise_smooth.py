@@ -136,13 +136,7 @@ def test_other_kinds_of_dynamics_are_asked_for_in_words():
         problem.with_modes([0, 0])
     with pytest.raises(lfo.errors.UnsupportedError, match="LinearDynamics; expected PiecewiseSmooth"):
         _ = library.pendulum(horizon=10).smooth_pieces
-<<<<<<< HEAD
-    with pytest.raises(lfo.errors.UnsupportedError, match="'spectral'; with piecewise-smooth dynamics"):
-        lfo.solve(problem, method="spectral")
-    with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for dynamics with modes"):
-=======
     with pytest.raises(lfo.errors.UnsupportedError, match="'spectral', which is for linear dynamics"):
         lfo.solve(problem, method="spectral")
     with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for piecewise-smooth dynamics"):
->>>>>>> house
         lfo.solve(library.pendulum(horizon=10), method="nonsmooth")
