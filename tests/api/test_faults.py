@@ -16,7 +16,6 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from lin_freq_ocp import errors
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.problem_file import template
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
@@ -123,7 +122,7 @@ def test_what_nobody_foresaw_is_called_a_fault_of_ours(monkeypatch, error, statu
         raise error
 
     for name in ("solve", "compare"):
-        monkeypatch.setattr(cli, name, broken)
+        monkeypatch.setattr(f"lin_freq_ocp.cli.{name}.{name}", broken)
     got, out, err = run(*arguments)
     assert (got, out) == (status, "")
     assert all(word in err for word in words)
@@ -140,7 +139,7 @@ def test_a_fault_that_ctrl_c_caused_is_ctrl_c(monkeypatch):
         except KeyboardInterrupt as error:
             raise ImportError("cannot load the library") from error
 
-    monkeypatch.setattr(cli, "solve", broken)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
     assert run("solve", "pendulum") == (130, "", "")
 
 
@@ -151,7 +150,7 @@ def test_a_dump_that_fails_does_not_hide_the_error(tmp_path, monkeypatch):
     def full(*given):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(cli, "solve", broken)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
     monkeypatch.setattr(os, "replace", full)
     status, out, err = run("solve", "pendulum", "--dump", str(tmp_path / "run.zip"))
     assert (status, out, os.listdir(tmp_path)) == (70, "", [])

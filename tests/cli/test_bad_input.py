@@ -11,7 +11,6 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
@@ -360,8 +359,12 @@ def test_init_replaces_nothing(files, monkeypatch):
 def test_where_nothing_can_be_written_nothing_is_solved(case, files, monkeypatch):
     """A solve may take an hour; its answer must not be lost to a slip in a path."""
     monkeypatch.chdir(files)
+
+    def solved(*given, **named):
+        pytest.fail("solved before the path was looked at")
+
     for name in ("solve", "compare"):
-        monkeypatch.setattr(cli, name, lambda *given, **named: pytest.fail("solved before the path was looked at"))
+        monkeypatch.setattr(f"lin_freq_ocp.cli.{name}.{name}", solved)
     status, out, err = run(*UNWRITABLE[case][0])
     assert (status, out) == (BAD_INPUT, "")
     assert UNWRITABLE[case][1] in err
@@ -386,7 +389,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
     def exhausted(*given, **named):
         raise MemoryError("Unable to allocate 7.45 GiB")
 
-    monkeypatch.setattr(cli, "solve", exhausted)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", exhausted)
     status, out, err = run("solve", "pendulum")
     assert status in (BAD_INPUT, NOT_PROVEN)
     assert out == ""

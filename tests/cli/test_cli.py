@@ -637,7 +637,7 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "solve", interrupted)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", interrupted)
     status, out, err = run("solve", "pendulum", "--json")
     assert (status, out, err.strip()) == (130, "", "")
 
