@@ -13,7 +13,7 @@ from benchmark_measures import Row
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.report.figures.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, dress, new_figure
+from lin_freq_ocp.report.figures.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, new_figure, style_axes
 
 COLORS = dict(zip(CONTENDERS, (COMPONENTS[0], COMPONENTS[1], CLASSICAL, COMPONENTS[2], COMPONENTS[3]), strict=True))
 LABEL_STEP = 11.0
@@ -34,7 +34,7 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
     figure = new_figure(height * ((len(families) + 1) // 2))
     for i, (name, some) in enumerate(families.items()):
         ax = figure.add_subplot((len(families) + 1) // 2, min(2, len(families)), i + 1, xscale="log", yscale="log")
-        dress(ax, name, "horizon T", "seconds", [Note(FAMILIES[name].words)])
+        style_axes(ax, name, "horizon T", "seconds", [Note(FAMILIES[name].words)])
         panel(figure, ax, some)
     figure.savefig(path, dpi=150)
     return True

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
-from lin_freq_ocp.report.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, dress, new_figure
+from lin_freq_ocp.report.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
 
 HORIZON, SAMPLING_TIME = 60, 0.1
 """31 bins, four eigenvalues well apart, and few samples at a bound."""
@@ -50,7 +50,7 @@ def main(path: Path) -> None:
 def draw_bins(ax: Axes, problem: lfo.OptimalControlProblem, rows: int) -> None:
     """Draw the points z_k of the bins in use on the unit circle, and the eigenvalues of A."""
     ties = f"x(0) = x_0 and the rows of (b), {problem.state_dim} + {rows} forces, tie them together"
-    dress(ax, "(a) Every bin is a small system of its own", "", "", [Note(ties)])
+    style_axes(ax, "(a) Every bin is a small system of its own", "", "", [Note(ties)])
     ax.grid(False)
     ax.set_axis_off()
     stopped = problem.control_stop[:, 0]
@@ -102,7 +102,7 @@ def draw_bins(ax: Axes, problem: lfo.OptimalControlProblem, rows: int) -> None:
 
 def draw_spectrum(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solvers.SpectralSolution) -> None:
     """Draw the amplitudes of the force at the bins in use; the others have none to draw."""
-    dress(ax, "(c) The force in frequency", "bin k", "|DFT of force| [N]")
+    style_axes(ax, "(c) The force in frequency", "bin k", "|DFT of force| [N]")
     stopped = problem.control_stop[:, 0]
     k, amplitude = np.arange(len(stopped)), np.abs(np.fft.rfft(solution.trajectory.u[:, 0]))
     first = k[stopped][0]
@@ -126,7 +126,7 @@ def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solver
     x, u, active = solution.trajectory.x, solution.trajectory.u, solution.active
     shares = {POSITION: x[:-1, 0] / problem.state_tube.upper[1, 0], FORCE: u[:, 0] / problem.control_tube.upper[0, 0]}
     bounded = problem.horizon * (problem.state_dim + problem.control_dim)
-    dress(
+    style_axes(
         ax,
         f"(b) The working rows: {len(active.t)} of {bounded} samples",
         "time step t",
@@ -149,7 +149,7 @@ def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solver
 
 def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralSolution) -> None:
     """Draw what a force on the control at time s takes from force and position at t, and where S is read off."""
-    dress(
+    style_axes(
         ax,
         "(d) How one row acts on another: kernels",
         "t - s, modulo the horizon",

@@ -82,6 +82,11 @@ class Certificate:
         return 0.0 if difference == 0 else difference / self.cost_scale if self.cost_scale > 0 else np.inf
 
     @property
+    def allowed_gap(self) -> float:
+        """Return the largest J - D of a trajectory that counts as globally optimal."""
+        return GAP_TOLERANCE * self.cost_scale
+
+    @property
     def stage_gaps(self) -> Array | None:
         """Return what each stage adds to J - D, shape (T+1,)."""
         return None if self.bound is None else self.bound.stage_gaps

@@ -4,14 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from lin_freq_ocp.analysis.measures import Measures, measure
-from lin_freq_ocp.comparison.filters import FILTERS, filtered, require_filters
+from lin_freq_ocp.analysis.sensitivities import bin_prices
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.certificate.modes.kinks import Kink, kinks
+from lin_freq_ocp.comparison.filters import (
+    FILTERS,
+    can_be_filtered,
+    filtered,
+    has_frequency_constraint,
+    require_filters,
+)
 from lin_freq_ocp.comparison.replay import Replay, replay
-from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.comparison.trajectories import (
+    CLASSICAL,
+    CONSTRAINED,
+    MeasuredTrajectory,
+    measured_solution,
+    solution_label,
+)
+from lin_freq_ocp.errors import ProblemError, SolveError
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.outcome import Outcome
+
+PREFERRED_FILTER = "brickwall"
 
 Solve = Callable[..., Outcome]
 """``lfo.solve``: a problem, and the keywords method, backend, time_limit and throw."""
@@ -24,6 +43,11 @@ class Filtered:
     name: str
     description: str
     replay: Replay
+
+    @property
+    def label(self) -> str:
+        """Return the name for readers."""
+        return self.name.replace("_", " ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +78,56 @@ class ComparisonOutcome:
     def replay_is_meaningful(self) -> bool:
         """Whether open-loop replays show more than amplified rounding errors."""
         return all(one.replay.meaningful for one in self.filtered)
+
+    @cached_property
+    def trajectories(self) -> tuple[MeasuredTrajectory, ...]:
+        """Return the classical trajectory, one per filter, and the constrained one, which is the last.
+
+        Without a frequency constraint all of these are one trajectory, which is returned alone.
+        """
+        problem, result = self.problem, self.constrained
+        if not has_frequency_constraint(problem):
+            return (measured_solution(solution_label(result), problem, result, self.constrained_measures),)
+        return (
+            measured_solution(CLASSICAL, problem, self.classical, self.classical_measures),
+            *(self.replayed(one) for one in (self.filtered if can_be_filtered(problem) else ())),
+            measured_solution(CONSTRAINED, problem, result, self.constrained_measures),
+        )
+
+    def replayed(self, one: Filtered) -> MeasuredTrajectory:
+        """Return the replay of one filter."""
+        made = one.replay
+        return MeasuredTrajectory(
+            one.label, self.problem, made.trajectory, made.measures, made.meaningful, bool(made.stopped)
+        )
+
+    def shown_filter(self, name: str | None = None) -> Filtered | None:
+        """Return the filter of that name; by default the brick wall, or the first; None if nothing is filtered."""
+        if not can_be_filtered(self.problem) or (name is None and not self.filtered):
+            return None
+        by_name = {one.name: one for one in self.filtered}
+        if name is None:
+            return by_name.get(PREFERRED_FILTER, self.filtered[0])
+        if name not in by_name:
+            expected = f"one of {', '.join(by_name) or 'none: nothing was filtered'}"
+            raise ProblemError("filter_name", repr(name), expected)
+        return by_name[name]
+
+    @property
+    def kinks(self) -> tuple[Kink, ...]:
+        """Return the kinks along the constrained trajectory, as judged; none without multipliers."""
+        result = self.constrained
+        borders = None if result.certificate is None else result.certificate.borders
+        if borders is None or result.trajectory is None or result.multipliers is None:
+            return ()
+        return kinks(result.problem, result.trajectory, result.multipliers, borders)
+
+    @property
+    def prices(self) -> tuple[Array, Array] | None:
+        """Return |d J* / d bin| of controls and states; None without multipliers or without removed bins."""
+        multipliers, problem = self.constrained.multipliers, self.problem
+        banded = problem.control_band.any() or problem.state_band.any()
+        return bin_prices(problem, multipliers) if multipliers is not None and banded else None
 
     @property
     def rows(self) -> list[tuple[str, str, Measures | None]]:

@@ -27,7 +27,7 @@ MAX_ORDER = 10
 
 @dataclass(frozen=True, eq=False)
 class FilteredControl:
-    """A filtered control u, shape (T, m), and the filter in words."""
+    """A filtered control u, shape (T, m), and the description of the filter."""
 
     u: Array
     description: str
@@ -35,13 +35,7 @@ class FilteredControl:
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What a filter is designed for: bins to stop (T//2 + 1, m), the controls' bounds, and the unit of frequencies.
-
-    Attributes
-    ----------
-    per_radian : float
-        The unit per rad/sample.
-    """
+    """The design data of a filter: bins to stop (T//2 + 1, m), bounds, and the unit, ``per_radian`` per rad/sample."""
 
     stop: Mask
     tube: Box
@@ -50,13 +44,7 @@ class Wanted:
 
 
 def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
-    """Apply the named filter to a control u, shape (T, m).
-
-    Raises
-    ------
-    ProblemError
-        If there is no filter of that name.
-    """
+    """Apply the named filter to a control u, shape (T, m)."""
     require_filters([name])
     step = problem.sampling_time
     hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))
@@ -86,6 +74,17 @@ def filter_stop(problem: OptimalControlProblem) -> Mask:
         for first, last in stopped_runs(band):
             removed |= (k >= (first - 0.5) / length) & (k <= (last + 0.5) / length)
     return np.repeat(removed[:, None], problem.control_dim, axis=1)
+
+
+def has_frequency_constraint(problem: OptimalControlProblem) -> bool:
+    """Whether the spectrum of a control, a state or an output is constrained."""
+    stopped = bool(problem.control_stop.any() or problem.state_stop.any())
+    return stopped or any(term.kind.is_spectrum for term in problem.terms)
+
+
+def can_be_filtered(problem: OptimalControlProblem) -> bool:
+    """Whether there is a bin that a filter of the controls removes."""
+    return bool(filter_stop(problem).any())
 
 
 def filter_limits(problem: OptimalControlProblem) -> str:

@@ -14,6 +14,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+STOPPED = "leave the regions of all modes"
+"""What the states of a replay do that ended early."""
+
 
 @dataclass(frozen=True, eq=False)
 class Replay:

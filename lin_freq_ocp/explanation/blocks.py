@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ class Block:
     name : str
         As it stands in a Conflict.
     index : int
-        The component, the row of its family, or the place of a term in its field.
+        The component, the row of its family, or the index of a term in its field.
     family : str
         Of a row: the name of its stage rows; of a term: the problem's field it was given in.
     """
@@ -43,30 +43,21 @@ class Block:
 
 def blocks(problem: OptimalControlProblem) -> list[Block]:
     """Return all blocks that constrain anything, apart from the dynamics."""
-    return [*_ends(problem), *_bounds(problem), *_bands(problem), *_terms(problem)]
+    boxes = zip(ENDS, (problem.initial_box, problem.terminal_box), strict=True)
+    rows = [rows for rows in problem.stage_rows if rows.penalty is None]
+    return [
+        *(Block(kind, kind) for kind, end in boxes if _bounded(end).any()),
+        *_components("state bound", _bounded(problem.state_boxes), problem.state_names),
+        *_components("control bound", _bounded(problem.control_tube), problem.control_names),
+        *(Block("row", f"row {i} of {one.name}", i, one.name) for one in rows for i in range(one.rows)),
+        *_components("state stop band", np.any(problem.state_stop, axis=0), problem.state_names),
+        *_components("control stop band", np.any(problem.control_stop, axis=0), problem.control_names),
+        *_terms(problem),
+    ]
 
 
-def _ends(problem: OptimalControlProblem) -> Iterator[Block]:
-    for kind, end in zip(ENDS, (problem.initial_box, problem.terminal_box), strict=True):
-        if _bounded(end).any():
-            yield Block(kind, kind)
-
-
-def _bounds(problem: OptimalControlProblem) -> Iterator[Block]:
-    for i in np.flatnonzero(_bounded(problem.state_boxes)):
-        yield Block("state bound", f"state bound on {problem.state_names[i]}", int(i))
-    for j in np.flatnonzero(_bounded(problem.control_tube)):
-        yield Block("control bound", f"control bound on {problem.control_names[j]}", int(j))
-    for rows in problem.stage_rows:
-        for i in range(rows.rows if rows.penalty is None else 0):
-            yield Block("row", f"row {i} of {rows.name}", i, rows.name)
-
-
-def _bands(problem: OptimalControlProblem) -> Iterator[Block]:
-    for i in np.flatnonzero(problem.state_stop.any(0)):
-        yield Block("state stop band", f"state stop band on {problem.state_names[i]}", int(i))
-    for j in np.flatnonzero(problem.control_stop.any(0)):
-        yield Block("control stop band", f"control stop band on {problem.control_names[j]}", int(j))
+def _components(kind: str, there: Mask, names: Sequence[str]) -> list[Block]:
+    return [Block(kind, f"{kind} on {names[i]}", i) for i in map(int, np.flatnonzero(there))]
 
 
 def _terms(problem: OptimalControlProblem) -> Iterator[Block]:
@@ -86,7 +77,7 @@ def _bounded(box: Box) -> Mask:
 
 
 def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
-    """Return the problem without these blocks; terms first and from behind, as their places count in their field."""
+    """Return the problem without these blocks; terms first, the last index first, because removal shifts indices."""
     for block in sorted(dropped, key=lambda block: (block.kind != "term", -block.index)):
         problem = widened(problem, block, np.inf)
     return problem

@@ -136,7 +136,6 @@ def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     x, u = np.eye(n), np.eye(m)
     A, B, d = problem.linear.at(T - 1)
-    none = np.full((T, 1), np.inf)
     parts: list[tuple[Array, Array, Array, float]] = []  # C, D, limits (T, 1), how much of delta
 
     def add(C: Array, D: Array, upper: Array, lower: Array, size: float = 1.0) -> None:
@@ -172,7 +171,7 @@ def _giving_way(problem: OptimalControlProblem, block: Block) -> StageRows:
                 upper, lower = at(T - 1, end.upper[j] - d[j], np.inf), at(T - 1, end.lower[j] - d[j], -np.inf)
                 add(A[j], B[j], upper, lower, sizes[j])
     C = np.array([np.append(C, -size) for C, _, _, size in parts])
-    limits = np.hstack([limits for _, _, limits, _ in parts]) if parts else none
+    limits = np.hstack([limits for _, _, limits, _ in parts])
     return StageRows(C, np.array([D for _, D, _, _ in parts]), limits, "giving way")
 
 
@@ -187,10 +186,7 @@ def _least_narrowing(
     least = 0  # bins that do not suffice
     while most - least > 1:
         middle = (least + most) // 2
-        if feasible(widened(problem, block, middle)):
-            most = middle
-        else:
-            least = middle
+        least, most = (least, middle) if feasible(widened(problem, block, middle)) else (middle, most)
     return Cure(block.name, float(most), _band_words(problem, stopped, most, "state" in block.kind))
 
 

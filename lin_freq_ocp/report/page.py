@@ -19,16 +19,15 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.filters import filter_limits
+from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
+from lin_freq_ocp.comparison.trajectories import mode_names
 from lin_freq_ocp.phrases import number
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.entries import can_be_filtered, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.figures import figures
-from lin_freq_ocp.report.figures.scene import Scene
+from lin_freq_ocp.report.figures.plot_data import PlotData
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.modes.panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
-from lin_freq_ocp.report.modes.spans import kinks, mode_names
 from lin_freq_ocp.report.modes.words import adjoint_caption, modes_caption, search_sentences
 from lin_freq_ocp.report.numbers import rough
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
@@ -57,13 +56,7 @@ class Drawing:
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
-    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path.
-
-    Raises
-    ------
-    ProblemError
-        If the folder cannot be written.
-    """
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
     folder = Path(folder)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -102,13 +95,13 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         has_modes=bool(mode_names(problem)),
         conditions=() if certificate is None else certificate_rows(problem, certificate),
         result=comparison.constrained,
-        conflict=words.conflict_in_words(comparison.constrained),
+        conflict=[str(one) for one in comparison.constrained.conflict or ()],
         amplification=rough(comparison.classical_measures.amplification),
         replay_is_meaningful=comparison.replay_is_meaningful,
-        stopped=[one.name.replace("_", " ") for one in comparison.filtered if one.replay.stopped],
+        stopped=[one.label for one in comparison.filtered if one.replay.stopped],
         facts=problem_facts(problem),
         filter_limits=filter_limits(problem),
-        filters=[(one.name.replace("_", " "), one.description) for one in comparison.filtered],
+        filters=[(one.label, one.description) for one in comparison.filtered],
         constrained=has_frequency_constraint(problem),
         filterable=can_be_filtered(problem),
         solves=[_how(what, one) for what, one in _solves(comparison)],
@@ -153,45 +146,40 @@ def inline_svg(svg: str, name: str, title: str) -> Markup:
 
 def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
     """Yield name, title, caption and figure."""
-    scene, result = figures.comparison_scene(comparison), comparison.constrained
-    one = shown_filter(comparison)
+    data, result = figures.comparison_data(comparison), comparison.constrained
+    one = comparison.shown_filter()
     caption = (
         "Spectra: points are the bins of the DFT, hollow triangles at the lower edge those too small for the axis; "
         "lines are the zero-padded spectrum, which looks between the bins (for many bins, its largest value between "
         "neighbours)."
     )
     filtered = "" if one is None else f" Filtered: {one.description}."
-    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(scene)
-    if comparison.problem.state_band.any():
-        yield "state_spectra", "Spectra of the states with a stop band", "", figures.state_spectra_figure(scene)
-    if scene.outputs():
-        yield "output_spectra", "Spectra of the outputs with a band", "", figures.output_spectra_figure(scene)
-    if scene.modes:
+    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
+    stopped = [state for state in data.states if state.stop.any()]
+    if stopped:
+        yield ("state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped))
+    if data.outputs:
+        yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
+    if data.modes:
         rows = strip_rows(comparison)
-        yield "modes", "Modes", modes_caption(rows, scene.host.label), strips_figure(scene, rows)
-    yield "states", "Every state in time", "", figures.states_figure(scene)
-    if scene.host.trajectory is result.trajectory and mode_names(comparison.problem):
-        yield from _adjoint(scene, result)
+        yield "modes", "Modes", modes_caption(rows, data.main.label), strips_figure(data, rows)
+    yield "states", "Every state in time", "", figures.states_figure(data)
+    certificate, multipliers = result.certificate, result.multipliers
+    borders = None if certificate is None or data.main.trajectory is not result.trajectory else certificate.borders
+    if certificate is not None and borders is not None and multipliers is not None:
+        solution = PlotData(data.problem, (data.main,))
+        figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
+        yield "adjoint", "Adjoint, and its choice at kinks", adjoint_caption(borders), figure
     if result.certificate is not None and result.multipliers is not None:
-        gap = figures.gap_figure(scene, result.certificate)
+        gap = figures.gap_figure(data, result.certificate)
         if gap is not None:
             yield "gap", "Gap per stage", words.parts_of_the_gap(result.certificate), gap
-        if comparison.problem.control_band.any() or comparison.problem.state_band.any():
+        if comparison.prices is not None:
             text = (
                 "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
                 "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
             )
-            yield "price", "Price of each bin", text, figures.price_figure(scene, result.multipliers)
-
-
-def _adjoint(scene: Scene, result: Outcome) -> Iterator[tuple[str, str, str, Figure]]:
-    """Yield the adjoint of a solution of a problem with modes, if it was judged."""
-    certificate, multipliers, trajectory = result.certificate, result.multipliers, result.trajectory
-    if certificate is None or certificate.borders is None or multipliers is None or trajectory is None:
-        return
-    found = kinks(result.problem, trajectory, multipliers, certificate.borders)
-    figure = adjoint_figure(scene.of_host(), multipliers.eta, found, smallest_adjoint(certificate))
-    yield "adjoint", "Adjoint, and its choice at kinks", adjoint_caption(certificate.borders), figure
+            yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:

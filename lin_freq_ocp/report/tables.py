@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,15 @@ from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.signals import controls_of
 from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, mode_names
 from lin_freq_ocp.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.entries import Entry, Excess, entries
-from lin_freq_ocp.report.modes.spans import mode_names
 from lin_freq_ocp.report.numbers import aligned
 
 NOT_MEANINGFUL = "not meaningful"
-"""Stands for every number that would need a replay whose rounding errors are amplified beyond use."""
+"""Stands for numbers that need a replay, where a replay would only show amplified rounding errors."""
 
 OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
 """Conditions whose component is a control; that of the others is a state, or a row."""
@@ -34,7 +35,7 @@ OF_MODES = ("S-f", "N-f")
 """Conditions whose component is a mode."""
 
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
-"""Conditions whose worst place is a bin."""
+"""Conditions whose worst violation is at a bin."""
 
 
 COST_DIGITS = 5
@@ -98,14 +99,19 @@ class ConditionRow:
 
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     """Return what was measured of every trajectory, where it applies to the problem."""
-    problem, columns = comparison.problem, entries(comparison)
+    problem, columns = comparison.problem, comparison.trajectories
+    hard = [term for term in problem.terms if term.hard]
+    only_rows = all(term.kind == "stage rows" for term in hard)
+    of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
-        Group("", (Row("cost", "", tuple(_cost(entry) for entry in columns)),)),
+        Group(
+            "", (Row("cost", "", tuple(_measured(entry, attrgetter("cost"), digits=COST_DIGITS) for entry in columns)),)
+        ),
         _largest_controls(problem, columns),
-        _excesses("Beyond the control bounds by", problem.control_names, columns, lambda entry: entry.controls),
-        _excesses("Beyond the state bounds by", problem.state_names, columns, lambda entry: entry.states),
-        _excesses(_title_of_rows(problem), _names_of_rows(problem), columns, lambda entry: entry.rows),
-        _excesses("Misses the end state by", problem.state_names, columns, lambda entry: entry.end),
+        _violations("Beyond the control bounds by", problem.control_names, columns, attrgetter("controls")),
+        _violations("Beyond the state bounds by", problem.state_names, columns, attrgetter("states")),
+        _violations(of_terms, [term.name for term in hard], columns, attrgetter("terms")),
+        _violations("Misses the end state by", problem.state_names, columns, attrgetter("end")),
         _stop_band("Stop band of the controls", columns, of_states=False),
         _stop_band("Stop band of the states", columns, of_states=True),
     ]
@@ -200,12 +206,8 @@ def _styled(cell: Cell) -> Text:
     return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
-def _cost(entry: Entry) -> Cell:
-    return _measured(entry, lambda measures: measures.cost, digits=COST_DIGITS)
-
-
 def _measured(
-    entry: Entry, value: Callable[[Measures], float | None], passed: bool | None = None, digits: int = 4
+    entry: MeasuredTrajectory, value: Callable[[Measures], float | None], passed: bool | None = None, digits: int = 4
 ) -> Cell:
     if entry.measures is None:
         return Cell(NOTHING)
@@ -213,77 +215,54 @@ def _measured(
     return Cell(NOT_MEANINGFUL if found is None and not entry.replayed else aligned(found, digits), passed)
 
 
-def _largest_controls(problem: OptimalControlProblem, columns: Sequence[Entry]) -> Group:
-    largest = [None if entry.trajectory is None else np.abs(entry.trajectory.u).max(0) for entry in columns]
+def _largest_controls(problem: OptimalControlProblem, columns: Sequence[MeasuredTrajectory]) -> Group:
     rows = [
-        Row(*split_unit(name), tuple(Cell(aligned(None if sizes is None else float(sizes[j]))) for sizes in largest))
-        for j, name in enumerate(problem.control_names)
+        Row(*split_unit(one.name), tuple(Cell(aligned(entry.largest(one))) for entry in columns))
+        for one in controls_of(problem)
     ]
     return Group("Largest magnitude", tuple(rows))
 
 
-def _excesses(
-    title: str, names: Sequence[str], columns: Sequence[Entry], excess: Callable[[Entry], Excess | None]
+def _violations(
+    title: str,
+    names: Sequence[str],
+    columns: Sequence[MeasuredTrajectory],
+    violation: Callable[[MeasuredTrajectory], Violation | None],
 ) -> Group:
     """Return one row per component that has a bound."""
-    found = [excess(entry) for entry in columns]
+    found = [violation(entry) for entry in columns]
     bounded = np.any([one.bounded for one in found if one is not None], axis=0)
     rows = list[Row]()
     for i in map(int, np.flatnonzero(bounded)):
-        cells = tuple(_excess(entry, one, i) for entry, one in zip(columns, found, strict=True))
+        cells = tuple(_violation(entry, one, i) for entry, one in zip(columns, found, strict=True))
         rows.append(Row(*split_unit(names[i]), cells))
     return Group(title, tuple(rows))
 
 
-def _title_of_rows(problem: OptimalControlProblem) -> str:
-    others = any(term.hard and term.kind != "stage rows" for term in problem.terms)
-    return "Beyond other constraints by" if others else "Beyond the joint rows by"
-
-
-def _names_of_rows(problem: OptimalControlProblem) -> list[str]:
-    return [term.name for term in problem.terms if term.hard]
-
-
-def _excess(entry: Entry, excess: Excess | None, i: int) -> Cell:
-    if excess is None:
+def _violation(entry: MeasuredTrajectory, violation: Violation | None, i: int) -> Cell:
+    if violation is None:
         return Cell(NOT_MEANINGFUL if entry.trajectory is not None else NOTHING)
-    return Cell(aligned(float(excess.values[i])), bool(excess.passed[i]))
+    return Cell(aligned(float(violation.values[i])), bool(violation.passed[i]))
 
 
-def _stop_band(title: str, columns: Sequence[Entry], of_states: bool) -> Group:
+def _stop_band(title: str, columns: Sequence[MeasuredTrajectory], of_states: bool) -> Group:
     stopped = columns[0].problem.state_band if of_states else columns[0].problem.control_band
     if not stopped.any():
         return Group(title, ())
     prefix = "state_" if of_states else ""
-    rows = [
-        Row(
-            "energy at its bins",
-            "",
-            tuple(
-                _measured(
-                    entry,
-                    lambda measures: getattr(measures, prefix + "stopband_energy"),
-                    entry.leaves_band_empty(of_states),
-                )
-                for entry in columns
-            ),
-        ),
-        Row(
-            "peak between its bins",
-            "",
-            tuple(_measured(entry, lambda measures: getattr(measures, prefix + "stopband_peak")) for entry in columns),
-        ),
-    ]
-    return Group(title, tuple(rows))
+    energy = attrgetter(prefix + "stopband_energy")
+    peak = attrgetter(prefix + "stopband_peak")
+    energies = tuple(_measured(one, energy, one.empties_band(of_states)) for one in columns)
+    peaks = tuple(_measured(one, peak) for one in columns)
+    return Group(title, (Row("energy at its bins", "", energies), Row("peak between its bins", "", peaks)))
 
 
-def _one_step(problem: OptimalControlProblem, columns: Sequence[Entry]) -> Group:
-    """Return what can still be said without a replay: how far each step misses the next planned state."""
-    residuals = [entry.one_step for entry in columns]
+def _one_step(problem: OptimalControlProblem, columns: Sequence[MeasuredTrajectory]) -> Group:
+    """Return how far each step misses the next planned state, which needs no replay."""
     rows = [
         Row(
             *split_unit(name),
-            tuple(Cell(aligned(None if all_of is None else float(all_of[i]))) for all_of in residuals),
+            tuple(Cell(aligned(None if one.one_step is None else one.one_step[i])) for one in columns),
         )
         for i, name in enumerate(problem.state_names)
     ]

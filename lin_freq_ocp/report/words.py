@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.measures import stopped_runs
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Mask
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.filters import filter_limits
+from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
+from lin_freq_ocp.comparison.replay import STOPPED
+from lin_freq_ocp.comparison.signals import Signal, controls_of
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
 from lin_freq_ocp.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.entries import Entry, Excess, filtered_entry, has_frequency_constraint, shown_filter
 from lin_freq_ocp.report.figures.scales import frequency_scale
-from lin_freq_ocp.report.modes.spans import STOPPED
 from lin_freq_ocp.report.modes.words import border_sentences
 from lin_freq_ocp.report.numbers import quantity, rough
 from lin_freq_ocp.solving.outcome import Outcome
@@ -29,9 +30,6 @@ FILTERING = "Filtering afterwards"
 
 RIGOROUS = "rigorous"
 """The kind of a bound that holds for every trajectory; any other says nothing global."""
-
-SAME_PEAK = 1e-2
-"""Peaks that differ by less than this fraction are named together."""
 
 DEARER = 1e-2
 """A filtered control that costs at most this fraction more than the constrained one costs no more in words."""
@@ -63,53 +61,53 @@ class Finding:
 
 def finding(comparison: ComparisonOutcome) -> Finding:
     """Return what filtering afterwards does, and what the constraint in the problem does."""
-    result, one = comparison.constrained, shown_filter(comparison)
+    result, one = comparison.constrained, comparison.shown_filter()
     if not has_frequency_constraint(comparison.problem):
         return Finding("", "No frequency constraint, so nothing to filter", _without_constraint(result))
     filtering, limits = "", filter_limits(comparison.problem)
     if one is None and limits and comparison.filtered:
         filtering = f"does not apply: {limits}"
     if one is not None:
-        entry = filtered_entry(comparison.problem, one)
+        entry = comparison.replayed(one)
         filtering = (
             ", ".join(faults(entry, comparison))
             or f"breaks no constraint{'' if entry.replayed else ' on the controls'}"
         )
         if not entry.replayed:
-            growth = comparison.classical_measures.amplification
-            filtering += f"; {stopped_replay() if one.replay.stopped else not_replayed(growth)}"
+            growth = rough(comparison.classical_measures.amplification)
+            filtering += (
+                f"; its states {STOPPED}, so that they cannot be replayed to the end"
+                if one.replay.stopped
+                else "; what the states would do cannot be replayed: over this horizon the dynamics amplify rounding "
+                f"errors {growth}-fold"
+            )
         filtering += f". Note: {limits}" if limits else ""
     return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
 
 
-def faults(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
+def faults(entry: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Return in words everything that a filtered control does and should not."""
     problem, words = entry.problem, list[str]()
     if entry.trajectory is None or entry.measures is None:
         return words
-    words += _exceeded(entry.controls, problem.control_names, entry.trajectory.u)
+    words += _exceeded(entry)
     if entry.replayed:
-        words += _left(entry.states, problem.state_names)
-        words += _violated(entry.rows, [term.name for term in problem.terms if term.hard])
-        words += _missed(entry.end, problem.state_names)
+        left, others = _broken(entry.states, problem.state_names, "other state")
+        if left:
+            words.append(f"leaves the bounds on {listed([name for name, _ in left])}{others}")
+        terms = [term.name for term in problem.terms if term.hard]
+        violated, others = _broken(entry.terms, terms, "other constraint")
+        if violated:
+            words.append(f"violates {listed([f'{name} by {size}' for name, size in violated])}{others}")
+        missed, others = _broken(entry.end, problem.state_names, "other state")
+        words += (
+            [f"misses the end by {listed([f'{size} in {name}' for name, size in missed])}{others}"] if missed else []
+        )
     for of_states, what in ((False, "control"), (True, "state")):
-        if entry.leaves_band_empty(of_states) is False:
+        if entry.empties_band(of_states) is False:
             energy = entry.measures.state_stopband_energy if of_states else entry.measures.stopband_energy
             words.append(f"leaves an energy of {number(energy, 3)} at the bins of the {what} stop band")
     return [*words, *_dearer(entry, comparison)]
-
-
-def not_replayed(amplification: float) -> str:
-    """Say why a replay would mean nothing."""
-    return (
-        "what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
-        f"{rough(amplification)}-fold"
-    )
-
-
-def stopped_replay() -> str:
-    """Say why a replay came to no end."""
-    return f"its states {STOPPED}, so that they cannot be replayed to the end"
 
 
 def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
@@ -153,14 +151,11 @@ def parts_of_the_gap(certificate: Certificate) -> str:
 def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
     """Say what is removed where, and what remains between the bins."""
     problem, sentences = comparison.problem, list[str]()
-    for of_states, stopped, names in (
-        (False, problem.control_stop, problem.control_names),
-        (True, problem.state_stop, problem.state_names),
-    ):
+    bands = (problem.control_stop, problem.control_names), (problem.state_stop, problem.state_names)
+    for of_states, (stopped, names) in enumerate(bands):
         if stopped.any():
-            length = problem.horizon + 1 if of_states else problem.horizon
-            sentences.append(removed_bins(problem, stopped, names, length))
-            sentences.append(_between_the_bins(comparison, of_states))
+            sentences.append(removed_bins(problem, stopped, names, problem.horizon + of_states))
+            sentences.append(_between_the_bins(comparison, bool(of_states)))
     return sentences
 
 
@@ -179,54 +174,30 @@ def removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str
     return f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(places)}."
 
 
-def conflict_in_words(result: Outcome) -> list[str]:
-    """Return the blocks of constraints that an infeasibility proof rests on."""
-    return [str(one) for one in result.conflict or ()]
-
-
-def _exceeded(excess: Excess | None, names: tuple[str, ...], u: Array) -> list[str]:
-    if excess is None or excess.passed.all():
+def _exceeded(entry: MeasuredTrajectory) -> list[str]:
+    if entry.controls is None or entry.controls.passed.all():
         return []
-    broken = np.flatnonzero(~excess.passed)
+    broken, controls = np.flatnonzero(~entry.controls.passed), controls_of(entry.problem)
     bounds = [
-        f"the {short_name(names[j])} bound by {quantity(float(excess.values[j]), names[j])} "
-        f"({_peak(u[:, j], names[j])})"
+        f"the {short_name(controls[j].name)} bound by {quantity(float(entry.controls.values[j]), controls[j].name)} "
+        f"({_peak(entry, controls[j])})"
         for j in broken[:NAMED]
     ]
     return [f"exceeds {listed(bounds)}{_others(len(broken), 'other control')}"]
 
 
-def _left(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
-    if excess is None or excess.passed.all():
-        return []
-    broken = np.flatnonzero(~excess.passed)
-    states = listed([short_name(names[i]) for i in broken[:NAMED]])
-    return [f"leaves the bounds on {states}{_others(len(broken), 'other state')}"]
-
-
-def _violated(excess: Excess | None, names: Sequence[str]) -> list[str]:
-    if excess is None or excess.passed.all():
-        return []
-    broken = np.flatnonzero(~excess.passed)
-    words = list[str]()
-    for i in map(int, broken[:NAMED]):
-        words.append(f"{short_name(names[i])} by {quantity(float(excess.values[i]), names[i])}")
-    return [f"violates {listed(words)}{_others(len(broken), 'other constraint')}"]
-
-
-def _peak(signal: Array, name: str) -> str:
-    size = np.abs(signal)
-    times = np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())
+def _peak(entry: MeasuredTrajectory, signal: Signal) -> str:
+    times = entry.peak_times(signal)
     where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
-    return f"peaks at {quantity(float(size.max()), name)}, {where}"
+    return f"peaks at {quantity(entry.largest(signal) or 0.0, signal.name)}, {where}"
 
 
-def _missed(excess: Excess | None, names: tuple[str, ...]) -> list[str]:
-    if excess is None or excess.passed.all():
-        return []
-    missed = np.flatnonzero(~excess.passed)
-    words = [f"{quantity(float(excess.values[i]), names[i])} in {short_name(names[i])}" for i in missed[:NAMED]]
-    return [f"misses the end by {listed(words)}{_others(len(missed), 'other state')}"]
+def _broken(violation: Violation | None, names: Sequence[str], noun: str) -> tuple[list[tuple[str, str]], str]:
+    """Return name and size of the first broken bounds, and the count of the others."""
+    broken = [] if violation is None else [int(i) for i in np.flatnonzero(~violation.passed)]
+    sizes = [] if violation is None else [quantity(float(violation.values[i]), names[i]) for i in broken[:NAMED]]
+    named = [(short_name(names[i]), size) for i, size in zip(broken, sizes, strict=False)]
+    return named, _others(len(broken), noun)
 
 
 def _others(count: int, noun: str) -> str:
@@ -234,7 +205,7 @@ def _others(count: int, noun: str) -> str:
     return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
 
 
-def _dearer(entry: Entry, comparison: ComparisonOutcome) -> list[str]:
+def _dearer(entry: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Say if a filtered control costs more than the constrained one, which is never its purpose."""
     own = None if entry.measures is None else entry.measures.cost
     best = comparison.constrained.cost
@@ -260,24 +231,17 @@ def _holds(comparison: ComparisonOutcome) -> str:
     result = comparison.constrained
     if not result.primal:
         return f"not every constraint holds ({result.message or result.status.replace('_', ' ')})"
-    worse = [
-        f"the spectrum of the {what} peaks at {number(own, 3)} between the bins of its band, above the "
-        f"{number(free, 3)} without the constraint"
-        for what, free, own in _peaks(comparison)
-        if own is not None and free is not None and own > (1 + SAME_PEAK) * free
-    ]
+    worse = list[str]()
+    for what, field in (("control", "stopband_peak"), ("state", "state_stopband_peak")):
+        free, own = (
+            getattr(one, field, None) for one in (comparison.classical_measures, comparison.constrained_measures)
+        )
+        if own is not None and free is not None and own > (1 + SAME_PEAK) * free:
+            worse.append(
+                f"the spectrum of the {what} peaks at {number(own, 3)} between the bins of its band, above the "
+                f"{number(free, 3)} without the constraint"
+            )
     return f"every constraint holds at the bins, but {listed(worse)}" if worse else "everything holds"
-
-
-def _peaks(comparison: ComparisonOutcome) -> list[tuple[str, float | None, float | None]]:
-    """Return of controls and states the peak between the bins of their bands, without and with the constraint."""
-    free, own = comparison.classical_measures, comparison.constrained_measures
-    if own is None:
-        return []
-    return [
-        ("control", free.stopband_peak, own.stopband_peak),
-        ("state", free.state_stopband_peak, own.state_stopband_peak),
-    ]
 
 
 def _without_constraint(result: Outcome) -> str:
@@ -335,19 +299,12 @@ def _global_bound(certificate: Certificate) -> list[str]:
 
 
 def _between_the_bins(comparison: ComparisonOutcome, of_states: bool) -> str:
-    field = "state_stopband_peak" if of_states else "stopband_peak"
-    free = number(getattr(comparison.classical_measures, field), 3)
-    if comparison.constrained_measures is None:
-        parts = [f"{free} without the constraint"]
-    else:
-        parts = [
-            f"{number(getattr(comparison.constrained_measures, field), 3)} with the constraint",
-            f"{free} without it",
-        ]
-    one = shown_filter(comparison)
-    filtered = None if one is None else getattr(one.replay.measures, field)
-    if filtered is not None:
-        parts.append(f"{number(filtered, 3)} after filtering")
+    field, one = "state_stopband_peak" if of_states else "stopband_peak", comparison.shown_filter()
+    measured = comparison.constrained_measures, comparison.classical_measures, one and one.replay.measures
+    own, free, filtered = (None if found is None else getattr(found, field) for found in measured)
+    parts = [] if comparison.constrained_measures is None else [f"{number(own, 3)} with the constraint"]
+    parts.append(f"{number(free, 3)} without {'it' if parts else 'the constraint'}")
+    parts += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
     return (
         "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks at "
         f"{listed(parts)}."

@@ -35,18 +35,17 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass, notch, stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.entries import entries, shown_filter
 from lin_freq_ocp.report.figures.figures import (
+    comparison_data,
     comparison_figure,
-    comparison_scene,
     gap_figure,
     phase_pairs,
     price_figure,
     result_figure,
     states_figure,
 )
+from lin_freq_ocp.report.figures.plot_data import view
 from lin_freq_ocp.report.figures.scales import frequency_scale, time_scale
-from lin_freq_ocp.report.figures.scene import view
 from lin_freq_ocp.report.figures.style import MOST_POINTS, STYLES, thinned
 from lin_freq_ocp.report.numbers import aligned, quantity, rough
 from lin_freq_ocp.report.page import draw, render, save_report, tiles
@@ -218,7 +217,7 @@ def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
     assert "C-iii" not in shown
     assert [one.name for one in drawings("infeasible")] == ["comparison", "states"]
     assert ("with the constraint", "infeasible", "proven") in tiles(comparison)
-    assert "constrained" not in [trace.label for trace in comparison_scene(comparison).traces]
+    assert "constrained" not in [trace.label for trace in comparison_data(comparison).traces]
     assert {row.cells[-1].text for group in comparison_rows(comparison).groups for row in group.rows} == {NOTHING}
 
 
@@ -254,8 +253,8 @@ def test_without_a_stop_band_there_is_nothing_to_filter():
     assert comparison_rows(comparison).columns == ("optimal",)
     assert "The filters" not in text("no band")
     assert "brickwall" not in text("no band")
-    assert shown_filter(comparison) is None
-    assert [trace.label for trace in comparison_scene(comparison).traces] == ["optimal"]
+    assert comparison.shown_filter() is None
+    assert [trace.label for trace in comparison_data(comparison).traces] == ["optimal"]
 
 
 def test_state_stop_bands_have_their_spectra():
@@ -269,8 +268,8 @@ def test_state_stop_bands_have_their_spectra():
 
 
 def price_axes(comparison: Comparison):
-    assert comparison.constrained.multipliers is not None
-    return price_figure(comparison_scene(comparison), comparison.constrained.multipliers).axes
+    assert comparison.prices is not None
+    return price_figure(comparison_data(comparison), comparison.prices).axes
 
 
 def test_every_control_has_its_panels():
@@ -319,13 +318,13 @@ def test_a_trajectory_that_flies_off_does_not_squeeze_the_others():
 
 
 def test_view_keeps_hosts_and_near_guests():
-    host, far, near = np.array([0.0, 1.0]), np.array([0.0, 9.0]), np.array([-0.4, 0.0])
+    main, far, near = np.array([0.0, 1.0]), np.array([0.0, 9.0]), np.array([-0.4, 0.0])
     bounds = np.array([-np.inf, 1.5, 40.0])
-    seen = view([host], [far], bounds)
+    seen = view([main], [far], bounds)
     assert seen.outside
     assert seen.low < 0
     assert 1.5 < seen.high < 2
-    seen = view([host], [near], bounds)
+    seen = view([main], [near], bounds)
     assert not seen.outside
     assert seen.low < -0.4
     constant = view([np.array([3.0, 3.0])], [], np.array([]))
@@ -334,16 +333,16 @@ def test_view_keeps_hosts_and_near_guests():
 
 def test_one_filter_can_be_chosen():
     comparison = case("pendulum")
-    trace = comparison_scene(comparison, "moving_average").traces[1]
+    trace = comparison_data(comparison, "moving_average").traces[1]
     assert (trace.label, trace.detail) == ("filtered", "moving average")
     assert trace.trajectory is comparison.filtered[3].replay.trajectory
     with pytest.raises(ProblemError, match=r"filter_name: .*nonsense"):
         comparison_figure(comparison, "nonsense")
     alone = replace(comparison, filtered=comparison.filtered[3:4])
-    assert comparison_scene(alone).traces[1].detail == "moving average"
+    assert comparison_data(alone).traces[1].detail == "moving average"
     nothing = replace(comparison, filtered=())
     assert words.finding(nothing).filtering == ""
-    assert [trace.label for trace in comparison_scene(nothing).traces] == ["classical", "constrained"]
+    assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 
 def test_result_figure_shows_one_solution():
@@ -368,7 +367,7 @@ def test_any_number_of_states_can_be_drawn(n: int, panels: int):
     figure = result_figure(result)
     assert len(figure.axes) == panels
     assert len(phase_pairs(n)) == {1: 0, 2: 1}.get(n, 2)
-    assert len(states_figure(comparison_scene(compare(problem))).axes) == n
+    assert len(states_figure(comparison_data(compare(problem))).axes) == n
     assert (
         "state: x_0",
         "bounds that depend on time: lower -2.6 to -2, upper 2; starts at 1; ends anywhere",
@@ -390,7 +389,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     (ax,) = price_axes(comparison)
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), np.abs(result.multipliers.rho_u[97:, 0]))
     np.testing.assert_allclose(ax.lines[0].get_xdata(), np.arange(97, 121) / 2.4)
-    figure = gap_figure(comparison_scene(comparison), result.certificate)
+    figure = gap_figure(comparison_data(comparison), result.certificate)
     assert figure is not None
     gaps = result.certificate.stage_gaps
     assert gaps is not None
@@ -398,7 +397,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     np.testing.assert_array_equal(points.get_ydata(), gaps[gaps > 1e-6 * gaps.max()])
     assert len(lower_edge.get_ydata()) == len(gaps) - len(points.get_ydata())
     unbounded = replace(result.certificate, bound=None)
-    assert gap_figure(comparison_scene(comparison), unbounded) is None
+    assert gap_figure(comparison_data(comparison), unbounded) is None
     assert words.parts_of_the_gap(unbounded) == ""
 
 
@@ -634,10 +633,10 @@ def test_long_signals_keep_their_extremes():
 
 
 def test_entries_say_what_holds():
-    by_label = {entry.label: entry for entry in entries(case("pendulum"))}
-    assert by_label["constrained"].leaves_band_empty(of_states=False) is True
-    assert by_label["constrained"].leaves_band_empty(of_states=True) is None
-    assert by_label["classical"].leaves_band_empty(of_states=False) is False
+    by_label = {entry.label: entry for entry in case("pendulum").trajectories}
+    assert by_label["constrained"].empties_band(of_states=False) is True
+    assert by_label["constrained"].empties_band(of_states=True) is None
+    assert by_label["classical"].empties_band(of_states=False) is False
     end = by_label["brickwall"].end
     measures = by_label["brickwall"].measures
     assert end is not None

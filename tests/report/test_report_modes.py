@@ -22,15 +22,17 @@ from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.certificate.modes.kinks import kinks
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.figures.figures import comparison_scene, result_figure, result_scene, states_figure
+from lin_freq_ocp.report.figures.figures import comparison_data, result_data, result_figure, states_figure
+from lin_freq_ocp.report.figures.plot_data import Span, spans
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS, TINTS
 from lin_freq_ocp.report.modes.panels import adjoint_figure, shade_modes, strip_rows, strips_figure
-from lin_freq_ocp.report.modes.spans import NO_MODE, Span, kinks, mode_sequence, spans
 from lin_freq_ocp.report.modes.words import adjoint_caption, border_sentences, modes_caption, search_sentences
 from lin_freq_ocp.report.page import draw, render, tiles
 from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows
@@ -129,11 +131,11 @@ def test_spans_cover_the_horizon_once_and_in_order(modes):
 
 @pytest.mark.parametrize("name", ["wall", "tree", "kink"])
 def test_tints_are_the_modes_of_the_result_at_its_times(name):
-    result, scene = case(name).constrained, comparison_scene(case(name))
-    assert scene.modes == spans(result.sequence)
-    figure, step = result_figure(result), scene.time.factor
-    assert len({span.mode for span in scene.modes}) == 2
-    for ax in (figure.axes[0], *states_figure(scene).axes):
+    result, data = case(name).constrained, comparison_data(case(name))
+    assert data.modes == spans(result.sequence)
+    figure, step = result_figure(result), data.time.factor
+    assert len({span.mode for span in data.modes}) == 2
+    for ax in (figure.axes[0], *states_figure(data).axes):
         drawn = tints(ax)
         assert drawn[0][0] == 0
         assert drawn[-1][1] == pytest.approx(step * result.problem.horizon)
@@ -154,7 +156,7 @@ def test_every_trajectory_has_its_strip():
     for (_, modes), one in zip(rows[1:-1], comparison.filtered, strict=True):
         x, u = one.replay.trajectory.x, one.replay.trajectory.u
         assert list(modes) == list(comparison.problem.piecewise.sequence_of(x, u))
-    figure = strips_figure(comparison_scene(comparison), rows)
+    figure = strips_figure(comparison_data(comparison), rows)
     assert len(figure.axes[0].patches) == sum(len(spans(modes)) for _, modes in rows)
     shown = [one.get_text() for one in figure.axes[0].texts]
     assert {"free", "contact"} <= set(shown)
@@ -174,14 +176,17 @@ def test_outside_all_regions_there_is_no_mode():
     outside = Trajectory(np.array([[0.0], [3.0], [0.5], [0.0]]), np.zeros((3, 1)))
     assert list(mode_sequence(closed, outside)) == [0, NO_MODE, 1]
     rows = [("filtered", mode_sequence(closed, outside)), ("unknown", None)]
-    figure = strips_figure(result_scene(case("linear").constrained), [])
+    figure = strips_figure(result_data(case("linear").constrained), [])
     assert not figure.axes[0].patches
-    scene = replace(result_scene(solve(closed)), problem=closed)
-    figure = strips_figure(scene, rows)
+    data = replace(result_data(solve(closed)), problem=closed)
+    figure = strips_figure(data, rows)
     assert [one.get_text() for one in figure.axes[0].texts] == ["falling", "outside", "rising", "not replayed"]
     assert "Dashed: outside" in modes_caption(rows, "filtered")
     ax = figure.axes[0]
-    hidden = replace(scene, traces=(replace(scene.host, sequence=mode_sequence(closed, outside)),))
+    hidden = replace(
+        data,
+        traces=(replace(data.main, measured=replace(data.main.measured, sequence=mode_sequence(closed, outside))),),
+    )
     before = len(ax.patches)
     shade_modes(ax, hidden)
     assert len(ax.patches) == before + 2
@@ -215,7 +220,7 @@ def test_what_the_adjoint_equation_requires_lies_within_the_bar(name):
         assert (one.lower <= one.required + slack).all()
         assert (one.required <= one.upper + slack).all()
         assert (one.upper - one.lower).max() > 0.1
-    figure = adjoint_figure(result_scene(result), eta, found, 0.0)
+    figure = adjoint_figure(result_data(result), eta, found, 0.0)
     for i, ax in enumerate(figure.axes):
         bars = [one for one in ax.patches if to_hex(one.get_facecolor()) not in TINTS]
         drawn = np.array([(one.get_y(), one.get_y() + one.get_height()) for one in bars])
@@ -277,9 +282,9 @@ def test_pages_of_linear_problems_have_none_of_it():
     assert not re.search(r"mode|adjoint_|S-f|N-f|--mode", text("linear") + page("linear"))
     assert case("linear").constrained.certificate.borders is None
     assert search_sentences(case("linear").constrained) == []
-    scene = comparison_scene(case("linear"))
-    assert scene.modes == ()
-    assert not any(tints(ax) for ax in states_figure(scene).axes)
+    data = comparison_data(case("linear"))
+    assert data.modes == ()
+    assert not any(tints(ax) for ax in states_figure(data).axes)
     assert [name for name, _ in problem_facts(case("linear").problem)][:5] == [
         "horizon",
         "minimise",
@@ -293,7 +298,7 @@ def test_pages_with_modes_have_strips_and_adjoint():
     for name in ("wall", "kink"):
         assert {"modes", "adjoint"} <= set(drawings(name))
         assert "adjoint" in page(name)
-    assert result_scene(case("norm").constrained).modes == ()  # one mode
+    assert result_data(case("norm").constrained).modes == ()  # one mode
     assert [one.svg for one in draw(case("kink"))] == [one.svg for one in drawings("kink").values()]
     assert "N-f that the weights are nonnegative" in text("wall")
 
@@ -355,14 +360,14 @@ def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     result = replace(comparison.constrained, status="infeasible", tree_bound=tree, **gone)
     shown = replace(comparison, constrained=result, constrained_measures=None)
     made = tuple(drawings("wall")[name] for name in ("comparison", "modes", "states"))
-    scene = comparison_scene(shown)
-    assert scene.modes == spans(comparison.classical.sequence)
+    data = comparison_data(shown)
+    assert data.modes == spans(comparison.classical.sequence)
     assert [label for label, _ in strip_rows(shown)] == ["classical", "brickwall", "zero phase"]
-    assert "those of the classical trajectory" in modes_caption(strip_rows(shown), scene.host.label)
+    assert "those of the classical trajectory" in modes_caption(strip_rows(shown), data.main.label)
     html = parsed(re.sub(r"<svg.*?</svg>", "", render(shown, made), flags=re.DOTALL)).text
     assert "no leaf can contain a trajectory" in html
     assert "The proof rests on" not in html
-    assert words.conflict_in_words(result) == []
+    assert result.conflict is None
 
 
 def test_tints_differ_from_each_other_and_from_all_other_colours():
@@ -413,7 +418,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     assert rows["brickwall"] is None
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
     assert "its states leave the regions of all modes, so that" in str(words.finding(comparison))
-    notes = [note.text for note in comparison_scene(comparison).notes([comparison_scene(comparison).state(0)])]
+    notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
     html = render(comparison, tuple(drawings("wall").values()))
     assert "regions of all modes\n  (brickwall" in html

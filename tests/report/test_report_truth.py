@@ -13,8 +13,7 @@ from matplotlib.colors import to_hex
 import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.filters import filter_limits, filter_stop, filtered
 from lin_freq_ocp.report import words
-from lin_freq_ocp.report.entries import entries
-from lin_freq_ocp.report.figures.figures import comparison_scene, output_spectra_figure, states_figure
+from lin_freq_ocp.report.figures.figures import comparison_data, spectra_figure, states_figure
 from lin_freq_ocp.report.figures.style import REFERENCE
 from lin_freq_ocp.report.page import tiles
 from lin_freq_ocp.report.tables import certificate_table, comparison_rows
@@ -91,8 +90,8 @@ def test_only_what_is_proven_is_called_optimal():
 )
 def test_a_solution_alone_is_called_by_its_status(status: str, label: str):
     comparison = with_status(lfo.compare(problem(), filters=[]), status)
-    assert [entry.label for entry in entries(comparison)] == [label]
-    assert [trace.label for trace in comparison_scene(comparison).traces] == [label]
+    assert [entry.label for entry in comparison.trajectories] == [label]
+    assert [trace.label for trace in comparison_data(comparison).traces] == [label]
     assert comparison_rows(comparison).columns == (label,)
     tile = {"optimal": ("optimal cost", "")}.get(status, ("cost found", "not proven global"))
     assert (tiles(comparison)[0][0], tiles(comparison)[0][2]) == tile
@@ -132,7 +131,7 @@ def test_the_page_says_what_filters_do_not_act_on(fields: dict[str, Any], said: 
     comparison = lfo.compare(problem(terminal_state=None, **fields), filters=["brickwall"])
     assert said in words.finding(comparison).filtering
     assert words.finding(comparison).setting == "With the constraint in the problem"
-    labels = [entry.label for entry in entries(comparison)]
+    labels = [entry.label for entry in comparison.trajectories]
     if filter_stop(comparison.problem).any():
         assert labels == ["classical", "brickwall", "constrained"]
     else:
@@ -178,7 +177,7 @@ def at_level(ax: Any, level: float) -> list[Any]:
 
 
 def test_references_and_soft_bounds_are_drawn():
-    figure = states_figure(comparison_scene(tracking()))
+    figure = states_figure(comparison_data(tracking()))
     position, speed = figure.axes
     shapes = [line[:-1] for line in lines(position) if len(line) == T + 1]
     assert any(np.allclose(shape, TRACK[:-1, 0]) for shape in shapes)  # at the end no deviation costs anything
@@ -213,7 +212,7 @@ def test_levels_of_masks_are_drawn_at_their_bins():
 
 def test_outputs_have_their_spectra():
     comparison = tracking()
-    (ax,) = output_spectra_figure(comparison_scene(comparison)).axes
+    (ax,) = spectra_figure(data := comparison_data(comparison), data.outputs).axes
     assert holds(ax, 3.0)
     y = comparison.constrained.trajectory.x.sum(axis=1)
     bins = np.abs(np.fft.rfft(y))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 LENGTH = 16
-"""Hexadecimal digits: enough that no two of all the sweeps that anybody has are taken for the same."""
+"""Hexadecimal digits: 64 bits, so that collisions are not expected."""
 
 
 def fingerprint(value: Any) -> str:

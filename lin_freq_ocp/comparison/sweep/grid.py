@@ -27,23 +27,16 @@ Parameters = dict[str, Any]
 """The value of every swept parameter at one point."""
 
 CUTOFFS = ("cutoff", "cutoff_hz")
-"""Of a problem: low passes that take the place of its ``control_spectrum``; in rad/sample, and in Hz."""
+"""Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz."""
 
 MOST_POINTS = 10**6
-"""Points of one grid: more are a slip of the pen, and would not fit into memory."""
+"""Points of one grid: more are likely a mistake, and would not fit into memory."""
 
 PLAIN = (bool, int, float, str, type(None))
 
 
 def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
-    """Return the values of each parameter.
-
-    Raises
-    ------
-    ProblemError
-        If the source is neither problem nor function, or the grid has a name that it does not know, or an entry that
-        is no sequence of different values.
-    """
+    """Return the values of each parameter."""
     if not callable(source):
         require_problem(source)
     if not isinstance(grid, Mapping) or not grid:
@@ -53,13 +46,7 @@ def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
 
 
 def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
-    """Return the points of the full product, by their keys; the last parameter changes fastest.
-
-    Raises
-    ------
-    ProblemError
-        If they are too many.
-    """
+    """Return the points of the full product, by their keys; the last parameter changes fastest."""
     count = math.prod(map(len, values.values()))
     if count > MOST_POINTS:
         raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
@@ -68,26 +55,14 @@ def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
 
 
 def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem at one point.
-
-    Raises
-    ------
-    ProblemError
-        If the values describe none, or the function returns something else.
-    """
+    """Return the problem at one point."""
     problem = source(**parameters) if callable(source) else with_values(source, parameters)
     require_problem(problem)
     return problem
 
 
 def with_values(problem: OptimalControlProblem, values: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of all controls.
-
-    Raises
-    ------
-    ProblemError
-        If a value does not fit the problem.
-    """
+    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes."""
     changes = dict(values)
     for name in CUTOFFS:
         if name in changes:
@@ -143,7 +118,7 @@ def _require_names(source: Source, names: Sequence[Any]) -> None:
 
 
 def _keywords(function: Callable[..., Any]) -> list[str] | None:
-    """Return the keywords that a function takes; None if it takes any, or nobody knows."""
+    """Return the keywords that a function takes; None if it takes any, or has no signature."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""One point of a sweep: built, solved and judged, wherever it is; a few plain numbers are what comes back."""
+"""One point of a sweep: built, solved and judged in any process; the result is plain data."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _building = threading.Lock()
 
 
 def solve_point(source: Source, options: Mapping[str, Any], parameters: Parameters, attempt: int = 0) -> Row:
-    """Return the row of one point; whatever goes wrong is in the row.
+    """Return the row of one point; errors are in the row.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
             result = solve_judged(problem, **options)
     except LinFreqOCPError as error:
         return failed_point(parameters, str(error), time.perf_counter() - started)
-    except Exception as error:  # whatever a function that builds problems raises: the others are solved
+    except Exception as error:  # a function that builds problems may raise anything: the others are solved
         return failed_point(parameters, f"{type(error).__name__}: {error}", time.perf_counter() - started)
     certificate, feasible = result.certificate, result.primal
     broken = [] if feasible or result.cost is None else [f"the point found, with cost {result.cost:.6g}, {BROKEN}"]

@@ -58,7 +58,7 @@ class WorkerPool(ProcessPoolExecutor):
                     raise KeyboardInterrupt
 
     def abandon(self) -> None:
-        """End all processes at once: nobody waits for what they compute."""
+        """End all processes at once and discard their results."""
         processes = list((self._processes or {}).values())
         self.shutdown(wait=False, cancel_futures=True)
         for process in processes:
@@ -156,7 +156,7 @@ def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
                 pool.shutdown()
                 pool = process_pool(1)
             yield key, _lost(parameters, outcome) if isinstance(outcome, str) else outcome
-    except BaseException:  # Ctrl-C, or nobody wants the points that are left
+    except BaseException:  # Ctrl-C, or the generator was closed
         pool.abandon()
         raise
     pool.shutdown()

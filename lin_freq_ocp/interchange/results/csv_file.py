@@ -85,11 +85,6 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
     """Write a trajectory as a table: one row per time, states and controls under their names, in full precision.
 
     Columns: t, the time in seconds if the problem has a sampling time, states, controls (empty at t = T).
-
-    Raises
-    ------
-    ProblemError
-        If the trajectory is not of the problem's shape, or the file cannot be written.
     """
     problem.require(trajectory)
     step, text = problem.sampling_time, io.StringIO()

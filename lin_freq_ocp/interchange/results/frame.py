@@ -15,15 +15,7 @@ if TYPE_CHECKING:
 
 
 def to_frame(problem: OptimalControlProblem, trajectory: Trajectory) -> DataFrame:
-    """Return a row per time 0 .. T, with states and controls under their names; see ``Result.to_frame``.
-
-    Raises
-    ------
-    MissingExtraError
-        If pandas is not installed.
-    ProblemError
-        If the trajectory is not of the problem's shape.
-    """
+    """Return a row per time 0 .. T, with states and controls under their names; see ``Result.to_frame``."""
     try:
         import pandas
     except ImportError:

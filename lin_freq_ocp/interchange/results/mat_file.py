@@ -33,11 +33,6 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
 
     Variables: x (T+1, n), u (T, m), t (T+1, 1) in seconds (in steps, if the problem has no sampling time), and the
     cell arrays state_names (n, 1) and control_names (m, 1).
-
-    Raises
-    ------
-    ProblemError
-        If the trajectory is not of the problem's shape, or the file cannot be written.
     """
     problem.require(trajectory)
     variables = {

@@ -22,11 +22,6 @@ def trajectory_from_signals(problem: OptimalControlProblem, x: Any, u: Any) -> T
     """Return states x (T+1, n) and controls u (T, m) or (T+1, m) as a trajectory; without x, u is replayed.
 
     A control at time T has no effect, and is left out.
-
-    Raises
-    ------
-    ProblemError
-        If a shape does not fit, or the controls are to be replayed from an initial state that is not one point.
     """
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     controls = real_array("u", _fitting("u", u, [(T, m), (T + 1, m)])[:T])

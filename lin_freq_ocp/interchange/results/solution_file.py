@@ -57,22 +57,6 @@ def save_solution(
     """Write a solution to an .npz: the fields of Trajectory and Multipliers under their names, summary and schema.
 
     The multipliers of joint rows are arrays of their own, "stage/" and the name of the rows.
-
-    Parameters
-    ----------
-    path : path
-        The file; one of this name is replaced.
-    trajectory : Trajectory
-        x (T+1, n) and u (T, m).
-    multipliers : Multipliers or None
-        None writes none.
-    summary : mapping
-        What JSON can hold; it is kept as text.
-
-    Raises
-    ------
-    ProblemError
-        If it cannot be written there.
     """
     write_bytes(path, solution_bytes(trajectory, multipliers, summary))
 

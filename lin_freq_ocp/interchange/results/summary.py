@@ -89,13 +89,7 @@ def to_json(summary: Mapping[str, Any]) -> str:
 
 
 def save_json(path: str | Path, summary: Mapping[str, Any]) -> None:
-    """Write a summary as a JSON file.
-
-    Raises
-    ------
-    ProblemError
-        If it cannot be written there.
-    """
+    """Write a summary as a JSON file."""
     write_text(path, to_json(summary) + "\n")
 
 

@@ -18,13 +18,7 @@ TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
 
 def load_trajectory(path: str | PathLike[str], problem: OptimalControlProblem) -> tuple[Trajectory, Multipliers | None]:
-    """Read a .csv, a .mat, or, with any other suffix, an .npz; only the last can have multipliers.
-
-    Raises
-    ------
-    ProblemError
-        If it is no such file, or does not fit the problem; the field names the file and the location in it.
-    """
+    """Read a .csv, a .mat, or, with any other suffix, an .npz; only the last can have multipliers."""
     suffix = Path(path).suffix.lower()
     if suffix == TABLE:
         return read_csv(path, problem), None
@@ -41,13 +35,7 @@ def save_trajectory(
     multipliers: Multipliers | None,
     summary: Mapping[str, Any],
 ) -> None:
-    """Write a .csv or a .mat, which hold the trajectory, or an .npz, also without a suffix, which holds all.
-
-    Raises
-    ------
-    ProblemError
-        If the name ends otherwise, or the file cannot be written.
-    """
+    """Write a .csv or a .mat, which hold the trajectory, or an .npz, also without a suffix, which holds all."""
     suffix = kind_of_file(path)
     if suffix == TABLE:
         save_csv(path, problem, trajectory)
@@ -58,13 +46,7 @@ def save_trajectory(
 
 
 def kind_of_file(path: str | PathLike[str], field: str = "") -> str:
-    """Return the suffix that says how a trajectory is written to this file; a name without one is an .npz.
-
-    Raises
-    ------
-    ProblemError
-        With this field, the path if there is none, if no trajectory is written to files whose names end so.
-    """
+    """Return the suffix that says how a trajectory is written to this file; a name without one is an .npz."""
     suffix = Path(path).suffix.lower() or ARCHIVE
     if suffix not in (ARCHIVE, TABLE, MATLAB):
         expected = f"one that ends in {ARCHIVE}, {TABLE} or {MATLAB}"

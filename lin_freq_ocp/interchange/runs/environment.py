@@ -15,10 +15,7 @@ PACKAGE = "lin-freq-ocp"
 def environment(backend: str | None = None) -> dict[str, Any]:
     """Return the versions of Python, of this package and of those it needs, system, processor and BLAS, for JSON.
 
-    Parameters
-    ----------
-    backend : str, optional
-        As given to solve; the package of a solver that qpsolvers calls is optional, and so looked for by its name.
+    ``backend`` is as given to solve; the package of a solver that qpsolvers calls is looked for by its name.
     """
     needed = [re.split(r"[^\w.-]", one, maxsplit=1)[0] for one in requires(PACKAGE) or () if "extra ==" not in one]
     solver = (backend or "").partition(":")[2]

@@ -77,22 +77,7 @@ def dump_run(
     result: Outcome | None = None,
     error: Exception | None = None,
 ) -> None:
-    """Write a run to one file, a zip archive that ``load_run`` reads; one of this name is replaced.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    problem, options
-        What solve was given.
-    result, error : optional
-        What it ended with.
-
-    Raises
-    ------
-    ProblemError
-        If it cannot be written there.
-    """
+    """Write a run, and its result or error, to one zip archive that ``load_run`` reads; a file there is replaced."""
     summary = None if result is None else result_summary(result)
     run = {
         "schema": SCHEMA,
@@ -124,7 +109,7 @@ def dumping_errors(
         if path is not None:
             try:
                 dump_run(path, problem, options, error=error)
-            except Exception as failed:  # it must not take the place of the error that is to be told
+            except Exception as failed:  # the original error must not be replaced
                 warnings.warn(f"nothing dumped: {failed}", RuntimeWarning, stacklevel=2)
         raise
 
@@ -135,7 +120,7 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
     Raises
     ------
     ProblemError
-        If it is no such file; the field names it, the file within, and the place there.
+        If it is no such file; the field names it, the file within, and the location there.
     """
     path = Path(path)
     with TemporaryDirectory() as name:
@@ -160,7 +145,7 @@ def described(error: Exception) -> dict[str, Any]:
 
 
 def _unpack(path: Path, folder: Path) -> None:
-    """Write the files that belong to a run to the folder; others, whatever their names, are left where they are."""
+    """Write the files that belong to a run to the folder; others are ignored."""
     require_file(str(path), path)
     try:
         with zipfile.ZipFile(path) as archive:

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_type_hints
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_text, writing
@@ -39,11 +39,9 @@ HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "op
 
 HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
 
-NUMBER = int | float | None
-
-ROW_KINDS = {"parameters": dict, "status": str, "proven": bool, "global": bool | None} | {
-    **dict.fromkeys(("cost", "lower_bound", "gap", "seconds"), NUMBER),
-    **dict.fromkeys(("pmp", "method", "backend", "message"), str | None),
+ROW_KINDS = {
+    key: dict if key == "parameters" else int | float | None if kind == float | None else kind
+    for key, kind in get_type_hints(Row).items()
 }
 """What a row holds under each key."""
 
@@ -53,13 +51,6 @@ ANOTHER_PATH = "Give another path, or remove the file."
 
 class SweepFile:
     """A file that gets a line per point; one that is there already is continued.
-
-    Parameters
-    ----------
-    path : path
-    head : SweepHead
-    grid : mapping
-        The values of each parameter, as JSON has them.
 
     Attributes
     ----------
@@ -77,7 +68,7 @@ class SweepFile:
         first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
         first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
         lines = [] if not self._path.exists() else _lines(self._path)
-        self.rows = [row for row in _rows(self._path, lines) if row["status"] != ERROR]
+        self.rows = [row for row in _rows(lines) if row["status"] != ERROR]
         if lines:
             _require_same(self._path, lines[0], head)
         with writing(self._path):
@@ -122,7 +113,7 @@ def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
     if not lines:
         raise _no_sweep(path)
     grid = {name: tuple(values) for name, values in _grid(lines).items()}
-    rows = {point_key(row["parameters"]): row for row in _rows(path, lines)}
+    rows = {point_key(row["parameters"]): row for row in _rows(lines)}
     kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
     return SweepOutcome(lines[0]["problem"], grid, kept, lines[0]["options"])
 
@@ -193,7 +184,7 @@ def _require_kind(place: str, line: Mapping[str, Any], key: str, kind: Any) -> N
         raise ProblemError(f"{place}.{key}", brief(value), "what a sweep writes there")
 
 
-def _rows(path: Path, lines: Sequence[Mapping[str, Any]]) -> list[Any]:
+def _rows(lines: Sequence[Mapping[str, Any]]) -> list[Any]:
     return [line for line in lines if "grid" not in line]
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi, sqrt
+from math import sqrt
 
 from lin_freq_ocp.arrays import positive_number
-from lin_freq_ocp.library.bounds import symmetric
+from lin_freq_ocp.library.bounds import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import notch
 
 GRAVITY = 9.81  # m/s^2
 
@@ -74,8 +73,6 @@ def crane(
         state_set=symmetric("speed_bound, swing_bound", [None, speed_bound, swing_bound, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None
-        if notch_width_hz is None
-        else notch(centre_hz=swing_frequency / (2 * pi), width_hz=notch_width_hz),
+        control_spectrum=notch_at(swing_frequency, notch_width_hz),
         name="crane",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -87,10 +88,8 @@ def elliptic_rendezvous(
             B,
             sampling_time=step,
             state_names=[
-                "radial distance [km]",
-                "along-track distance [km]",
-                "radial speed [m/s]",
-                "along-track speed [m/s]",
+                *("radial distance [km]", "along-track distance [km]"),
+                *("radial speed [m/s]", "along-track speed [m/s]"),
             ],
             control_names=["radial thrust [mm/s^2]", "along-track thrust [mm/s^2]"],
         ),
@@ -153,13 +152,6 @@ def _integrated(rates: Callable[[float, Array], Array], initial: Array, times: A
     """Return the solution at the given times, shape (len(initial), len(times))."""
     from scipy.integrate import solve_ivp  # slow to import
 
-    solution = solve_ivp(
-        rates,
-        (0.0, float(times[-1])),
-        initial,
-        method="DOP853",
-        t_eval=times,
-        rtol=INTEGRATION_TOLERANCE,
-        atol=INTEGRATION_TOLERANCE,
-    )
+    accuracy: dict[str, Any] = {"method": "DOP853", "rtol": INTEGRATION_TOLERANCE, "atol": INTEGRATION_TOLERANCE}
+    solution = solve_ivp(rates, (0.0, float(times[-1])), initial, t_eval=times, **accuracy)
     return np.asarray(solution.y)

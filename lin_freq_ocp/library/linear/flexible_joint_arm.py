@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from math import pi, sqrt
 
 from lin_freq_ocp.arrays import positive_number
-from lin_freq_ocp.library.bounds import symmetric
+from lin_freq_ocp.library.bounds import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import notch
 
 STIFFNESS_PER_MOTOR, STIFFNESS_PER_LINK = 48.6, 19.5  # 1/s^2: of the joint, over the inertia of motor and of link
 FRICTION_PER_MOTOR = 1.25  # 1/s: viscous, over the inertia of the motor
@@ -77,8 +76,6 @@ def flexible_joint_arm(
         state_set=symmetric("torsion_bound", [None, torsion_bound, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None
-        if notch_width_hz is None
-        else notch(centre_hz=resonance / (2 * pi), width_hz=notch_width_hz),
+        control_spectrum=notch_at(resonance, notch_width_hz),
         name="flexible_joint_arm",
     )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi, sqrt
+from math import sqrt
 
 from lin_freq_ocp.arrays import positive_number
-from lin_freq_ocp.library.bounds import symmetric
+from lin_freq_ocp.library.bounds import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import notch
 
 MASS_1, MASS_2 = 1.0, 1.0  # kg
 
@@ -68,8 +67,6 @@ def two_mass_spring(
         state_set=symmetric("deflection_bound", [None, deflection_bound, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        state_spectrum=None
-        if notch_width_hz is None
-        else notch(centre_hz=flexible / (2 * pi), width_hz=notch_width_hz, component="deflection"),
+        state_spectrum=notch_at(flexible, notch_width_hz, "deflection"),
         name="two_mass_spring",
     )

@@ -30,11 +30,6 @@ def control_band(given: Any, horizon: int) -> Any:
         "none", is no frequency constraint.
     horizon : int
         T.
-
-    Raises
-    ------
-    ProblemError
-        If it is another text, or "freq" at a horizon that has no such bins.
     """
     if isinstance(given, str):
         if given == "none":

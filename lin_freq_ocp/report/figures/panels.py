@@ -12,11 +12,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
+from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.comparison.limits import Line
+from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.phrases import number, short_name, split_unit
-from lin_freq_ocp.report.figures.marks import Line
-from lin_freq_ocp.report.figures.scene import Component, Scene, View
+from lin_freq_ocp.report.figures.plot_data import PlotData, View
 from lin_freq_ocp.report.figures.style import (
     BAND,
     BOUND,
@@ -29,8 +30,8 @@ from lin_freq_ocp.report.figures.style import (
     SOFT,
     Note,
     Trace,
-    dress,
     plain,
+    style_axes,
     thinned,
 )
 from lin_freq_ocp.report.modes.panels import shade_modes
@@ -49,33 +50,33 @@ FEW_BINS = 48
 """Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours."""
 
 
-def control_panel(ax: Axes, scene: Scene, j: int, title: str) -> None:
+def control_panel(ax: Axes, data: PlotData, j: int, title: str) -> None:
     """Draw control j in time, held over each step, within its bounds."""
-    control = scene.control(j)
-    _draw_in_time(ax, scene, control)
+    control = data.controls[j]
+    _draw_in_time(ax, data, control)
     unit = split_unit(control.name)[1]
-    largest = [f"{number(float(np.abs(control.of(trace)).max()), 3)} {trace.label}" for trace in scene.traces]
+    largest = [f"{number(trace.measured.largest(control), 3)} {trace.label}" for trace in data.traces]
     note = Note(f"largest{f' [{unit}]' if unit else ''}: {', '.join(largest)}")
-    dress(ax, title, scene.time.label, control.name, [note])
+    style_axes(ax, title, data.time.label, control.name, [note])
 
 
-def state_panel(ax: Axes, scene: Scene, i: int, title: str) -> None:
+def state_panel(ax: Axes, data: PlotData, i: int, title: str) -> None:
     """Draw state i in time, within its bounds."""
-    state = scene.state(i)
-    _draw_in_time(ax, scene, state)
-    dress(ax, title, scene.time.label, state.name, scene.notes([state]))
+    state = data.states[i]
+    _draw_in_time(ax, data, state)
+    style_axes(ax, title, data.time.label, state.name, data.notes([state]))
 
 
-def states_panel(ax: Axes, scene: Scene, indices: Sequence[int], letter: str) -> None:
-    """Draw some states of the host in time: one as ``state_panel`` does, more in a colour each."""
-    states = [scene.state(i) for i in indices]
+def states_panel(ax: Axes, data: PlotData, indices: Sequence[int], letter: str) -> None:
+    """Draw some states of the main in time: one as ``state_panel`` does, more in a colour each."""
+    states = [data.states[i] for i in indices]
     if len(states) == 1:
-        state_panel(ax, scene, indices[0], f"{letter} {short_name(states[0].name)}")
+        state_panel(ax, data, indices[0], f"{letter} {short_name(states[0].name)}")
         return
-    shade_modes(ax, scene)
+    shade_modes(ax, data)
     for state, color in zip(states, COMPONENTS, strict=False):
-        values = state.of(scene.host)
-        times = scene.time.factor * np.arange(len(values))
+        values = data.main.of(state)
+        times = data.time.factor * np.arange(len(values))
         label = plain(shorten(short_name(state.name), LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}"))
         ax.plot(*thinned(times, values), color=color, linewidth=1.5, label=label)
     ax.margins(x=0.015)
@@ -83,62 +84,62 @@ def states_panel(ax: Axes, scene: Scene, indices: Sequence[int], letter: str) ->
     unit = split_unit(states[0].name)[1]
     names = f"{short_name(states[0].name)} to {short_name(states[-1].name)}"
     title = shorten(f"{letter} {names}", 2 * LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}")
-    dress(ax, title, scene.time.label, f"[{unit}]" if unit else "state", scene.notes(states))
+    style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
 
 
-def phase_panel(ax: Axes, scene: Scene, i: int, j: int, title: str) -> None:
+def phase_panel(ax: Axes, data: PlotData, i: int, j: int, title: str) -> None:
     """Draw state j over state i, with their bounds as a box, the common start and every end."""
-    pair = scene.state(i), scene.state(j)
-    views = [scene.view(one) for one in pair]
-    _draw_box(ax, scene, [i, j], views)
-    shown = scene.showing(pair[0])
+    pair = data.states[i], data.states[j]
+    views = [data.view(one) for one in pair]
+    _draw_box(ax, data, [i, j], views)
+    shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
-        x, y = (one.of(trace) for one in pair)
+        x, y = (trace.of(one) for one in pair)
         ax.plot(x, y, color=style.color, linestyle=style.line, linewidth=style.width, zorder=style.order)
         ax.plot(x[-1], y[-1], "s", color=style.color, markersize=7, markeredgecolor=PAPER, zorder=style.order + 4)
-    x, y = (one.of(shown[-1])[0] for one in pair)
+    x, y = (shown[-1].of(one)[0] for one in pair)
     ax.plot(x, y, "o", markerfacecolor=PAPER, markeredgecolor=INK, markeredgewidth=1.5, markersize=7, zorder=10)
     ax.set_xlim(views[0].low, views[0].high)
     ax.set_ylim(views[1].low, views[1].high)
-    dress(ax, title, pair[0].name, pair[1].name, scene.notes(pair))
+    style_axes(ax, title, pair[0].name, pair[1].name, data.notes(pair))
 
 
-def spectrum_panel(ax: Axes, scene: Scene, component: Component, title: str) -> None:
+def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> None:
     """Draw the spectrum of a component, its DFT bins as points and what lies between them as a line."""
-    traces = scene.showing(component)
-    padded = [padded_spectrum(component.of(trace)[:, None]) for trace in traces]
+    traces = data.showing(component)
+    padded = [padded_spectrum(trace.of(component)[:, None]) for trace in traces]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
-    length = len(component.of(traces[0]))
-    shade_stop_band(ax, component.stop, length, scene.frequency.factor)
-    highest = _draw_levels(ax, scene, component, floor, ABOVE * top)
+    length = len(traces[0].of(component))
+    shade_stop_band(ax, component.stop, length, data.frequency.factor)
+    highest = _draw_levels(ax, data, component, floor, ABOVE * top)
     for trace, spectrum in zip(traces, padded, strict=True):
         omega, magnitude = _drawn_line(*spectrum)
         ax.plot(
-            *thinned(scene.frequency.factor * omega, np.maximum(magnitude, floor)),
+            *thinned(data.frequency.factor * omega, np.maximum(magnitude, floor)),
             color=trace.style.color,
             linewidth=0.65 * trace.style.width,
             zorder=trace.style.order,
         )
-        frequency = scene.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
-        _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(component.of(trace))), floor)
+        frequency = data.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
+        _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component))), floor)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
     short, unit = split_unit(component.name)
     y_label = f"|DFT of {short}|" + (f" [{unit}]" if unit else "")
-    dress(ax, title, scene.frequency.label, y_label, [_spectrum_note(traces, component)])
-    frequency_axis(ax, scene)
+    style_axes(ax, title, data.frequency.label, y_label, [_spectrum_note(traces, component)])
+    frequency_axis(ax, data)
 
 
-def _draw_levels(ax: Axes, scene: Scene, component: Component, floor: float, ceiling: float) -> float:
+def _draw_levels(ax: Axes, data: PlotData, component: Signal, floor: float, ceiling: float) -> float:
     """Draw the limits of the spectrum, and return the highest that the axis is to show."""
     highest = 0.0
     for line in component.levels:
         cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
         for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            x, y = scene.frequency.factor * at, np.maximum(level, floor)
+            x, y = data.frequency.factor * at, np.maximum(level, floor)
             look: dict[str, Any] = {"color": BOUND, "linewidth": 1.6, "linestyle": SOFT if line.soft else "-"}
             ax.plot(*thinned(x, y), marker="_" if len(x) == 1 else None, markersize=9, zorder=2.5, **look)
         near = line.values[line.values <= ceiling]
@@ -153,49 +154,49 @@ def shade_stop_band(ax: Axes, stop: Mask, length: int, factor: float) -> None:
         ax.axvspan(factor * low, factor * high, color=BAND, linewidth=0, zorder=0)
 
 
-def frequency_axis(ax: Axes, scene: Scene) -> None:
+def frequency_axis(ax: Axes, data: PlotData) -> None:
     """Range from 0 to Nyquist; in rad/sample with fifths of pi."""
-    nyquist = scene.frequency.factor * np.pi
+    nyquist = data.frequency.factor * np.pi
     ax.set_xlim(-0.012 * nyquist, 1.012 * nyquist)
-    if scene.problem.sampling_time is None:
+    if data.problem.sampling_time is None:
         ax.xaxis.set_major_locator(FixedLocator(list(np.pi * np.arange(6) / 5)))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / np.pi:.1f} \N{GREEK SMALL LETTER PI}"))
 
 
-def _draw_in_time(ax: Axes, scene: Scene, component: Component) -> None:
-    """Draw a component of all traces, and its bounds, before the modes of the host."""
-    shade_modes(ax, scene)
+def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
+    """Draw a component of all traces, and its bounds, before the modes of the main."""
+    shade_modes(ax, data)
     held = not component.is_state
     drawing = "steps-post" if held else "default"
     for bound in component.bounds:
         if np.isfinite(bound).any():
             values = _held(np.where(np.isfinite(bound), bound, np.nan), held)
-            times = scene.time.factor * np.arange(len(values))
+            times = data.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
     for line in component.row_bounds:
-        _draw_line(ax, scene, line, held, {"color": BOUND, "linewidth": 1.2, "linestyle": SOFT if line.soft else "-"})
+        _draw_line(ax, data, line, held, {"color": BOUND, "linewidth": 1.2, "linestyle": SOFT if line.soft else "-"})
     for line in component.references:
-        _draw_line(ax, scene, line, held, {"color": REFERENCE, "linewidth": 1.2, "linestyle": REFERENCE_LINE})
-    for trace in scene.showing(component):
-        values, style = _held(component.of(trace), held), trace.style
+        _draw_line(ax, data, line, held, {"color": REFERENCE, "linewidth": 1.2, "linestyle": REFERENCE_LINE})
+    for trace in data.showing(component):
+        values, style = _held(trace.of(component), held), trace.style
         ax.plot(
-            *thinned(scene.time.factor * np.arange(len(values)), values),
+            *thinned(data.time.factor * np.arange(len(values)), values),
             color=style.color,
             linestyle=style.line,
             linewidth=style.width,
             zorder=style.order,
             drawstyle=drawing,
         )
-    seen = scene.view(component)
+    seen = data.view(component)
     ax.set_ylim(seen.low, seen.high)
     ax.margins(x=0.015)
 
 
-def _draw_line(ax: Axes, scene: Scene, line: Line, held: bool, look: dict[str, Any]) -> None:
+def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, look: dict[str, Any]) -> None:
     """Draw what is asked of a component over time; what is asked at one time alone, as a point."""
     values, step = line.values, 1 if held else 0
     values = np.append(values, [values[-1]] * step)
-    times = scene.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
+    times = data.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
     if np.isfinite(values).sum() <= 1 + step:
         look = look | {"marker": "D", "markersize": 4.5}
     drawing = "steps-post" if held else "default"
@@ -207,9 +208,9 @@ def _held(values: Array, held: bool) -> Array:
     return np.append(values, values[-1]) if held else values
 
 
-def _draw_box(ax: Axes, scene: Scene, pair: list[int], views: Sequence[View]) -> None:
+def _draw_box(ax: Axes, data: PlotData, pair: list[int], views: Sequence[View]) -> None:
     """Draw the bounds of two states as a box, where they do not depend on time; open sides lie out of sight."""
-    lower, upper = scene.state_bounds.lower[:, pair], scene.state_bounds.upper[:, pair]
+    lower, upper = data.state_bounds.lower[:, pair], data.state_bounds.upper[:, pair]
     if (lower != lower[0]).any() or (upper != upper[0]).any():
         return
     sizes = [seen.high - seen.low for seen in views]
@@ -242,12 +243,9 @@ def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor
         ax.add_line(Line2D(*thinned(x, y), linestyle="none", color=style.color, zorder=style.order + 1, **look))
 
 
-def _spectrum_note(traces: Sequence[Trace], component: Component) -> Note:
+def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:
     """Say how far the stop band is from empty between its bins."""
     if not component.stop.any():
         return Note("no stop band here")
-    named = list[str]()
-    for trace in traces:
-        peak = stopband_peak(component.of(trace)[:, None], component.stop[:, None])
-        named.append(f"{number(peak, 3)} {trace.label}")
+    named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
     return Note(f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}")

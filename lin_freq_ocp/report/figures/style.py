@@ -19,7 +19,9 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import Indices
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.comparison.signals import Signal
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 Numbers = NDArray[np.floating[Any]]
@@ -108,24 +110,27 @@ class Trace:
     ----------
     label, detail : str
         For the legend; the detail only there.
-    states_shown : bool
-        Whether its states mean anything.
-    guest : bool
-        Whether the axes may leave it outside: what a filter does must not squeeze the rest.
-    sequence : (T,) integers, optional
-        With modes: the mode at every time, NO_MODE outside all regions.
-    stopped : bool
-        Whether there is no replay because no mode holds any more.
+    measured : MeasuredTrajectory
+        It has a trajectory.
+    overlay : bool
+        Whether the axes may cut it off, so that a filtered trajectory leaves room for the others.
     """
 
     label: str
-    trajectory: Trajectory
+    measured: MeasuredTrajectory
     style: Style
     detail: str = ""
-    states_shown: bool = True
-    guest: bool = False
-    sequence: Indices | None = None
-    stopped: bool = False
+    overlay: bool = False
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the trajectory."""
+        assert self.measured.trajectory is not None
+        return self.measured.trajectory
+
+    def of(self, signal: Signal) -> Array:
+        """Return the values of a signal over time."""
+        return signal.of(self.trajectory)
 
 
 @dataclass(frozen=True)
@@ -205,7 +210,7 @@ def legend_above(figure: Figure, handles: Sequence[Artist], handlelength: float 
     )
 
 
-def dress(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence[Note] = ()) -> None:
+def style_axes(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence[Note] = ()) -> None:
     """Give a panel its title, notes, labels and grid."""
     lines = [(line, note.color) for note in notes for line in wrap(note.text, NOTE_CHARACTERS)]
     pitch = NOTE_SIZE * 1.35

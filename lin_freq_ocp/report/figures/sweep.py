@@ -22,9 +22,9 @@ from lin_freq_ocp.report.figures.style import (
     PAPER,
     ROW_HEIGHT,
     Note,
-    dress,
     new_figure,
     plain,
+    style_axes,
 )
 
 HEIGHT = 1.4 * ROW_HEIGHT
@@ -72,11 +72,6 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     Where None is among its values and every line with a cost has one there, too, costs are divided by that one: what
     the constraint costs. Hollow points are not proven. Points without a solution are marks above all costs, and those
     without a lower bound below: no cost is drawn for either.
-
-    Raises
-    ------
-    ProblemError
-        If no parameter has numbers.
     """
     name = _numeric(sweep)
     lines = _lines(sweep, name)
@@ -101,7 +96,7 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     x_label = f"{name.removesuffix('_hz').replace('_', ' ')}" + (f" [{unit}]" if unit else "")
     doubtful = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
-    dress(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
+    style_axes(ax, f"{sweep.problem}: {title}", x_label, words, [Note("Hollow: not proven.")] if doubtful else [])
     if ax.get_legend_handles_labels()[1]:
         figure.legend(fontsize=LABEL_SIZE, labelcolor=INK, frameon=False, loc="outside right upper")
     return figure

@@ -16,11 +16,12 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.certificate.modes.kinks import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_names
 from lin_freq_ocp.phrases import LARGE, SMALL, number, split_unit
-from lin_freq_ocp.report.entries import CLASSICAL, entries
-from lin_freq_ocp.report.figures.scene import MARGIN, Scene
+from lin_freq_ocp.report.figures.plot_data import MARGIN, PlotData, Span, spans
 from lin_freq_ocp.report.figures.style import (
     COMPONENTS,
     FILTERED,
@@ -36,13 +37,12 @@ from lin_freq_ocp.report.figures.style import (
     TINTS,
     WIDTH,
     Note,
-    dress,
     legend_above,
     new_figure,
     plain,
+    style_axes,
     thinned,
 )
-from lin_freq_ocp.report.modes.spans import NO_MODE, Kink, Span, mode_names, mode_sequence, sequence_of, spans
 
 CHARACTER = 0.52 * NOTE_SIZE / 72
 """Inches: about the width of a character of a note."""
@@ -59,15 +59,18 @@ STRIP_HEIGHT = 0.3
 BAR = 0.02
 """Width of the bar of an interval, relative to the time axis."""
 
+REQUIRED: dict[str, Any] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+"""The marker of what the adjoint equation requires."""
+
 MARKED = 60
 """Up to so many values are points on their line."""
 
 
-def shade_modes(ax: Axes, scene: Scene) -> None:
-    """Put the tint of the host's mode behind every step of a panel in time."""
-    for span in scene.modes:
+def shade_modes(ax: Axes, data: PlotData) -> None:
+    """Put the tint of the main's mode behind every step of a panel in time."""
+    for span in data.modes:
         if span.mode != NO_MODE:
-            start, end = scene.time.factor * span.start, scene.time.factor * span.end
+            start, end = data.time.factor * span.start, data.time.factor * span.end
             ax.axvspan(start, end, **_look(span.mode), zorder=0)
 
 
@@ -124,34 +127,28 @@ class ModeLegend:
             text.set_text(label)  # a label that begins with an underscore would be left out
 
 
-def mode_legend(scene: Scene) -> ModeLegend:
-    """Return the explanation of the tints behind the panels of a scene."""
-    whose = "mode" if len(scene.traces) == 1 else f"mode of the {scene.host.label} trajectory"
-    return _legend_of(scene, {span.mode for span in scene.modes}, whose)
+def mode_legend(data: PlotData) -> ModeLegend:
+    """Return the explanation of the tints behind the panels of a data."""
+    whose = "mode" if len(data.traces) == 1 else f"mode of the {data.main.label} trajectory"
+    return _legend_of(data, {span.mode for span in data.modes}, whose)
 
 
-def _legend_of(scene: Scene, modes: set[int], whose: str) -> ModeLegend:
-    used, names = sorted(modes - {NO_MODE}), _short_names(mode_names(scene.problem))
+def _legend_of(data: PlotData, modes: set[int], whose: str) -> ModeLegend:
+    used, names = sorted(modes - {NO_MODE}), _short_names(mode_names(data.problem))
     return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
 
 
 def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]]:
-    """Return label and mode sequence of every trajectory of a comparison; None where its states mean nothing."""
-    rows = list[tuple[str, Indices | None]]()
-    shown = entries(comparison)
-    for entry in shown:
-        if entry.trajectory is not None:
-            rows.append((entry.label, mode_sequence(entry.problem, entry.trajectory) if entry.replayed else None))
-    solved = {CLASSICAL: comparison.classical, shown[-1].label: comparison.constrained}
-    return [(label, sequence_of(solved[label]) if label in solved else modes) for label, modes in rows]
+    """Return label and mode sequence of every trajectory of a comparison; None without a replay."""
+    return [(one.label, one.modes) for one in comparison.trajectories if one.trajectory is not None]
 
 
-def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
+def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
     """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
-    names, factor, horizon = _short_names(mode_names(scene.problem)), scene.time.factor, scene.problem.horizon
+    names, factor, horizon = _short_names(mode_names(data.problem)), data.time.factor, data.problem.horizon
     drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
     unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
-    legend = _legend_of(scene, {span.mode for _, span in drawn} if unnamed else set(), "mode")
+    legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")
     figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
     ax = figure.add_subplot()
     for row, span in drawn:
@@ -159,7 +156,7 @@ def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> F
     for row, (_, modes) in enumerate(rows):
         if modes is None:
             ax.text(0.5 * factor * horizon, row, "not replayed", **_word(MUTED))
-    dress(ax, "Modes", scene.time.label, "")
+    style_axes(ax, "Modes", data.time.label, "")
     ax.grid(False)
     ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)
     ax.set_ylim(len(rows) - 0.35, -0.65)
@@ -170,34 +167,31 @@ def strips_figure(scene: Scene, rows: Sequence[tuple[str, Indices | None]]) -> F
     return figure
 
 
-def adjoint_figure(scene: Scene, eta: Array, found: Sequence[Kink], least: float) -> Figure:
+def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: float) -> Figure:
     """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
 
-    Parameters
-    ----------
-    least : float
-        What is smaller is zero up to the tolerance of the adjoint equation.
+    Smaller values than ``least`` are zero up to the tolerance of the adjoint equation.
     """
-    names = scene.problem.state_names
+    names = data.problem.state_names
     columns = min(len(names), 2)
     rows = ceil(len(names) / columns)
-    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(scene).height)
+    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(data).height)
     for i, name in enumerate(names):
         ax = figure.add_subplot(rows, columns, i + 1)
-        shade_modes(ax, scene)
-        times = scene.time.factor * np.arange(len(eta))
+        shade_modes(ax, data)
+        times = data.time.factor * np.arange(len(eta))
         marker: dict[str, Any] = {"marker": "o", "markersize": 3.2} if len(eta) <= MARKED else {}
         ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, **marker)
         for kink in found:
-            _draw_kink(ax, scene, kink, i)
-        end = scene.time.factor * scene.problem.horizon
+            _draw_kink(ax, data, kink, i)
+        end = data.time.factor * data.problem.horizon
         ax.set_xlim(-BAR * end, (1 + BAR) * end)
         notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
         short, unit = split_unit(name)
         label = f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]"
-        dress(ax, f"Adjoint of {short}", scene.time.label, label, notes)
+        style_axes(ax, f"Adjoint of {short}", data.time.label, label, notes)
     _adjoint_legend(figure, bool(found))
-    mode_legend(scene).draw(figure)
+    mode_legend(data).draw(figure)
     return figure
 
 
@@ -220,20 +214,16 @@ def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
     return []
 
 
-def _draw_kink(ax: Axes, scene: Scene, kink: Kink, i: int) -> None:
+def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
     """Draw the interval as a bar with caps, and beside it what the adjoint equation requires."""
-    factor = scene.time.factor
-    at, half = factor * kink.time, 0.5 * factor * BAR * scene.problem.horizon
+    factor = data.time.factor
+    at, half = factor * kink.time, 0.5 * factor * BAR * data.problem.horizon
     low, high = float(kink.lower[i]), float(kink.upper[i])
     bar = Rectangle((at - half, low), 2 * half, high - low)
     bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
     ax.add_patch(bar)
     ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
-    ax.plot(at, kink.required[i], "D", **_required(), zorder=8)
-
-
-def _required() -> dict[str, Any]:
-    return {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+    ax.plot(at, kink.required[i], "D", **REQUIRED, zorder=8)
 
 
 def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
@@ -247,7 +237,7 @@ def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
             "what the adjoint equation requires of it",
         )
         handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
-        handles.append(Line2D([], [], linestyle="none", marker="D", **_required(), label=required))
+        handles.append(Line2D([], [], linestyle="none", marker="D", **REQUIRED, label=required))
     legend_above(figure, handles)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, Flip
+from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.phrases import listed, number, plural
-from lin_freq_ocp.report.modes.spans import NO_MODE
 from lin_freq_ocp.solving.outcome import Outcome
 
 NAMED_TIMES = 4
@@ -57,9 +57,9 @@ def search_sentences(result: Outcome) -> list[str]:
     ]
 
 
-def modes_caption(rows: Sequence[tuple[str, Indices | None]], host: str) -> str:
-    """Say what the strips show; ``host`` is the trajectory whose modes are behind the panels."""
-    whose = "these" if len(rows) == 1 else f"those of the {host} trajectory"
+def modes_caption(rows: Sequence[tuple[str, Indices | None]], main: str) -> str:
+    """Say what the strips show; ``main`` is the trajectory whose modes are behind the panels."""
+    whose = "these" if len(rows) == 1 else f"those of the {main} trajectory"
     text = f"The mode at t holds from t to t + 1. The tints behind the panels in time are {whose}."
     if any(sequence is not None and (sequence == NO_MODE).any() for _, sequence in rows):
         text += " Dashed: outside the regions of all modes."

@@ -1,39 +1,20 @@
-"""Which mode every trajectory is in, as spans of time, and what becomes of the derivatives where modes meet."""
+"""The derivatives of the dynamics where modes meet, or norms are zero, against the adjoint equation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from lin_freq_ocp.analysis.sizes import measured_modes
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import lift
 from lin_freq_ocp.certificate.modes.clarke import BorderFacts, required_slopes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.outcome import Outcome
-
-STOPPED = "leave the regions of all modes"
-"""What the states of a replay do that came to no end."""
-
-NO_MODE = -1
-"""Stands in a mode sequence where a trajectory is in no region."""
-
-
-@dataclass(frozen=True)
-class Span:
-    """A mode that holds over the steps start .. end - 1, from time ``start`` to time ``end``."""
-
-    start: int
-    end: int
-    mode: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +28,7 @@ class Kink:
         The least and the largest of each component of D_x <eta_t, f_i> over the modes i that meet and, at the zero of a
         norm, over all its selections |xi| <= 1.
     required : (n,)
-        p_t in x: what the adjoint equation asks of it (certificate.clarke.required_slopes).
+        p_t in x: what the adjoint equation requires.
     """
 
     time: int
@@ -56,43 +37,14 @@ class Kink:
     required: Array
 
     def of(self, i: int) -> Array:
-        """Return what is drawn of component i, (3,)."""
+        """Return the three values of component i, (3,)."""
         return np.array([self.lower[i], self.upper[i], self.required[i]])
-
-
-def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
-    """Return the names of the modes, none for linear dynamics."""
-    return () if isinstance(problem.dynamics, LinearDynamics) else problem.dynamics.mode_names
-
-
-def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices | None:
-    """Return the mode at every time, (T,), NO_MODE outside all regions; None for dynamics with fewer than two modes."""
-    if len(mode_names(problem)) < 2:
-        return None
-    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
-    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem, trajectory)
-    x, u = trajectory.x, trajectory.u
-    outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
-    return np.where(outside, NO_MODE, arrays.sequence(x, u))
-
-
-def sequence_of(result: Outcome) -> Indices | None:
-    """Return the mode at every time of a solution: the one that was solved for, if there is one."""
-    if result.trajectory is None or len(mode_names(result.problem)) < 2:
-        return None
-    return mode_sequence(result.problem, result.trajectory) if result.sequence is None else result.sequence
-
-
-def spans(sequence: Indices) -> tuple[Span, ...]:
-    """Return the runs of equal modes of a sequence, which cover it without overlap."""
-    edges = [0, *(int(t) + 1 for t in np.flatnonzero(np.diff(sequence))), len(sequence)]
-    return tuple(Span(start, end, int(sequence[start])) for start, end in pairwise(edges))
 
 
 def kinks(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, borders: BorderFacts
 ) -> tuple[Kink, ...]:
-    """Return the kinks that a judge found along a trajectory, in time."""
+    """Return the kinks of judged border facts along a trajectory, in time."""
     times = sorted({*borders.times, *(one.time for one in borders.norms)})
     if not times:
         return ()

@@ -1,0 +1,202 @@
+"""The trajectories of a comparison, and what is measured of each: violations, peaks, modes, all per component."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lin_freq_ocp.analysis.measures import Measures, one_step_residual, stated_sizes, stopband_peak
+from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
+from lin_freq_ocp.comparison.signals import Signal, state_bounds
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
+from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
+
+CLASSICAL, CONSTRAINED = "classical", "constrained"
+
+NO_MODE = -1
+"""Stands in a mode sequence where a trajectory is in no region."""
+
+SAME_PEAK = 1e-2
+"""Peaks that differ by less than this fraction count as equal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Violation:
+    """By how much a signal violates its bounds, per component.
+
+    Attributes
+    ----------
+    values, allowed : (components,)
+        Largest violation over time, and what the certificate accepts.
+    bounded : (components,)
+        Which components have a bound.
+    """
+
+    values: Array
+    allowed: Array
+    bounded: Mask
+
+    @property
+    def passed(self) -> Mask:
+        """Return where the bounds hold, (components,)."""
+        return self.values <= self.allowed
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTrajectory:
+    """One trajectory of a comparison, or of a solution, with its measures.
+
+    Attributes
+    ----------
+    label : str
+        "classical", the name of a filter, or "constrained".
+    trajectory, measures : or None
+        None if there is none.
+    replayed : bool
+        False where the states are not a replay of the controls.
+    stopped : bool
+        Whether the replay ended because no mode holds.
+    sequence : (T,) integers, optional
+        The mode sequence that was solved for.
+    """
+
+    label: str
+    problem: OptimalControlProblem
+    trajectory: Trajectory | None
+    measures: Measures | None
+    replayed: bool = True
+    stopped: bool = False
+    sequence: Indices | None = None
+
+    @cached_property
+    def controls(self) -> Violation | None:
+        """Return the violation of the control bounds."""
+        if self.trajectory is None:
+            return None
+        return _violation(self.trajectory.u, self.problem.control_tube, self._least[1])
+
+    @cached_property
+    def states(self) -> Violation | None:
+        """Return the violation of the state bounds, without the ends."""
+        if self.trajectory is None or not self.replayed:
+            return None
+        return _violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
+
+    @cached_property
+    def end(self) -> Violation | None:
+        """Return the distance of x_T from the terminal set."""
+        if self.trajectory is None or not self.replayed:
+            return None
+        terminal = self.problem.terminal_box
+        bounded = np.isfinite(terminal.lower) | np.isfinite(terminal.upper)
+        scale = np.maximum(np.abs(self.trajectory.x).max(0), self._least[0])
+        return Violation(terminal.violation(self.trajectory.x[-1]), CONDITION_TOLERANCE * scale, bounded)
+
+    @cached_property
+    def terms(self) -> Violation | None:
+        """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
+        if self.trajectory is None or not self.replayed:
+            return None
+        found = [_violation_of_term(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        values, allowed = np.array(found).reshape(-1, 2).T
+        return Violation(values, allowed, np.ones(len(found), dtype=bool))
+
+    @cached_property
+    def one_step(self) -> Array | None:
+        """Return the largest |x_{t+1} - f_t(x_t, u_t)| over time, (n,)."""
+        return None if self.trajectory is None else np.abs(one_step_residual(self.problem, self.trajectory)).max(0)
+
+    @cached_property
+    def modes(self) -> Indices | None:
+        """Return the mode at every time, (T,), NO_MODE outside all regions; None without replay or with one mode."""
+        if self.trajectory is None or not self.replayed or len(mode_names(self.problem)) < 2:
+            return None
+        return mode_sequence(self.problem, self.trajectory) if self.sequence is None else self.sequence
+
+    def largest(self, signal: Signal) -> float | None:
+        """Return the largest magnitude of a signal over time."""
+        return None if self.trajectory is None else float(np.abs(signal.of(self.trajectory)).max())
+
+    def peak_times(self, signal: Signal) -> list[int]:
+        """Return the times at which the magnitude of a signal is the largest, up to SAME_PEAK."""
+        if self.trajectory is None:
+            return []
+        size = np.abs(signal.of(self.trajectory))
+        return [int(t) for t in np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())]
+
+    def stopband_peak(self, signal: Signal) -> float | None:
+        """Return the largest magnitude of the zero-padded spectrum within the stopped bins of a signal."""
+        return (
+            None
+            if self.trajectory is None
+            else stopband_peak(signal.of(self.trajectory)[:, None], signal.stop[:, None])
+        )
+
+    def empties_band(self, of_states: bool) -> bool | None:
+        """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""
+        stop = self.problem.state_stop if of_states else self.problem.control_stop
+        if self.trajectory is None or not stop.any() or (of_states and not self.replayed):
+            return None
+        signal = self.trajectory.x if of_states else self.trajectory.u
+        scale = np.maximum(np.linalg.norm(signal, axis=0), self._least[0 if of_states else 1])
+        magnitude = np.where(stop, np.abs(np.fft.rfft(signal, axis=0)), 0.0)
+        return bool((magnitude <= CONDITION_TOLERANCE * scale).all())
+
+    @cached_property
+    def _least(self) -> tuple[Array, Array]:
+        """Return the least scales of states and controls, as in conditions S-x and S-u of the certificate."""
+        x, u = stated_sizes(self.problem)
+        return SCALE_FLOOR * x, SCALE_FLOOR * u
+
+
+def measured_solution(
+    label: str, problem: OptimalControlProblem, result: Outcome, measures: Measures | None = None
+) -> MeasuredTrajectory:
+    """Return the trajectory of a solution, if it has one, measured on a problem with the same dynamics."""
+    return MeasuredTrajectory(label, problem, result.trajectory, measures, sequence=result.sequence)
+
+
+def solution_label(result: Outcome) -> str:
+    """Return the label of a solution that is shown alone."""
+    return {"optimal": "optimal", "locally_optimal": "locally optimal"}.get(result.status, "best point")
+
+
+def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
+    """Return the names of the modes, none for linear dynamics."""
+    return () if isinstance(problem.dynamics, LinearDynamics) else problem.dynamics.mode_names
+
+
+def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
+    """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
+    smooth = isinstance(problem.dynamics, PiecewiseSmoothDynamics)
+    arrays = measured_modes(problem.affine_at(trajectory) if smooth else problem, trajectory)
+    x, u = trajectory.x, trajectory.u
+    outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
+    return np.where(outside, NO_MODE, arrays.sequence(x, u))
+
+
+def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
+    x, u = trajectory.x, trajectory.u
+    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
+    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
+    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
+    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
+    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
+
+
+def _violation(signal: Array, box: Box, least: Array) -> Violation:
+    finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
+    scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
+    bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
+    return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)
