@@ -16,7 +16,9 @@ The names of everyday use stand here; all names stand in namespaces by subject:
 Nothing is imported before it is used.
 """
 
+from collections.abc import Iterable
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.starting import leave_silently
@@ -98,9 +100,13 @@ def __getattr__(name: str) -> Any:
         return globals()[name]
     message = f"module {__name__!r} has no attribute {name!r}"
     if not name.startswith("_"):
-        spaces = [one for one in NAMESPACES if name in import_module(f"{__name__}.{one}").__all__]
+        spaces = [one for one in NAMESPACES if name in _names(import_module(f"{__name__}.{one}"))]
         message += f"; it is lin_freq_ocp.{spaces[0]}.{name}" if spaces else ""
     raise AttributeError(message)
+
+
+def _names(namespace: ModuleType) -> Iterable[str]:
+    return namespace.PROBLEMS if namespace.__name__.endswith(".library") else namespace.__all__
 
 
 def __dir__() -> list[str]:
