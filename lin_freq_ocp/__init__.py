@@ -1,159 +1,113 @@
 """Discrete-time optimal control with constraints in time and in frequency, with a certificate for every answer.
 
-Read in the order of the data: ``problem`` describes, ``transcription`` turns a problem into a program, ``backends`` and
-``methods`` solve it, ``certificate`` judges the answer without knowing how it was found, ``solve`` ties these together,
-``explain`` says why there is no answer, ``comparison`` sets it beside filtering, ``report`` shows it, and
-``interchange`` carries it in and out of files.
+The names of everyday use stand here; all names stand in namespaces by subject:
+
+``dynamics``   linear, piecewise affine, piecewise smooth
+``costs``      quadratic, L1 and L-infinity
+``sets``       boxes, polyhedra, balls, cones, soft constraints, joint rows
+``spectrum``   bands, magnitude and energy bounds, bounds on outputs
+``formulas``   signals, maximum, minimum, norm, functions of CasADi
+``solvers``    the methods of ``solve``, with their options
+``io``         files and other tools
+``results``    what the functions return
+``errors``     what they raise
+``library``    benchmark problems
+
+Nothing is imported before it is used.
 """
+
+from collections.abc import Iterable
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.starting import leave_silently
 
-leave_silently()  # before what follows, which takes a second
+leave_silently()
 
-# isort: split
-from lin_freq_ocp import library
-from lin_freq_ocp.analysis.sensitivities import Sensitivities
-from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.api.result import Result
-from lin_freq_ocp.api.runs import SavedRun, load_run
-from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.api.sweep import Sweep, load_sweep, sweep
-from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.errors import (
-    BandWarning,
-    InfeasibleError,
-    LimitError,
-    LinFreqOCPError,
-    MissingExtraError,
-    NumericalError,
-    ProblemError,
-    SolveError,
-    UnboundedError,
-    UnsupportedError,
-)
-from lin_freq_ocp.explain.explanation import explain
-from lin_freq_ocp.formulas.casadi import from_casadi
-from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals
-from lin_freq_ocp.interchange.cvxpy.problem import to_cvxpy
-from lin_freq_ocp.interchange.problem_file.toml_file import read_problem, write_problem
-from lin_freq_ocp.interchange.results.csv_file import read_csv
-from lin_freq_ocp.interchange.results.mat_file import read_mat
-from lin_freq_ocp.interchange.results.solution_file import SavedSolution
-from lin_freq_ocp.interchange.results.solution_file import load_solution as load
-from lin_freq_ocp.interchange.results.time_response import from_time_response, to_time_response
-from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
-from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
-from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
-from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
-from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.rate_limit import rate_limited
-from lin_freq_ocp.problem.sets.base import Intersection
-from lin_freq_ocp.problem.sets.box import Box, Everything, Point
-from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
-from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.certify import certify
-from lin_freq_ocp.solving.explanation import Cure, Explanation
-from lin_freq_ocp.solving.linear import Convex, Spectral
-from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
-from lin_freq_ocp.solving.smooth import Nonsmooth
-from lin_freq_ocp.status import Status
+if TYPE_CHECKING:
+    from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
+    from lin_freq_ocp.api.compare import compare
+    from lin_freq_ocp.api.solve import solve
+    from lin_freq_ocp.api.sweep import sweep
+    from lin_freq_ocp.costs import QuadraticCost
+    from lin_freq_ocp.dynamics import AffineMode, LinearDynamics, PiecewiseAffineDynamics, PiecewiseSmoothDynamics
+    from lin_freq_ocp.explanation.explanation import explain
+    from lin_freq_ocp.formulas import DifferentiableFunction, from_casadi, maximum, minimum, norm, signals
+    from lin_freq_ocp.io import (
+        from_time_response,
+        load,
+        load_run,
+        load_sweep,
+        read_csv,
+        read_mat,
+        read_problem,
+        to_cvxpy,
+        write_problem,
+    )
+    from lin_freq_ocp.problem.ocp import OptimalControlProblem
+    from lin_freq_ocp.problem.rate_limit import rate_limited
+    from lin_freq_ocp.problem.simulation import simulate
+    from lin_freq_ocp.results import Trajectory
+    from lin_freq_ocp.sets import Box, StageRows
+    from lin_freq_ocp.solvers import SpectralSolver
+    from lin_freq_ocp.solving.certify import certify
+    from lin_freq_ocp.spectrum import MagnitudeBound, low_pass, stop_band
 
 __version__ = "0.1.0"
 
+NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "io", "results", "errors", "library")
+
+_HOMES = {
+    "api.compare": "compare",
+    "api.solve": "solve",
+    "api.sweep": "sweep",
+    "costs": "QuadraticCost",
+    "dynamics": "AffineMode LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
+    "explanation.explanation": "explain",
+    "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
+    "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
+    "problem.ocp": "OptimalControlProblem",
+    "problem.rate_limit": "rate_limited",
+    "problem.simulation": "simulate",
+    "results": "Trajectory",
+    "sets": "Box StageRows",
+    "solvers": "SpectralSolver",
+    "solving.certify": "certify",
+    "spectrum": "MagnitudeBound low_pass stop_band",
+}
+"""The module of every name of everyday use."""
+
+_MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+# fmt: off
 __all__ = [
-    "AffineMode",
-    "Ball",
-    "BandWarning",
-    "Box",
-    "BranchAndBound",
-    "Certificate",
-    "Comparison",
-    "Convex",
-    "CostSum",
-    "Cure",
-    "DifferentiableFunction",
-    "Ellipsoid",
-    "EnergyBound",
-    "Enumeration",
-    "Everything",
-    "Explanation",
-    "Formula",
-    "InfeasibleError",
-    "Intersection",
-    "L1Cost",
-    "LInfCost",
-    "LimitError",
-    "LinFreqOCPError",
-    "LinearConstraint",
-    "LinearDynamics",
-    "MagnitudeBound",
-    "MissingExtraError",
-    "MixedInteger",
-    "Multipliers",
-    "Nonsmooth",
-    "NumericalError",
-    "OptimalControlProblem",
-    "OutputSpectrum",
-    "PiecewiseAffineDynamics",
-    "PiecewiseSmoothDynamics",
-    "Point",
-    "Polyhedron",
-    "ProblemError",
-    "QuadraticCost",
-    "Result",
-    "SavedRun",
-    "SavedSolution",
-    "SecondOrderCone",
-    "Sensitivities",
-    "SmoothMode",
-    "SmoothPiece",
-    "Soft",
-    "SolveError",
-    "Spectral",
-    "SpectralSolution",
-    "SpectralSolver",
-    "StageRows",
-    "Status",
-    "Sweep",
-    "Trajectory",
-    "UnboundedError",
-    "UnsupportedError",
-    "band_pass",
-    "certify",
-    "compare",
-    "explain",
-    "from_casadi",
-    "from_time_response",
-    "high_pass",
-    "library",
-    "load",
-    "load_run",
-    "load_sweep",
-    "low_pass",
-    "maximum",
-    "minimum",
-    "norm",
-    "notch",
-    "rate_limited",
-    "read_csv",
-    "read_mat",
-    "read_problem",
-    "signals",
-    "simulate",
-    "solve",
-    "stop_band",
-    "sweep",
-    "to_cvxpy",
-    "to_time_response",
-    "write_problem",
+    "AffineMode", "Box", "DifferentiableFunction", "LinearDynamics", "MagnitudeBound", "OptimalControlProblem",
+    "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "SpectralSolver", "StageRows", "Trajectory",
+    "certify", "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response",
+    "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "norm", "rate_limited",
+    "read_csv", "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve", "solvers", "spectrum",
+    "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
+# fmt: on
+
+
+def __getattr__(name: str) -> Any:
+    if name in NAMESPACES:
+        return import_module(f"{__name__}.{name}")
+    if name in _MODULES:
+        globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+        return globals()[name]
+    message = f"module {__name__!r} has no attribute {name!r}"
+    if not name.startswith("_"):
+        spaces = [one for one in NAMESPACES if name in _names(import_module(f"{__name__}.{one}"))]
+        message += f"; it is lin_freq_ocp.{spaces[0]}.{name}" if spaces else ""
+    raise AttributeError(message)
+
+
+def _names(namespace: ModuleType) -> Iterable[str]:
+    return namespace.PROBLEMS if namespace.__name__.endswith(".library") else namespace.__all__
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -6,6 +6,19 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
+__all__ = [
+    "BandWarning",
+    "InfeasibleError",
+    "LimitError",
+    "LinFreqOCPError",
+    "MissingExtraError",
+    "NumericalError",
+    "ProblemError",
+    "SolveError",
+    "UnboundedError",
+    "UnsupportedError",
+]
+
 
 class LinFreqOCPError(Exception):
     """Base of all errors of this package."""

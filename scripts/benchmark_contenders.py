@@ -46,7 +46,7 @@ class Answer:
     status: str
     words: str
     trajectory: lfo.Trajectory | None = None
-    multipliers: lfo.Multipliers | None = None
+    multipliers: lfo.results.Multipliers | None = None
     iterations: int | None = None
 
 
@@ -135,14 +135,14 @@ class CvxpyModel:
         trajectory = lfo.Trajectory(self._x.value.T, self._u.value.T)
         return Answer(status, words, trajectory, self._multipliers(), iterations)
 
-    def _multipliers(self) -> lfo.Multipliers:
+    def _multipliers(self) -> lfo.results.Multipliers:
         T, n = self._problem.horizon, self._problem.state_dim
         ends = self._first.dual_value[None], self._last.dual_value[None]
         rho = np.zeros(self._problem.control_stop.shape, dtype=complex)
         for j, stop in self._stops.items():
             stopped = self._problem.control_stop[:, j]
             rho[stopped, j] = stop_multipliers(T, stopped, stop.dual_value)
-        return lfo.Multipliers(
+        return lfo.results.Multipliers(
             eta_C=1.0,
             eta=self._dynamics.dual_value.T,
             mu=np.vstack([ends[0], self._states.multipliers.T, ends[1]]),

@@ -106,7 +106,7 @@ def timed(contender: Contender, problem: lfo.OptimalControlProblem, limit: float
     start = time.perf_counter()
     try:
         answer = contender(problem, limit)
-    except (lfo.LinFreqOCPError, MemoryError) as error:
+    except (lfo.errors.LinFreqOCPError, MemoryError) as error:
         answer = Answer("failed", type(error).__name__)
     finally:
         seconds = time.perf_counter() - start
@@ -136,14 +136,14 @@ def measured(
     return rows, best
 
 
-def judge(problem: lfo.OptimalControlProblem, answer: Answer) -> lfo.Certificate | None:
+def judge(problem: lfo.OptimalControlProblem, answer: Answer) -> lfo.results.Certificate | None:
     """Return the certificate of an answer with a trajectory."""
     if answer.trajectory is None or answer.multipliers is None:
         return None
     return lfo.certify(problem, answer.trajectory, answer.multipliers)
 
 
-def reference(certificates: Mapping[str, lfo.Certificate]) -> Reference | None:
+def reference(certificates: Mapping[str, lfo.results.Certificate]) -> Reference | None:
     """Return the lower bound, without its allowance for rounding errors, that is closest to its contender's cost."""
     proven = {name: one for name, one in certificates.items() if one.bound is not None and one.gap is not None}
     computed = {name: one.bound.value + one.bound.rounding for name, one in proven.items()}

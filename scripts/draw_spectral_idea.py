@@ -100,7 +100,7 @@ def draw_bins(ax: Axes, problem: lfo.OptimalControlProblem, rows: int) -> None:
     ax.set(xlim=(-1.15, 1.8), ylim=(-0.42, 1.5), aspect="equal", anchor="N")
 
 
-def draw_spectrum(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.SpectralSolution) -> None:
+def draw_spectrum(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solvers.SpectralSolution) -> None:
     """Draw the amplitudes of the force at the bins in use; the others have none to draw."""
     style_axes(ax, "(c) The force in frequency", "bin k", "|DFT of force| [N]")
     stopped = problem.control_stop[:, 0]
@@ -121,7 +121,7 @@ def draw_spectrum(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.Sp
     ax.set(xlim=(-0.8, k[-1] + 0.5), ylim=(0, 1.12 * amplitude.max()))
 
 
-def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.SpectralSolution) -> None:
+def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solvers.SpectralSolution) -> None:
     """Draw force and position as parts of their bounds, and the samples that are at one."""
     x, u, active = solution.trajectory.x, solution.trajectory.u, solution.active
     shares = {POSITION: x[:-1, 0] / problem.state_tube.upper[1, 0], FORCE: u[:, 0] / problem.control_tube.upper[0, 0]}
@@ -147,7 +147,7 @@ def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.Spectr
     ax.set(xlim=(-1.5, problem.horizon + 0.5), ylim=(-1.3, 1.3))
 
 
-def draw_kernels(ax: Axes, structure: Structure, solution: lfo.SpectralSolution) -> None:
+def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralSolution) -> None:
     """Draw what a force on the control at time s takes from force and position at t, and where S is read off."""
     style_axes(
         ax,

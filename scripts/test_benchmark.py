@@ -43,7 +43,7 @@ def test_residuals_see_what_is_wrong():
     eta = good.multipliers.eta * np.linspace(1, 1.1, problem.horizon)[:, None]
     parts = {name: getattr(good.multipliers, name) for name in ("eta_C", "mu", "nu", "rho_u", "rho_x")}
     bad = benchmark_measures.Answer(
-        "optimal", "", lfo.Trajectory(1.1 * good.trajectory.x, u), lfo.Multipliers(eta=eta, **parts)
+        "optimal", "", lfo.Trajectory(1.1 * good.trajectory.x, u), lfo.results.Multipliers(eta=eta, **parts)
     )
     wrong = benchmark_measures.residuals(problem, bad)
     assert max(fine.values()) < 1e-8
@@ -83,7 +83,7 @@ def test_a_skipped_contender_has_a_row_that_says_so(tmp_path, monkeypatch):
 
 def test_failures_are_told_and_not_repeated(monkeypatch):
     def fail(problem, limit):
-        raise lfo.UnsupportedError("not this one")
+        raise lfo.errors.UnsupportedError("not this one")
 
     monkeypatch.setitem(CONTENDERS, "piqp", fail)
     runs = benchmark.race(small(), ["clarabel", "piqp"], repeats=2, limit=LIMIT)

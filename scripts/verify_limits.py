@@ -26,7 +26,7 @@ ALLOWED = 0.5
 
 def balls(horizon: int) -> lfo.OptimalControlProblem:
     """Return the double integrator with a ball for its force: cones and dense rows."""
-    return replace(bang_bang(horizon), control_set=lfo.Ball(0.27))
+    return replace(bang_bang(horizon), control_set=lfo.sets.Ball(0.27))
 
 
 def masked(horizon: int) -> lfo.OptimalControlProblem:
@@ -79,7 +79,7 @@ def run(problem: lfo.OptimalControlProblem, method: str, limit: float) -> Run:
     started = time.perf_counter()
     try:
         result = lfo.solve(problem, method=method, time_limit=limit)
-    except lfo.SolveError as error:
+    except lfo.errors.SolveError as error:
         result = error.result
     seconds = time.perf_counter() - started
     modes = result.tree is not None or result.method == "nonsmooth"

@@ -76,12 +76,22 @@ def compare(
     backend, time_limit
         As for ``solve``.
 
+    Returns
+    -------
+    Comparison
+
     Raises
     ------
     ProblemError
         If there is no filter of a name.
     SolveError
         If the problem has no solution even without its frequency constraints.
+
+    Examples
+    --------
+    >>> comparison = lfo.compare(lfo.library.double_integrator(), ["clipped"])
+    >>> comparison.classical.cost <= comparison.constrained.cost
+    True
     """
     outcome = compared(problem, solve, filters, backend, time_limit)
     return Comparison(**{one.name: getattr(outcome, one.name) for one in fields(ComparisonOutcome)})

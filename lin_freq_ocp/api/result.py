@@ -16,7 +16,6 @@ from lin_freq_ocp.interchange.results.mat_file import save_mat
 from lin_freq_ocp.interchange.results.summary import result_summary, save_json
 from lin_freq_ocp.interchange.results.time_response import to_time_response
 from lin_freq_ocp.interchange.results.trajectory_file import save_trajectory
-from lin_freq_ocp.interchange.runs.run_file import dump_run
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -115,6 +114,8 @@ class Result(Outcome):
 
     def dump(self, path: str | Path) -> None:
         """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
+        from lin_freq_ocp.interchange.runs.run_file import dump_run  # few runs are dumped
+
         dump_run(path, self.problem, self.options, self)
 
     def to_json(self, path: str | Path) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
-from lin_freq_ocp.explain.explanation import explain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.solve import solve_judged
@@ -118,6 +117,8 @@ def solve(
 
 def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
     """Return an infeasible result with its explanation, if one was found in that time."""
+    from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
+
     try:
         return replace(result, explanation=explain(result.problem, seconds) if seconds > 0 else None)
     except LinFreqOCPError:  # the proof stands without it

@@ -94,6 +94,12 @@ def sweep(
         belongs to another sweep. A single point that is no problem is a row with the status "error" instead.
     UnsupportedError
         If the method or backend does not exist.
+
+    Examples
+    --------
+    >>> found = lfo.sweep(lfo.library.double_integrator, {"cutoff_hz": [None, 3.0]})
+    >>> [str(status) for status in found.column("status")]
+    ['optimal', 'optimal']
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
@@ -103,9 +109,24 @@ def sweep(
 def load_sweep(path: str | PathLike[str]) -> Sweep:
     """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    Sweep
+
     Raises
     ------
     ProblemError
         If it is no such file, or damaged.
+
+    Examples
+    --------
+    >>> found = lfo.sweep(lfo.library.double_integrator, {"horizon": [60]}, path="sweep.jsonl")
+    >>> len(lfo.load_sweep("sweep.jsonl").table())
+    1
     """
     return Sweep.of(read_sweep(path))

@@ -12,7 +12,8 @@ import click
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.atomic import replacing
-from lin_freq_ocp.cli.common import complain, require_writable
+from lin_freq_ocp.cli.console import complain
+from lin_freq_ocp.cli.problems import require_writable
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.results.trajectory_file import kind_of_file
 

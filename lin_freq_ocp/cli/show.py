@@ -11,18 +11,9 @@ import tomli_w
 from rich.text import Text
 
 from lin_freq_ocp import library
-from lin_freq_ocp.cli.common import (
-    PROVEN,
-    build,
-    is_file,
-    json_option,
-    out,
-    parsed_settings,
-    print_json,
-    print_lines,
-    problem_argument,
-    settings_option,
-)
+from lin_freq_ocp.cli.console import PROVEN, out, print_json, print_lines
+from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
+from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
 
 if TYPE_CHECKING:
     from lin_freq_ocp.interchange.problem_file.description import Parameter

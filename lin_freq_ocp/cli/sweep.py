@@ -19,27 +19,23 @@ import numpy as np
 from lin_freq_ocp.api.sweep import Sweep, sweep
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import replacing, writing
-from lin_freq_ocp.cli.common import (
-    NOT_PROVEN,
-    PROVEN,
-    ProblemFile,
+from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written
+from lin_freq_ocp.cli.options import (
     backend_option,
-    builder,
-    complain,
-    err,
-    is_file,
     json_option,
     method_option,
-    parsed_settings,
-    print_json,
-    print_table,
     problem_argument,
-    require_folder,
-    require_keys_of_file,
     settings_option,
     time_limit_option,
     tolerance_option,
-    written,
+)
+from lin_freq_ocp.cli.problems import (
+    ProblemFile,
+    builder,
+    is_file,
+    parsed_settings,
+    require_folder,
+    require_keys_of_file,
 )
 from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS
 from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool

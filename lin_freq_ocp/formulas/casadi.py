@@ -70,12 +70,23 @@ def from_casadi(
         Says that the function is twice differentiable in spite of its maxima, absolute values or branches, as
         fabs(x)**3. Functions that it calls, as interpolants, are taken to be so without a word.
 
+    Returns
+    -------
+    DifferentiableFunction
+
     Raises
     ------
     MissingExtraError
         If casadi is not installed.
     ProblemError
         If it is no such function, or has kinks that would not be seen.
+
+    Examples
+    --------
+    >>> import casadi
+    >>> square = lfo.from_casadi(lambda x, u: x[0] ** 2 + u[0], 1, 1)
+    >>> [float(value) for value in square([2.0], [1.0])]
+    [5.0]
     """
     casadi = _casadi()
     if not isinstance(smooth, bool):

@@ -89,6 +89,12 @@ class DifferentiableFunction:
     ------
     ProblemError
         Saying which field, what was got and what was expected; on use, also for what the functions return or raise.
+
+    Examples
+    --------
+    >>> square = lfo.DifferentiableFunction(lambda x, u: x[0] ** 2, lambda x, u: [[2 * x[0], 0.0]], name="square")
+    >>> [float(value) for value in square([3.0], [0.0])]
+    [9.0]
     """
 
     call: Callable[[Array, Array], ArrayLike]

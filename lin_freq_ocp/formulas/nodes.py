@@ -43,7 +43,13 @@ FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with number
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Formula(Node):
-    """A node of a formula with operators; made by ``signals`` and operators, attributes as of ``Node``."""
+    """A node of a formula with operators; made by ``signals`` and operators.
+
+    Attributes
+    ----------
+    dimensions, kind, arguments, data, names, function
+        As of ``Node``.
+    """
 
     arguments: tuple[Formula, ...] = ()
 
@@ -139,10 +145,21 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     states, controls : int
         n and m.
 
+    Returns
+    -------
+    x : (n,) array of Formula
+    u : (m,) array of Formula
+
     Raises
     ------
     ProblemError
         If they are no whole numbers from 1.
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(2, 1)
+    >>> print(x[0] + u[0])
+    Formula(x_0 + u_0)
     """
     n, m = positive_integer("states", states), positive_integer("controls", controls)
     made = np.empty(n + m, dtype=object)
@@ -153,10 +170,24 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
 def norm(components: Any) -> Formula:
     """Return the Euclidean norm of formulas, which has a kink where all of them are zero.
 
+    Parameters
+    ----------
+    components : sequence of Formula
+
+    Returns
+    -------
+    Formula
+
     Raises
     ------
     ProblemError
         If they are not formulas.
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(2, 1)
+    >>> print(lfo.norm(x))
+    Formula(norm(x_0, x_1))
     """
     listed = list(components) if isinstance(components, (Sequence, np.ndarray)) else [components]
     like = next((one for one in listed if isinstance(one, Formula)), None)
@@ -175,16 +206,42 @@ def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
     names : sequence of str, optional
         The names of the modes in which each argument is the largest; "" adds nothing to a name.
 
+    Returns
+    -------
+    Formula
+
     Raises
     ------
     ProblemError
         If there is no formula, or not one name each.
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(1, 1)
+    >>> print(lfo.maximum(x[0], u[0]))
+    Formula(max(x_0, u_0))
     """
     return extreme(MAXIMUM, arguments, names)
 
 
 def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
-    """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``."""
+    """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``.
+
+    Parameters
+    ----------
+    arguments, names
+        As for ``maximum``.
+
+    Returns
+    -------
+    Formula
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(1, 1)
+    >>> print(lfo.minimum(x[0], u[0]))
+    Formula(min(x_0, u_0))
+    """
     return extreme(MINIMUM, arguments, names)
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError
@@ -177,6 +176,8 @@ def _projected(normals: Array, right: Array, plane: tuple[Array, float] | None) 
 
 def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
     """Return y of the largest r with rows (y, r) <= right and r <= 1; None if there is none."""
+    from scipy.optimize import linprog  # slow to import
+
     d = rows.shape[1] - 1
     bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
     equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}

@@ -68,6 +68,25 @@ class OptimalControlProblem:
         Saying which field, what was got and what was expected.
     UnsupportedError
         If the signals do not fit into memory.
+
+    Examples
+    --------
+    >>> dynamics = lfo.LinearDynamics([[1.0]], [[1.0]])
+    >>> cost = lfo.QuadraticCost(R=1.0)
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, cost, initial_state=[0], terminal_state=[2])
+    >>> round(lfo.solve(problem).cost, 9)
+    0.5
+
+    Methods
+    -------
+    with_ends(initial_state, terminal_state)
+        The same problem between other ends.
+    with_modes(sequence)
+        The linear problem of one mode sequence.
+    value(x, u)
+        The cost of states (T+1, n) and controls (T, m).
+    dynamics_along(trajectory)
+        The linear dynamics along a trajectory.
     """
 
     dynamics: Dynamics

@@ -40,6 +40,12 @@ def rate_limited(
     ------
     ProblemError
         If the limit or the previous control does not fit the problem.
+
+    Examples
+    --------
+    >>> problem = lfo.rate_limited(lfo.library.double_integrator(), 0.5)
+    >>> problem.state_dim
+    3
     """
     require_problem(problem)
     m = problem.control_dim

@@ -26,12 +26,22 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
     initial_state : (n,), optional
         Default: the problem's, which must then be a point.
 
+    Returns
+    -------
+    Trajectory
+
     Raises
     ------
     ProblemError
         If a shape is wrong or there is no single initial state.
     NumericalError
         If the state overflows, or no mode holds where it leads.
+
+    Examples
+    --------
+    >>> problem = lfo.library.double_integrator(horizon=3)
+    >>> lfo.simulate(problem, [[1.0], [0.0], [0.0]], [0.0, 0.0]).x.shape
+    (4, 2)
     """
     u = real_array("u", u)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim

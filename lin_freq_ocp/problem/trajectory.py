@@ -22,6 +22,11 @@ class Trajectory:
         States x_0 .. x_T.
     u : (T, m)
         Controls u_0 .. u_{T-1}.
+
+    Examples
+    --------
+    >>> lfo.Trajectory(x=[[0.0], [1.0]], u=[[1.0]]).x.shape
+    (2, 1)
     """
 
     x: Array

@@ -57,6 +57,17 @@ def certify(
         If a shape does not fit the problem, or a result has no trajectory.
     UnsupportedError
         If the tolerance is not above zero, or above 1e-2.
+
+    References
+    ----------
+    Kotpalliwar, Paruchuri, Chatterjee and Banavar, "Discrete time optimal control with frequency constraints for
+    non-smooth systems", 2019: Theorem 4.1 and its corollaries.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.pendulum())
+    >>> lfo.certify(result.problem, result.trajectory).pmp
+    'satisfied'
     """
     require_problem(problem)
     if tolerance is not None and not 0 < tolerance <= LARGEST_TOLERANCE:

@@ -155,7 +155,7 @@ def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[
             raise UnsupportedError(_for_others(method.shorthand, family))
         if options:
             name, value = next(iter(options.items()))
-            advice = f"Options of a method belong to it: lfo.{type(method).__name__}(...)."
+            advice = f"Options of a method belong to it: lfo.solvers.{type(method).__name__}(...)."
             raise UnsupportedError(f"{name}: got {value!r} beside {method!r}. {advice}")
         found = method
     if start is not None and not found.takes_start:

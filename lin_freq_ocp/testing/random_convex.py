@@ -15,7 +15,7 @@ def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     n, m, T = int(rng.integers(1, 6)), int(rng.integers(1, 4)), int(rng.integers(5, 120))
     kind, dynamics = random_dynamics(rng, n, m, T)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", lfo.BandWarning)
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
         bands = random_bands(rng, m)
         state_band = (
             [lfo.stop_band(bins=[int(rng.integers(1, 3))], component=0)] if rng.random() < 0.2 and T > 30 else None
@@ -31,7 +31,7 @@ def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
             horizon=T,
             cost=random_cost(rng, n, m, T),
             control_set=box_around(rng, u),
-            state_set=[lfo.Everything(), *[box_around(rng, x)] * (T - 1), lfo.Everything()],
+            state_set=[lfo.sets.Everything(), *[box_around(rng, x)] * (T - 1), lfo.sets.Everything()],
             initial_state=x[0],
             terminal_state=end if rng.random() < 0.6 else None,
             control_spectrum=bands,
@@ -58,9 +58,9 @@ def random_bands(rng: np.random.Generator, m: int) -> list[object]:
     """Return one band per control, or none for some."""
     makers = [
         lambda j: lfo.low_pass(rng.uniform(0.5, 3.0), component=j),
-        lambda j: lfo.high_pass(rng.uniform(0.0, 0.5), component=j),
-        lambda j: lfo.notch(rng.uniform(0.5, 2.5), rng.uniform(0.1, 0.6), component=j),
-        lambda j: lfo.band_pass(0.0, rng.uniform(1.0, 3.0), component=j),
+        lambda j: lfo.spectrum.high_pass(rng.uniform(0.0, 0.5), component=j),
+        lambda j: lfo.spectrum.notch(rng.uniform(0.5, 2.5), rng.uniform(0.1, 0.6), component=j),
+        lambda j: lfo.spectrum.band_pass(0.0, rng.uniform(1.0, 3.0), component=j),
     ]
     return [makers[rng.integers(len(makers))](j) for j in range(m) if rng.random() < 0.8]
 

@@ -73,7 +73,7 @@ def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem, np.ndarra
         Q=M[:n, :n], R=M[n:, n:], S=M[:n, n:], q=rng.standard_normal(n), P=P @ P.T, p=2 * rng.standard_normal(n)
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", lfo.BandWarning)
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
         band = lfo.stop_band(bins=[int(rng.integers(1, T // 2 + 1))], component=0) if rng.random() < 0.5 else None
         problem = lfo.OptimalControlProblem(
             dynamics=dynamics,

@@ -64,7 +64,7 @@ def random_linear(seed: int) -> Sample:
     rng = np.random.default_rng(seed)
     n, m, T = int(rng.integers(1, 7)), int(rng.integers(1, 4)), int(rng.integers(3, 41))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", lfo.BandWarning)
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
         good = _around_trajectory(rng, n, m, T)
         good = replace(good, name=f"random linear {seed}")
         units = _units(rng, n, m)

@@ -48,7 +48,7 @@ def with_witness(seed: int) -> tuple[lfo.OptimalControlProblem, lfo.Trajectory |
     rng = np.random.default_rng(seed)
     n, m, T = int(rng.integers(1, 9)), int(rng.integers(1, 4)), int(np.exp(rng.uniform(np.log(5), np.log(401))))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", lfo.BandWarning)
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
         problem, calm = _around_trajectories(rng, kind_of(seed), n, m, T)
         problem = replace(problem, name=f"random LTI {seed}, {kind_of(seed)}")
         return (_spoilt(rng, problem, calm), None) if rng.random() < SPOILT else (problem, calm)
@@ -128,7 +128,7 @@ def _with_bands(rng: np.random.Generator, problem: lfo.OptimalControlProblem) ->
     top = T // 2
     makers = [
         lambda j: lfo.low_pass(rng.uniform(0.5, 2.8), component=j),
-        lambda j: lfo.notch(rng.uniform(0.3, 2.8), rng.uniform(0.1, 0.6), component=j),
+        lambda j: lfo.spectrum.notch(rng.uniform(0.3, 2.8), rng.uniform(0.1, 0.6), component=j),
         lambda j: lfo.stop_band(bins=rng.integers(0, top + 1, size=rng.integers(1, 6)), component=j),
         lambda j: lfo.stop_band(bins=[0, int(rng.integers(0, top + 1))], component=j),
     ]

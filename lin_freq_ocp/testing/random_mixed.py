@@ -108,7 +108,7 @@ def _control_polyhedron(model: Model) -> None:
         return
     F = model.rng.standard_normal((3, model.u_near.shape[1]))
     g = (model.u_near @ F.T).max(0) + 0.1
-    model.ours["control_set"] = lfo.Polyhedron(F, g)
+    model.ours["control_set"] = lfo.sets.Polyhedron(F, g)
     model.constraints += [F @ model.u[t] <= g for t in range(model.horizon)]
 
 
@@ -116,7 +116,7 @@ def _control_ball(model: Model) -> None:
     if "control_set" in model.ours:
         return
     radius = model.room() * float(np.linalg.norm(model.u_near, axis=1).max())
-    model.ours["control_set"] = lfo.Ball(radius)
+    model.ours["control_set"] = lfo.sets.Ball(radius)
     model.constraints += [cp.norm(model.u[t]) <= radius for t in range(model.horizon)]
 
 
@@ -132,7 +132,7 @@ def _sets_one_per_time(model: Model) -> None:
     if "control_set" in model.ours:
         return
     radii = model.room() * np.linalg.norm(model.u_near, axis=1) + 0.1
-    model.ours["control_set"] = [lfo.Ball(float(radius)) for radius in radii]
+    model.ours["control_set"] = [lfo.sets.Ball(float(radius)) for radius in radii]
     model.constraints += [cp.norm(model.u[t]) <= radii[t] for t in range(model.horizon)]
 
 
@@ -142,7 +142,7 @@ def _state_ellipsoid(model: Model) -> None:
     n = model.x_near.shape[1]
     W, centre = model.rng.standard_normal((n, n)) + 2 * np.eye(n), model.rng.standard_normal(n)
     radius = model.room() * float(np.linalg.norm((model.x_near - centre) @ W.T, axis=1).max())
-    model.ours["state_set"] = lfo.Ellipsoid(W, radius, centre)
+    model.ours["state_set"] = lfo.sets.Ellipsoid(W, radius, centre)
     model.constraints += [cp.norm(W @ (model.x[t] - centre)) <= radius for t in range(model.horizon + 1)]
 
 
@@ -153,7 +153,7 @@ def _state_box_and_cone(model: Model) -> None:
     F, h = model.rng.standard_normal((2, n)), 0.3 * model.rng.standard_normal(n)
     d = float((np.linalg.norm(model.x_near @ F.T, axis=1) - model.x_near @ h).max()) + 0.1
     top = model.x_near.max(0) + 0.1
-    model.ours["state_set"] = lfo.Box(None, top) & lfo.SecondOrderCone(F, np.zeros(2), h, d)
+    model.ours["state_set"] = lfo.Box(None, top) & lfo.sets.SecondOrderCone(F, np.zeros(2), h, d)
     for t in range(model.horizon + 1):
         model.constraints += [cp.norm(F @ model.x[t]) <= h @ model.x[t] + d]
         model.constraints += [model.x[t] <= top] if t else []
@@ -163,7 +163,7 @@ def _terminal_ball(model: Model) -> None:
     if "terminal_state" in model.ours:
         return
     end = model.x_near[-1]
-    model.ours["terminal_state"] = lfo.Ball(0.3, end)
+    model.ours["terminal_state"] = lfo.sets.Ball(0.3, end)
     model.constraints.append(cp.norm(model.x[model.horizon] - end) <= 0.3)
 
 
@@ -172,7 +172,7 @@ def _soft_terminal_set(model: Model) -> None:
         return
     target = model.rng.standard_normal(model.x_near.shape[1])
     penalty = float(model.rng.uniform(0.1, 3.0))
-    model.ours["terminal_state"] = lfo.Soft(lfo.Box(target - 0.1, target + 0.1), penalty)
+    model.ours["terminal_state"] = lfo.sets.Soft(lfo.Box(target - 0.1, target + 0.1), penalty)
     end = model.x[model.horizon]
     model.cost += penalty * (cp.sum(cp.pos(end - target - 0.1)) + cp.sum(cp.pos(target - 0.1 - end)))
 
@@ -194,7 +194,7 @@ def _rows(model: Model) -> None:
 
 def _sparse_control(model: Model) -> None:
     weights = model.rng.uniform(0.05, 1.0, model.u_near.shape[1])
-    model.costs.append(lfo.L1Cost(u=weights))
+    model.costs.append(lfo.costs.L1Cost(u=weights))
     model.cost += sum(cp.sum(cp.multiply(weights, cp.abs(model.u[t]))) for t in range(model.horizon))
 
 
@@ -202,7 +202,7 @@ def _largest_deviation(model: Model) -> None:
     n = model.x_near.shape[1]
     weights, end = model.rng.uniform(0.05, 0.5, n), model.rng.uniform(0.1, 1.0, n)
     reference = model.rng.standard_normal((model.horizon + 1, n))
-    model.costs.append(lfo.LInfCost(x=weights, terminal=end, x_ref=reference))
+    model.costs.append(lfo.costs.LInfCost(x=weights, terminal=end, x_ref=reference))
     for t in range(model.horizon):
         model.cost += cp.norm(cp.multiply(weights, model.x[t] - reference[t]), "inf")
     model.cost += cp.norm(cp.multiply(end, model.x[model.horizon] - reference[-1]), "inf")
@@ -223,7 +223,7 @@ def _mask(model: Model, penalty: float | None = None) -> None:
     if penalty is not None:
         level = 0.3 * level
     cutoff = 2 * np.pi * (first - 0.5) / (q * T)
-    band = lfo.low_pass(cutoff) if first else lfo.high_pass(np.pi)
+    band = lfo.low_pass(cutoff) if first else lfo.spectrum.high_pass(np.pi)
     if not first:  # what a high pass at Nyquist removes is everything else
         keep = bins < q * T / 2
         bins, values, level = bins[keep], values[keep], level[keep]
@@ -246,7 +246,7 @@ def _state_energy(model: Model) -> None:
     bins = np.arange(1, samples // 2 + 1)
     values = _dft_rows(samples, bins, samples, np.ones(samples))
     energy = model.room() * float((np.abs(values @ model.x_near[:, i]) ** 2).sum())
-    model.add("state_spectrum", lfo.EnergyBound(energy, bins=bins.tolist(), component=i))
+    model.add("state_spectrum", lfo.spectrum.EnergyBound(energy, bins=bins.tolist(), component=i))
     parts = [values.real @ model.x[:, i], values.imag @ model.x[:, i]]
     model.constraints.append(cp.norm(cp.hstack(parts)) <= np.sqrt(energy))
 
@@ -254,7 +254,7 @@ def _state_energy(model: Model) -> None:
 def _soft_energy(model: Model) -> None:
     bins, penalty = np.arange(0, model.horizon // 2 + 1), float(model.rng.uniform(0.1, 1.0))
     values = _dft_rows(model.horizon, bins, model.horizon, np.ones(model.horizon))
-    model.add("control_spectrum", lfo.EnergyBound(1.0, bins=bins.tolist(), component=0, penalty=penalty))
+    model.add("control_spectrum", lfo.spectrum.EnergyBound(1.0, bins=bins.tolist(), component=0, penalty=penalty))
     parts = [values.real @ model.u[:, 0], values.imag @ model.u[:, 0]]
     model.cost += penalty * cp.pos(cp.norm(cp.hstack(parts)) - 1.0)
 
@@ -262,7 +262,7 @@ def _soft_energy(model: Model) -> None:
 def _linear_constraint(model: Model) -> None:
     rows = model.rng.standard_normal((model.horizon, 2, model.u_near.shape[1]))
     constant = -np.einsum("tij,tj->i", rows, model.u_near)
-    model.add("control_spectrum", lfo.LinearConstraint(rows, constant))
+    model.add("control_spectrum", lfo.spectrum.LinearConstraint(rows, constant))
     model.constraints.append(sum(rows[t] @ model.u[t] for t in range(model.horizon)) + constant == 0)
 
 
@@ -272,7 +272,7 @@ def _output_mask(model: Model) -> None:
     bins = np.arange(T // 4, T // 2 + 1)
     values, near = _dft_rows(T, bins, T, np.ones(T)), model.x_near[:-1] @ c[0] + model.u_near @ d[0]
     limit = model.room() * float(np.abs(values @ near).max())
-    model.ours["output_spectrum"] = lfo.OutputSpectrum(c, d, lfo.MagnitudeBound(limit, bins=bins.tolist()))
+    model.ours["output_spectrum"] = lfo.spectrum.OutputSpectrum(c, d, lfo.MagnitudeBound(limit, bins=bins.tolist()))
     y = model.x[:-1] @ c[0] + model.u @ d[0]
     model.constraints += [cp.norm(cp.hstack([row.real @ y, row.imag @ y])) <= limit for row in values]
 
@@ -287,7 +287,9 @@ def _output_band(model: Model) -> None:
     y = model.x @ c[0]
     size = cp.norm(cp.hstack([row.real @ y, row.imag @ y]))
     limit = abs(reach) * model.room()
-    model.ours["output_spectrum"] = lfo.OutputSpectrum(c, constraints=lfo.EnergyBound(limit**2, bins=[k]))
+    model.ours["output_spectrum"] = lfo.spectrum.OutputSpectrum(
+        c, constraints=lfo.spectrum.EnergyBound(limit**2, bins=[k])
+    )
     model.constraints.append(size <= limit)
 
 

@@ -196,7 +196,7 @@ def problem(data: Drawn, change: Change | None = None) -> lfo.OptimalControlProb
         u_ref=b,
     )
     if data.sparse.any():
-        costs = costs + lfo.L1Cost(u=cost * data.sparse / change.u)
+        costs = costs + lfo.costs.L1Cost(u=cost * data.sparse / change.u)
     spectra: list[Any] = []
     if data.cutoff is not None:
         spectra.append(lfo.low_pass(cutoff_hz=data.cutoff / (2 * np.pi * sampling_time)))
@@ -207,7 +207,7 @@ def problem(data: Drawn, change: Change | None = None) -> lfo.OptimalControlProb
         target, free = change.x * data.end + a, ~np.isfinite(data.end)
         end = lfo.Box(np.where(free, -np.inf, target), np.where(free, np.inf, target))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", lfo.BandWarning)
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
         return lfo.OptimalControlProblem(
             dynamics=_dynamics(data, change, X, U, sampling_time),
             horizon=data.T,

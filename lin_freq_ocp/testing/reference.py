@@ -35,14 +35,14 @@ def reference_problem(name: str, **changes: Any) -> lfo.OptimalControlProblem:
     one = INSTANCES[name] | changes
     T = one["T"]
     bounds = lfo.Box([-bound for bound in one["xmax"]], one["xmax"])
-    last = bounds if one["xT"] is None else lfo.Everything()
+    last = bounds if one["xT"] is None else lfo.sets.Everything()
     A, B = time_varying(T) if name == "ltv200" else (one["A"], one["B"])
     return lfo.OptimalControlProblem(
         dynamics=lfo.LinearDynamics(A, B),
         horizon=T,
         cost=lfo.QuadraticCost(Q=one["Q"], R=one["R"], P=one["PT"]),
         control_set=lfo.Box(one["ulo"], one["uhi"]),
-        state_set=[lfo.Everything(), *[bounds] * (T - 1), last],
+        state_set=[lfo.sets.Everything(), *[bounds] * (T - 1), last],
         initial_state=one["x0"],
         terminal_state=one["xT"],
         control_spectrum=[

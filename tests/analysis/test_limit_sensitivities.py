@@ -24,17 +24,22 @@ def mask(change=0.0, bins=BINS, **given) -> lfo.OptimalControlProblem:
 
 
 CASES = {  # by name of the term: the problem as a function of the change of its limit, and which derivative that is
-    "control set": (lambda by: problem(control_set=lfo.Ball(0.3 + by)), lambda found: found.sum()),
-    "state set": (lambda by: problem(state_set=lfo.Polyhedron([[0.2, 1.0]], [0.45 + by])), lambda found: found.sum()),
-    "terminal state": (lambda by: problem(terminal_state=lfo.Ball(0.1 + by, [1, 0])), lambda found: found[0, 0]),
+    "control set": (lambda by: problem(control_set=lfo.sets.Ball(0.3 + by)), lambda found: found.sum()),
+    "state set": (
+        lambda by: problem(state_set=lfo.sets.Polyhedron([[0.2, 1.0]], [0.45 + by])),
+        lambda found: found.sum(),
+    ),
+    "terminal state": (lambda by: problem(terminal_state=lfo.sets.Ball(0.1 + by, [1, 0])), lambda found: found[0, 0]),
     "energy bound on u_0": (
-        lambda by: problem(control_spectrum=lfo.EnergyBound((1.2 + by) ** 2, bins=range(2, 9))),
+        lambda by: problem(control_spectrum=lfo.spectrum.EnergyBound((1.2 + by) ** 2, bins=range(2, 9))),
         lambda found: found[0, 0],
     ),
     "mask on u_0": (lambda by: mask(by * np.eye(4)[1]), lambda found: found[1, 0]),
     "mask on y_0": (
         lambda by: problem(
-            output_spectrum=lfo.OutputSpectrum([[0, 1.0]], constraints=lfo.MagnitudeBound(3.0 + by, bins=[1, 2]))
+            output_spectrum=lfo.spectrum.OutputSpectrum(
+                [[0, 1.0]], constraints=lfo.MagnitudeBound(3.0 + by, bins=[1, 2])
+            )
         ),
         lambda found: found.sum(),
     ),
@@ -71,6 +76,6 @@ def test_points_between_bins_are_priced_at_the_nearest():
 
 def test_costs_have_no_limits():
     priced = lfo.OptimalControlProblem(
-        PLANT, T, lfo.QuadraticCost(R=1.0) + lfo.L1Cost(u=0.1), initial_state=[0, 0], terminal_state=[1, 0]
+        PLANT, T, lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(u=0.1), initial_state=[0, 0], terminal_state=[1, 0]
     )
     assert not lfo.solve(priced).sensitivities.limits

@@ -149,7 +149,7 @@ def test_only_an_optimum_has_sensitivities():
     problem = replace(random_problem(0), control_set=lfo.Box(-0.01, 0.01))
     result = lfo.solve(problem, throw=False)
     assert result.status == "infeasible"
-    with pytest.raises(lfo.SolveError, match="Only an optimum has sensitivities"):
+    with pytest.raises(lfo.errors.SolveError, match="Only an optimum has sensitivities"):
         _ = result.sensitivities
 
 
@@ -157,5 +157,5 @@ def test_abnormal_multipliers_price_nothing():
     problem = random_problem(0)
     multipliers = lfo.solve(problem).multipliers
     fields = {name: getattr(multipliers, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x", "stage")}
-    with pytest.raises(lfo.UnsupportedError, match="eta_C = 0"):
-        sensitivities(problem, lfo.Multipliers(eta_C=0.0, **fields))
+    with pytest.raises(lfo.errors.UnsupportedError, match="eta_C = 0"):
+        sensitivities(problem, lfo.results.Multipliers(eta_C=0.0, **fields))

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 
 
 @pytest.fixture(scope="module")
-def result() -> lfo.Result:
+def result() -> lfo.results.Result:
     dynamics = lfo.LinearDynamics(
         [[1, 0.1], [0, 1]],
         [[0.005], [0.1]],
@@ -48,7 +48,7 @@ def test_a_frame_has_the_trajectory_under_its_names(result):
 
 def test_without_pandas_a_frame_says_what_to_install(result, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(lfo.MissingExtraError, match=r"pip install 'lin-freq-ocp\[pandas\]'"):
+    with pytest.raises(lfo.errors.MissingExtraError, match=r"pip install 'lin-freq-ocp\[pandas\]'"):
         result.to_frame()
 
 

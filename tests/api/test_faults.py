@@ -16,7 +16,6 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from lin_freq_ocp import errors
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.problem_file import template
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
@@ -27,7 +26,7 @@ SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cu
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1", "--set", "cutoff_hz=1.0")
 """The same on the command line."""
 
-ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.LinFreqOCPError)]
+ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)]
 
 
 def failing(error):
@@ -44,7 +43,9 @@ def failing(error):
 
 @pytest.mark.parametrize("kind", ERRORS)
 def test_every_error_survives_pickling_with_all_it_holds(kind):
-    arguments = ("cost.R", "-1", "a number above 0", "Square it.") if kind is lfo.ProblemError else ("what happened",)
+    arguments = (
+        ("cost.R", "-1", "a number above 0", "Square it.") if kind is lfo.errors.ProblemError else ("what happened",)
+    )
     error = kind(*arguments)
     error.noted = "on the way"
     for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
@@ -53,7 +54,7 @@ def test_every_error_survives_pickling_with_all_it_holds(kind):
 
 
 def test_the_result_of_an_error_survives_pickling():
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(SHORT(control_bound=1e-3))
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
@@ -66,7 +67,7 @@ def test_a_bad_problem_kills_no_pool():
     """What a worker raises is unpickled by the pool's own thread, whose death takes the whole pool with it."""
     with process_pool(1) as pool:
         error = pool.submit(SHORT, control_bound=-1.0).exception(60)
-        assert isinstance(error, lfo.ProblemError)
+        assert isinstance(error, lfo.errors.ProblemError)
         assert error.field == "control_bound"
         rows = lfo.sweep(SHORT, {"control_bound": [-1.0, 1.0]}, pool).rows
     assert [row["status"] for row in rows] == ["error", "optimal"]
@@ -121,7 +122,7 @@ def test_what_nobody_foresaw_is_called_a_fault_of_ours(monkeypatch, error, statu
         raise error
 
     for name in ("solve", "compare"):
-        monkeypatch.setattr(cli, name, broken)
+        monkeypatch.setattr(f"lin_freq_ocp.cli.{name}.{name}", broken)
     got, out, err = run(*arguments)
     assert (got, out) == (status, "")
     assert all(word in err for word in words)
@@ -138,7 +139,7 @@ def test_a_fault_that_ctrl_c_caused_is_ctrl_c(monkeypatch):
         except KeyboardInterrupt as error:
             raise ImportError("cannot load the library") from error
 
-    monkeypatch.setattr(cli, "solve", broken)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
     assert run("solve", "pendulum") == (130, "", "")
 
 
@@ -149,7 +150,7 @@ def test_a_dump_that_fails_does_not_hide_the_error(tmp_path, monkeypatch):
     def full(*given):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(cli, "solve", broken)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
     monkeypatch.setattr(os, "replace", full)
     status, out, err = run("solve", "pendulum", "--dump", str(tmp_path / "run.zip"))
     assert (status, out, os.listdir(tmp_path)) == (70, "", [])
@@ -167,7 +168,7 @@ WRITERS = {
     "mat": lambda result, path: result.to_mat(path),
     "json": lambda result, path: result.to_json(path),
     "problem": lambda result, path: lfo.write_problem(result.problem, path),
-    "sweep": lambda result, path: lfo.Sweep("none", {"a": (1,)}, (), {}).to_csv(path),
+    "sweep": lambda result, path: lfo.results.Sweep("none", {"a": (1,)}, (), {}).to_csv(path),
 }
 
 
@@ -183,7 +184,7 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(writer, result, tmp_path, m
     path.chmod(0o640)
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", failing(errno.ENOSPC))
-        with pytest.raises(lfo.ProblemError, match="file: got No space left on device"):
+        with pytest.raises(lfo.errors.ProblemError, match="file: got No space left on device"):
             write(result, path)
     assert (path.read_bytes(), os.listdir(tmp_path)) == (b"precious", ["file"])
     with monkeypatch.context() as patched:
@@ -196,14 +197,14 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(writer, result, tmp_path, m
     assert (tmp_path / "link").is_symlink()
     assert path.read_bytes() != b"precious"
     assert path.stat().st_mode & 0o777 == 0o640
-    with pytest.raises(lfo.ProblemError, match="got No such file or directory"):
+    with pytest.raises(lfo.errors.ProblemError, match="got No such file or directory"):
         write(result, tmp_path / "nowhere" / "file")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
 @pytest.mark.parametrize("writer", WRITERS)
 def test_what_is_no_regular_file_is_written_to_as_it_is(writer, result):
-    with pytest.raises(lfo.ProblemError, match="/dev/full: got No space left on device"):
+    with pytest.raises(lfo.errors.ProblemError, match="/dev/full: got No space left on device"):
         WRITERS[writer](result, "/dev/full")
     WRITERS[writer](result, os.devnull)
     assert stat.S_ISCHR(os.stat(os.devnull).st_mode)

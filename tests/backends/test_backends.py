@@ -506,6 +506,6 @@ def test_a_new_solver_is_one_registration(monkeypatch):
     assert result.status == "optimal"
     assert result.cost == pytest.approx(lfo.solve(problem, method="convex").cost, rel=1e-9)
     with pytest.raises(UnsupportedError, match="'toy' solves quadratic programs only"):
-        lfo.solve(replace(problem, state_set=lfo.Ball(2.0)), method="convex", backend="toy")
+        lfo.solve(replace(problem, state_set=lfo.sets.Ball(2.0)), method="convex", backend="toy")
     with pytest.raises(UnsupportedError, match="for a mixed-integer program"):
         backend("toy", binaries=True)

@@ -272,19 +272,19 @@ def test_a_border_that_is_missed_by_less_than_the_tolerance_is_met():
 @pytest.mark.parametrize("shape", [(2, 3), (2, 1)])
 def test_weights_of_another_number_of_modes_are_refused(shape):
     problem, trajectory, multipliers = peak_optimum()
-    with pytest.raises(lfo.ProblemError, match=r"multipliers\.weights: got shape .*expected shape \(2, 2\)"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"multipliers\.weights: got shape .*expected shape \(2, 2\)"):
         judge(problem, trajectory, changed(multipliers, weights=np.zeros(shape)))
 
 
 def test_weights_for_linear_dynamics_are_refused():
     problem, trajectory, multipliers = peak_optimum()
-    with pytest.raises(lfo.ProblemError, match="the dynamics are linear"):
+    with pytest.raises(lfo.errors.ProblemError, match="the dynamics are linear"):
         judge(replace(problem, dynamics=problem.dynamics.modes[0].linear), trajectory, multipliers)
 
 
 @pytest.mark.parametrize("weights", [np.zeros(2), np.zeros((3, 2)), np.zeros((2, 0)), [[np.nan, 1.0]] * 2, "half"])
 def test_weights_that_are_none_are_refused(weights):
-    with pytest.raises(lfo.ProblemError, match=r"multipliers\.weights"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"multipliers\.weights"):
         changed(peak_optimum()[2], weights=weights)
 
 

@@ -21,7 +21,7 @@ JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
 
 def changed(multipliers, **fields):
     names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x")
-    return lfo.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
+    return lfo.results.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
 
 
 def moved(trajectory, x=None, u=None):
@@ -166,7 +166,7 @@ class TestEachConditionFails:
         result = solved(name)
         rho = result.multipliers.rho_u.copy()
         rho[3, 0] = 1.0
-        with pytest.raises(lfo.ProblemError, match=r"rho_u\[3, 0\].*Bin 3 is free"):
+        with pytest.raises(lfo.errors.ProblemError, match=r"rho_u\[3, 0\].*Bin 3 is free"):
             self.judge(result, rho_u=rho)
 
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
@@ -353,7 +353,7 @@ def test_a_stop_band_in_conflict_is_named():
         terminal_state=[10.0],
         control_spectrum=lfo.stop_band(bins=[0]),
     )
-    with pytest.raises(lfo.InfeasibleError, match="control stop band on u_0, bins 0"):
+    with pytest.raises(lfo.errors.InfeasibleError, match="control stop band on u_0, bins 0"):
         lfo.solve(problem)
 
 

@@ -27,7 +27,7 @@ SEEDS = pytest.mark.parametrize("seed", range(12))
 
 
 @cache
-def mixed(seed: int) -> tuple[Model, lfo.OptimalControlProblem, lfo.Result]:
+def mixed(seed: int) -> tuple[Model, lfo.OptimalControlProblem, lfo.results.Result]:
     model = random_model(seed)
     problem = problem_of(model)
     return model, problem, lfo.solve(problem)
@@ -123,8 +123,8 @@ class TestOthersSolutions:
         problem = lfo.OptimalControlProblem(
             lfo.LinearDynamics(A, B),
             T,
-            lfo.QuadraticCost(Q=1.0, R=0.1, P=1.0) + lfo.L1Cost(u=0.4),
-            control_set=lfo.Ball(0.8),
+            lfo.QuadraticCost(Q=1.0, R=0.1, P=1.0) + lfo.costs.L1Cost(u=0.4),
+            control_set=lfo.sets.Ball(0.8),
             initial_state=start,
         )
         sizes = np.linalg.norm(u.value, axis=0)
@@ -134,7 +134,7 @@ class TestOthersSolutions:
         assert (certificate.pmp, certificate.normal) == ("satisfied", True)
         assert certificate.globally_optimal
         assert certificate.cost == pytest.approx(float(cost.value), rel=1e-9)
-        softer = replace(problem, cost=lfo.QuadraticCost(Q=1.0, R=0.1, P=1.0) + lfo.L1Cost(u=0.39))
+        softer = replace(problem, cost=lfo.QuadraticCost(Q=1.0, R=0.1, P=1.0) + lfo.costs.L1Cost(u=0.39))
         assert lfo.certify(softer, lfo.Trajectory(x.value.T, u.value.T)).descent.slope < 0
 
     def by_python_control(self, **options: Any) -> tuple[lfo.OptimalControlProblem, np.ndarray]:
@@ -258,7 +258,7 @@ class TestRefused:
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
     def test_out_of_a_state_bound(self, slack, accepted):
         lowest = float(self.point().x[1:, 1].min())
-        sets = [lfo.Everything(), *[lfo.Box([None, lowest - slack], None)] * self.T]
+        sets = [lfo.sets.Everything(), *[lfo.Box([None, lowest - slack], None)] * self.T]
         assert self.accepted(state_set=sets) is accepted
 
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
@@ -281,17 +281,19 @@ class TestRefused:
     @pytest.mark.parametrize(("factor", "accepted"), [(1.01, True), (1.0, False)])
     def test_out_of_an_energy_bound(self, factor, accepted):
         energy = float((np.abs(np.fft.rfft(self.U[:, 0])) ** 2)[:3].sum())
-        assert self.accepted(control_spectrum=lfo.EnergyBound(factor * energy, bins=[0, 1, 2])) is accepted
+        assert self.accepted(control_spectrum=lfo.spectrum.EnergyBound(factor * energy, bins=[0, 1, 2])) is accepted
 
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
     def test_out_of_a_ball(self, slack, accepted):
         farthest = float(np.abs(self.U).max())  # at the lowest control, which is pushed down
-        assert self.accepted(control_set=lfo.Ball(farthest + slack)) is accepted
+        assert self.accepted(control_set=lfo.sets.Ball(farthest + slack)) is accepted
 
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
     def test_out_of_a_cone(self, slack, accepted):
         farthest = float(np.abs(self.U).max())
-        cone = lfo.SecondOrderCone([[1.0]], [0.0], [0.1], 1.1 * farthest + slack)  # |u| <= 0.1 u + d, u = -farthest
+        cone = lfo.sets.SecondOrderCone(
+            [[1.0]], [0.0], [0.1], 1.1 * farthest + slack
+        )  # |u| <= 0.1 u + d, u = -farthest
         assert self.accepted(control_set=cone) is accepted
 
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
@@ -302,15 +304,15 @@ class TestRefused:
 
     @pytest.mark.parametrize(("slack", "accepted"), [(1e-3, True), (0.0, False)])
     def test_out_of_a_polyhedron(self, slack, accepted):
-        assert self.accepted(control_set=lfo.Polyhedron([[-1.0]], [-float(self.U.min()) + slack])) is accepted
+        assert self.accepted(control_set=lfo.sets.Polyhedron([[-1.0]], [-float(self.U.min()) + slack])) is accepted
 
     @pytest.mark.parametrize(("penalty", "accepted"), [(1e-3, True), (1e3, False)])
     def test_into_a_price(self, penalty, accepted):
         """The slope is that of all costs: a soft bound that the direction leaves, an L1 cost that it raises."""
         lower = lfo.Box([float(self.U.min())], None)
-        assert self.accepted(control_set=lfo.Soft(lower, penalty)) is accepted
+        assert self.accepted(control_set=lfo.sets.Soft(lower, penalty)) is accepted
         cost = lfo.QuadraticCost(Q=[[1.0, 0], [0, 0.1]], R=0.1)
-        assert self.accepted(cost=cost + lfo.L1Cost(u=penalty, u_ref=self.U)) is accepted
+        assert self.accepted(cost=cost + lfo.costs.L1Cost(u=penalty, u_ref=self.U)) is accepted
 
     def test_the_slope_is_the_derivative_of_the_cost(self):
         problem, point = self.problem(), self.point()

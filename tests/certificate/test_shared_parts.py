@@ -155,7 +155,10 @@ def test_wrong_signals_of_frequency_multipliers_fail(monkeypatch, factor):
 def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
     """Its stationary points are others; the bound by intervals does not use it."""
     problem = library.norm_dynamics()
-    cost, right = lfo.solve(problem, method=lfo.Nonsmooth(global_bound=False)).cost, PiecewiseSmoothDynamics.jets_at
+    cost, right = (
+        lfo.solve(problem, method=lfo.solvers.Nonsmooth(global_bound=False)).cost,
+        PiecewiseSmoothDynamics.jets_at,
+    )
 
     def wrong(self, *given):
         found = right(self, *given)
@@ -191,7 +194,7 @@ def test_certify_says_what_solve_says_of_modes(given):
 @pytest.mark.parametrize("name", ["norm_dynamics", "buck_converter"])
 def test_certify_says_what_solve_says_of_smooth_pieces(name):
     """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""
-    result = lfo.solve(library.by_name(name)(), method=lfo.Nonsmooth(global_bound=False), throw=False)
+    result = lfo.solve(library.by_name(name)(), method=lfo.solvers.Nonsmooth(global_bound=False), throw=False)
     _same(result, certify(result.problem, result))
 
 

@@ -220,7 +220,7 @@ def multipliers_of(problem, rng=None):
         rho = np.where(problem.control_stop, rng.standard_normal(rho.shape) + 1j * rng.standard_normal(rho.shape), 0)
         rho.imag[[0, *([T // 2] if T % 2 == 0 else [])]] = 0.0
     none = np.zeros(((T + 1) // 2 + 1, n))
-    return lfo.Multipliers(1.0, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho, none)
+    return lfo.results.Multipliers(1.0, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho, none)
 
 
 def best_bound(problem, cost, gap, multipliers=None):
@@ -328,7 +328,7 @@ def test_random_trajectories_cost_more():
         u = 2.2 + 3.8 * rng.random((5, 1)) ** 4
         try:
             replay = lfo.simulate(problem, u)
-        except lfo.NumericalError:
+        except lfo.errors.NumericalError:
             continue
         if problem.state_boxes.violation(replay.x).max() == 0:
             assert problem.value(replay.x, replay.u) >= bound
@@ -348,8 +348,8 @@ def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are
 def test_a_free_bin_has_no_multiplier():
     problem = BUCK(3)
     nothing = np.zeros((3, 1))
-    wrong = lfo.Multipliers(1.0, nothing, np.zeros((4, 1)), nothing, np.ones((2, 1)), nothing)
-    with pytest.raises(lfo.ProblemError, match="Bin 0 is free"):
+    wrong = lfo.results.Multipliers(1.0, nothing, np.zeros((4, 1)), nothing, np.ones((2, 1)), nothing)
+    with pytest.raises(lfo.errors.ProblemError, match="Bin 0 is free"):
         next(value_bounds(problem, wrong, 20.0, 1e-2))
 
 
@@ -385,7 +385,7 @@ def test_what_cannot_be_bounded_is_refused(problem, words):
 
 
 def test_solve_proves_that_an_end_is_out_of_reach():
-    with pytest.raises(lfo.InfeasibleError, match="No trajectory of buck_converter") as caught:
+    with pytest.raises(lfo.errors.InfeasibleError, match="No trajectory of buck_converter") as caught:
         lfo.solve(BUCK(1, terminal_state=[0.1]))
     result = caught.value.result
     assert (result.status, result.primal, result.dual) == ("infeasible", False, True)

@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
 schema = 1
@@ -314,7 +314,7 @@ def test_bad_input(case, files, monkeypatch):
     monkeypatch.chdir(files)
     for more in ((), ("--json",)):
         status, out, err = run(*arguments, *more)
-        assert (status, out) == (cli.BAD_INPUT, "")
+        assert (status, out) == (BAD_INPUT, "")
         assert err.startswith("error: ")
         assert err.count("\n") == 1
         for word in words:
@@ -337,7 +337,7 @@ def test_bad_input(case, files, monkeypatch):
 )
 def test_wrong_usage(arguments, words):
     status, out, err = run(*arguments)
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert "Error: " in err
     assert words in err
 
@@ -350,7 +350,7 @@ def test_init_replaces_nothing(files, monkeypatch):
         "nowhere/new.toml": "nowhere/new.toml: got No such file or directory",
     }.items():
         status, out, err = run("init", name)
-        assert (status, out) == (cli.BAD_INPUT, "")
+        assert (status, out) == (BAD_INPUT, "")
         assert words in err
     assert (files / "precious.toml").read_text() == "precious"
 
@@ -359,10 +359,14 @@ def test_init_replaces_nothing(files, monkeypatch):
 def test_where_nothing_can_be_written_nothing_is_solved(case, files, monkeypatch):
     """A solve may take an hour; its answer must not be lost to a slip in a path."""
     monkeypatch.chdir(files)
+
+    def solved(*given, **named):
+        pytest.fail("solved before the path was looked at")
+
     for name in ("solve", "compare"):
-        monkeypatch.setattr(cli, name, lambda *given, **named: pytest.fail("solved before the path was looked at"))
+        monkeypatch.setattr(f"lin_freq_ocp.cli.{name}.{name}", solved)
     status, out, err = run(*UNWRITABLE[case][0])
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert UNWRITABLE[case][1] in err
 
 
@@ -371,7 +375,7 @@ def test_a_problem_file_is_not_replaced_by_its_solution(tmp_path, monkeypatch):
     (tmp_path / "cart.toml").write_text(CART)
     status, out, err = run("solve", "cart.toml", "--save", "./cart.toml")
     assert (tmp_path / "cart.toml").read_bytes() == CART.encode()
-    assert (status, out) == (cli.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert "cart.toml" in err
 
 
@@ -385,9 +389,9 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
     def exhausted(*given, **named):
         raise MemoryError("Unable to allocate 7.45 GiB")
 
-    monkeypatch.setattr(cli, "solve", exhausted)
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", exhausted)
     status, out, err = run("solve", "pendulum")
-    assert status in (cli.BAD_INPUT, cli.NOT_PROVEN)
+    assert status in (BAD_INPUT, NOT_PROVEN)
     assert out == ""
     assert "7.45 GiB" in err
 
@@ -398,22 +402,22 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (solve_pendulum("control_bound=1"), cli.NO_SOLUTION, "control bound on force [N]"),
-        (solve_cart("control_set.upper=0.1"), cli.NO_SOLUTION, "control bound on force [N]"),
-        (("solve", "unbounded.toml"), cli.NO_SOLUTION, "unbounded"),
-        (("compare", "unbounded.toml"), cli.NO_SOLUTION, "no lower bound"),
-        (("compare", "pendulum", *settings("control_bound=1")), cli.NO_SOLUTION, "control bound on force [N]"),
+        (solve_pendulum("control_bound=1"), NO_SOLUTION, "control bound on force [N]"),
+        (solve_cart("control_set.upper=0.1"), NO_SOLUTION, "control bound on force [N]"),
+        (("solve", "unbounded.toml"), NO_SOLUTION, "unbounded"),
+        (("compare", "unbounded.toml"), NO_SOLUTION, "no lower bound"),
+        (("compare", "pendulum", *settings("control_bound=1")), NO_SOLUTION, "control bound on force [N]"),
         (
             ("compare", "pendulum", "--filters", "clipped", *settings("control_bound=4.5")),
-            cli.NO_SOLUTION,
+            NO_SOLUTION,
             "control bound on force [N]",
         ),
-        (("solve", "pendulum", "--time-limit", "1e-3"), cli.NOT_PROVEN, "limit"),
-        (("solve", "pendulum", "--time-limit", "1e-3", "--backend", "osqp"), cli.NOT_PROVEN, "limit"),
-        (("compare", "pendulum", "--time-limit", "1e-3"), cli.NOT_PROVEN, "stopped before"),
-        (solve_pendulum("initial_state=[9, 0, 0, 0]"), cli.NO_SOLUTION, "state bound on"),
-        (solve_cart("initial_state=[3, 0]"), cli.NO_SOLUTION, "state bound on"),
-        (("certify", "cart.toml", "run.npz", *settings("cost.Q=1.0")), cli.NOT_PROVEN, "violated"),
+        (("solve", "pendulum", "--time-limit", "1e-3"), NOT_PROVEN, "limit"),
+        (("solve", "pendulum", "--time-limit", "1e-3", "--backend", "osqp"), NOT_PROVEN, "limit"),
+        (("compare", "pendulum", "--time-limit", "1e-3"), NOT_PROVEN, "stopped before"),
+        (solve_pendulum("initial_state=[9, 0, 0, 0]"), NO_SOLUTION, "state bound on"),
+        (solve_cart("initial_state=[3, 0]"), NO_SOLUTION, "state bound on"),
+        (("certify", "cart.toml", "run.npz", *settings("cost.Q=1.0")), NOT_PROVEN, "violated"),
     ],
 )
 def test_no_solution_and_no_proof(arguments, status, words, files, monkeypatch):
@@ -439,7 +443,7 @@ def test_a_trajectory_of_any_size_can_be_judged(size, with_multipliers, files, t
         fields = dict(saved) if with_multipliers else {"x": saved["x"], "u": saved["u"]}
     np.savez(tmp_path / "sized.npz", **fields | {name: size * fields[name] for name in ("x", "u")})
     status, out, _ = run("certify", "cart.toml", str(tmp_path / "sized.npz"))
-    assert status == cli.NOT_PROVEN
+    assert status == NOT_PROVEN
     assert "violated" in out
 
 
@@ -449,7 +453,7 @@ def test_overflow_proves_nothing():
     assert not Condition("C-iii", "state equation", np.inf, np.inf, 1e-6).passed
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[2.0]], [[1.0]]), 4, lfo.QuadraticCost())
     trajectory = lfo.Trajectory(1e308 * np.array([[1.0], [-1.0], [1.0], [-1.0], [1.0]]), np.full((4, 1), 1e308))
-    zero = lfo.Multipliers(
+    zero = lfo.results.Multipliers(
         1.0, np.zeros((4, 1)), np.zeros((5, 1)), np.zeros((4, 1)), np.zeros((3, 1)), np.zeros((3, 1))
     )
     certificate = lfo.certify(problem, trajectory, zero)
@@ -506,7 +510,7 @@ BAD_CALLS = {
     "box upside down": (lambda: lfo.Box([0, 2], [1, 1]), "Box.lower[1]: got 2 above upper[1] = 1"),
     "box of two shapes": (lambda: lfo.Box([0, 0], [1, 1, 1]), "Box: got lower of shape (2,), upper of shape (3,)"),
     "box of text": (lambda: lfo.Box("a", "b"), "Box.lower: got 'a'"),
-    "point with None": (lambda: lfo.Point([None, 0.0]), "Point: got [None, 0.0]"),
+    "point with None": (lambda: lfo.sets.Point([None, 0.0]), "Point: got [None, 0.0]"),
     "set a pair": (lambda: problem(control_set=(-5, 5)), "control_set: got a sequence of 2"),
     "sets too few": (lambda: problem(state_set=[lfo.Box(-1, 1)] * 8), "state_set: got a sequence of 8"),
     "band a number": (lambda: problem(control_spectrum=20), "control_spectrum: got 20"),
@@ -519,11 +523,11 @@ BAD_CALLS = {
         "control_spectrum: got low_pass(0 .. 1 Hz); expected a sampling time",
     ),
     "cut-off twice": (lambda: lfo.low_pass(1.0, cutoff_hz=1.0), "low_pass.cutoff: got both of cutoff and cutoff_hz"),
-    "cut-off nowhere": (lambda: lfo.high_pass(), "high_pass.cutoff: got neither of cutoff and cutoff_hz"),
-    "cut-off beyond Nyquist": (lambda: lfo.high_pass(3.2), "high_pass.cutoff: got 3.2 rad/sample"),
-    "edges exchanged": (lambda: lfo.band_pass(2, 1), "band_pass: got lower 2 above upper 1"),
-    "notch of no width": (lambda: lfo.notch(1.0, 0.0), "notch.width: got 0"),
-    "notch of negative width": (lambda: lfo.notch(1.0, -1.0), "notch.width: got -1"),
+    "cut-off nowhere": (lambda: lfo.spectrum.high_pass(), "high_pass.cutoff: got neither of cutoff and cutoff_hz"),
+    "cut-off beyond Nyquist": (lambda: lfo.spectrum.high_pass(3.2), "high_pass.cutoff: got 3.2 rad/sample"),
+    "edges exchanged": (lambda: lfo.spectrum.band_pass(2, 1), "band_pass: got lower 2 above upper 1"),
+    "notch of no width": (lambda: lfo.spectrum.notch(1.0, 0.0), "notch.width: got 0"),
+    "notch of negative width": (lambda: lfo.spectrum.notch(1.0, -1.0), "notch.width: got -1"),
     "no bins": (lambda: lfo.stop_band(bins=[]), "stop_band.bins: got []"),
     "bins by halves": (lambda: lfo.stop_band(bins=[0.5]), "stop_band.bins: got [0.5]"),
     "bin true": (lambda: lfo.stop_band(bins=[True]), "stop_band.bins: got [True]"),
@@ -560,7 +564,7 @@ BAD_CALLS = {
 @pytest.mark.parametrize("case", BAD_CALLS)
 def test_bad_call(case):
     call, words = BAD_CALLS[case]
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         call()
     assert words in str(caught.value)
     assert f"{caught.value.field}: got {caught.value.got}; expected {caught.value.expected}." in str(caught.value)
@@ -569,15 +573,19 @@ def test_bad_call(case):
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: lfo.solve(problem(), method="magic"), lfo.UnsupportedError, "method: got 'magic'"),
-        (lambda: lfo.solve(problem(), backend="magic"), lfo.UnsupportedError, "backend: got 'magic'"),
-        (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.UnsupportedError, "time_limit: got -1.0"),
-        (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.UnsupportedError, "tolerance: got nan"),
-        (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.UnsupportedError, "eigenvalue -3"),
-        (lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"), lfo.MissingExtraError, "'qpsolvers:nonesuch'"),
+        (lambda: lfo.solve(problem(), method="magic"), lfo.errors.UnsupportedError, "method: got 'magic'"),
+        (lambda: lfo.solve(problem(), backend="magic"), lfo.errors.UnsupportedError, "backend: got 'magic'"),
+        (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.errors.UnsupportedError, "time_limit: got -1.0"),
+        (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.errors.UnsupportedError, "tolerance: got nan"),
+        (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.errors.UnsupportedError, "eigenvalue -3"),
+        (
+            lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"),
+            lfo.errors.MissingExtraError,
+            "'qpsolvers:nonesuch'",
+        ),
         (
             lambda: lfo.simulate(problem(dynamics=dynamics(A=1e200 * np.eye(2))), np.ones((8, 1))),
-            lfo.NumericalError,
+            lfo.errors.NumericalError,
             "overflows at t = 3",
         ),
     ],
@@ -586,7 +594,7 @@ def test_what_is_not_supported_says_so(call, error, words):
     with pytest.raises(error) as caught:
         call()
     assert words in str(caught.value)
-    assert isinstance(caught.value, lfo.LinFreqOCPError)
+    assert isinstance(caught.value, lfo.errors.LinFreqOCPError)
 
 
 @pytest.mark.parametrize(
@@ -594,5 +602,5 @@ def test_what_is_not_supported_says_so(call, error, words):
     [lfo.solve, lfo.compare, lfo.explain, lambda text: lfo.certify(text, 1), lambda text: lfo.rate_limited(text, 1)],
 )
 def test_what_is_no_problem_is_refused(call):
-    with pytest.raises(lfo.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
         call("cart.toml")

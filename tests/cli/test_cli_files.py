@@ -108,7 +108,7 @@ def test_the_library_saves_by_the_same_names(tmp_path):
     result = lfo.solve(problem)
     result.save(tmp_path / "run.csv")
     np.testing.assert_array_equal(lfo.read_csv(tmp_path / "run.csv", problem).x, result.trajectory.x)
-    with pytest.raises(lfo.ProblemError, match=r"run\.txt.*\.npz, \.csv or \.mat"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"run\.txt.*\.npz, \.csv or \.mat"):
         result.save(tmp_path / "run.txt")
 
 
@@ -125,7 +125,7 @@ def test_the_library_saves_by_the_same_names(tmp_path):
 )
 def test_what_cannot_be_written_is_refused_before_solving(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lin_freq_ocp.cli.app.solve", lambda *given, **named: pytest.fail("it was solved"))
+    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", lambda *given, **named: pytest.fail("it was solved"))
     status, out, err = run("solve", "pendulum", *arguments)
     assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
     for word in words:
@@ -159,9 +159,9 @@ def test_a_file_that_fails_keeps_nothing_back(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def full(result, path):
-        raise lfo.ProblemError(str(path), "no space left on device", "a file that can be written")
+        raise lfo.errors.ProblemError(str(path), "no space left on device", "a file that can be written")
 
-    monkeypatch.setattr(lfo.Result, "save", full)
+    monkeypatch.setattr(lfo.results.Result, "save", full)
     status, out, err = run("solve", "pendulum", "--save", "a.npz", "--csv", "a.csv", "--json")
     assert (status, json.loads(out)["status"], Path("a.csv").exists()) == (2, "optimal", True)
     assert "error: a.npz: got no space left on device" in err

@@ -101,7 +101,7 @@ def test_what_has_no_trajectory_or_replay_says_so():
 
 
 def test_unknown_filter_is_refused_before_any_work():
-    with pytest.raises(lfo.ProblemError, match="filters: got 'magic'"):
+    with pytest.raises(lfo.errors.ProblemError, match="filters: got 'magic'"):
         lfo.compare(lfo.library.pendulum(), filters=["brickwall", "magic"])
 
 
@@ -148,7 +148,13 @@ class TestFilters:
     @pytest.mark.parametrize("name", FILTERS)
     @pytest.mark.parametrize(
         "band",
-        [lfo.high_pass(0.5), lfo.notch(1.0, 0.4), lfo.stop_band(bins=[0]), lfo.stop_band(bins=[1, 60, 120]), None],
+        [
+            lfo.spectrum.high_pass(0.5),
+            lfo.spectrum.notch(1.0, 0.4),
+            lfo.stop_band(bins=[0]),
+            lfo.stop_band(bins=[1, 60, 120]),
+            None,
+        ],
         ids=str,
     )
     def test_every_filter_takes_every_band(self, name, band):

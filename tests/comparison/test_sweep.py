@@ -53,7 +53,7 @@ def client(tmp_path_factory):
         yield client
 
 
-def assert_same(one: lfo.Sweep, other: lfo.Sweep) -> None:
+def assert_same(one: lfo.results.Sweep, other: lfo.results.Sweep) -> None:
     """The same points in the same order, with the same answers to 1e-9."""
     assert [row["parameters"] for row in one.rows] == [row["parameters"] for row in other.rows]
     assert one.column("status") == other.column("status")
@@ -154,24 +154,24 @@ def test_what_is_said_of_bands_stands_in_the_row():
     ],
 )
 def test_bad_grids_are_refused_before_anything_is_solved(problem, grid, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         lfo.sweep(problem, grid)
 
 
 def test_bad_options_are_refused_before_anything_is_solved():
-    with pytest.raises(lfo.UnsupportedError, match="method"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="method"):
         lfo.sweep(SHORT, GRID, method="guess")
-    with pytest.raises(lfo.UnsupportedError, match="backend"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="backend"):
         lfo.sweep(SHORT, GRID, backend="guess")
-    with pytest.raises(lfo.ProblemError, match="get_executor"):
+    with pytest.raises(lfo.errors.ProblemError, match="get_executor"):
         lfo.sweep(SHORT, GRID, executor=2)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(lfo.ProblemError, match="top level of a module"):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(lfo.errors.ProblemError, match="top level of a module"):
         lfo.sweep(lambda horizon: SHORT(horizon=horizon), {"horizon": [60]}, pool)
 
 
 def test_columns_have_names(serial):
     assert serial.column("cutoff_hz")[:3] == [None, None, 0.2]
-    with pytest.raises(lfo.ProblemError, match="Did you mean 'cost'"):
+    with pytest.raises(lfo.errors.ProblemError, match="Did you mean 'cost'"):
         serial.column("costs")
 
 
@@ -337,7 +337,7 @@ def test_points_with_errors_are_tried_again(tmp_path, monkeypatch):
 )
 def test_the_file_of_another_sweep_is_refused_and_kept(written, problem, grid, options, words):
     before = written.read_bytes()
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         lfo.sweep(problem, grid, path=written, **options)
     assert written.read_bytes() == before
 
@@ -347,7 +347,7 @@ def test_other_files_are_refused_and_kept(tmp_path, content):
     path = tmp_path / "mine.txt"
     path.write_text(content)
     for call in (lambda: lfo.sweep(SHORT, GRID, path=path), lambda: lfo.load_sweep(path)):
-        with pytest.raises(lfo.ProblemError, match=r"mine\.txt"):
+        with pytest.raises(lfo.errors.ProblemError, match=r"mine\.txt"):
             call()
     assert path.read_text() == content
 
@@ -355,12 +355,12 @@ def test_other_files_are_refused_and_kept(tmp_path, content):
 def test_a_damaged_line_is_named(written):
     lines = written.read_text().splitlines()
     written.write_text("\n".join([*lines[:3], "}{", *lines[3:]]) + "\n")
-    with pytest.raises(lfo.ProblemError, match="line 4"):
+    with pytest.raises(lfo.errors.ProblemError, match="line 4"):
         lfo.load_sweep(written)
 
 
 def test_a_path_that_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(lfo.ProblemError, match="nowhere"):
+    with pytest.raises(lfo.errors.ProblemError, match="nowhere"):
         lfo.sweep(SHORT, GRID, path=tmp_path / "nowhere" / "sweep.jsonl")
 
 
@@ -440,7 +440,7 @@ def test_figures_of_other_sweeps_are_drawn(tmp_path):
     (ax,) = figure.axes
     assert ax.get_xscale() == "log" or found.column("status")[0] == "error"
     figure.savefig(tmp_path / "sweep.svg")
-    with pytest.raises(lfo.ProblemError, match="no parameter with numbers"):
+    with pytest.raises(lfo.errors.ProblemError, match="no parameter with numbers"):
         lfo.sweep(SHORT, {"terminal_state": [[1.0, 0.0]]}).plot()
 
 

@@ -16,6 +16,7 @@ from helpers.formulas import random_formula
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
+from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas.interval_jets import interval_jets
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order
@@ -140,7 +141,7 @@ def test_all_outputs_are_evaluated_once_for_each_point():
     function = lfo.DifferentiableFunction(call, lambda x, u: [[1, 0, 0], [0, 0, 1], [0, 0, 0]], outputs=3)
     first, second, third = function(X, U)
     dynamics = lfo.PiecewiseSmoothDynamics(
-        [lfo.SmoothMode([first, second * third], [third - 2]), lfo.SmoothMode([first, third], [2 - third])], 2, 1
+        [SmoothMode([first, second * third], [third - 2]), SmoothMode([first, third], [2 - third])], 2, 1
     )
     seen.clear()
     y = np.arange(12.0).reshape(4, 3)
@@ -186,9 +187,9 @@ def test_where_a_function_is_not_defined_no_mode_holds():
     nothing = jets(list(function([np.log(X[0])], U)), np.array([[-1.0, 0, 0]]))  # its argument is no number
     assert np.isnan(nothing.values).all()
     problem = lfo.OptimalControlProblem(
-        lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(function)], 1, 1), 1, lfo.QuadraticCost(R=1.0), initial_state=[1.0]
+        lfo.PiecewiseSmoothDynamics([SmoothMode(function)], 1, 1), 1, lfo.QuadraticCost(R=1.0), initial_state=[1.0]
     )
-    with pytest.raises(lfo.NumericalError, match="No mode of the dynamics is defined"):
+    with pytest.raises(lfo.errors.NumericalError, match="No mode of the dynamics is defined"):
         lfo.simulate(problem, [[0.0]], [-1.0])
 
 
@@ -207,7 +208,7 @@ def test_right_derivatives_pass_the_check_at_all_scales_and_wrong_ones_do_not(sc
 
     points = [([0.0], [0.3]), ([0.7 * scale], [0.0]), ([1e-12 * scale], [2.0])]
     make(1.0).check_derivatives(points)
-    with pytest.raises(lfo.ProblemError, match=r"function.jacobian\[0, 1\].*derivative of output 0 by u\[0\]"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"function.jacobian\[0, 1\].*derivative of output 0 by u\[0\]"):
         make(1.01).check_derivatives(points)
 
 
@@ -231,7 +232,7 @@ def two_slopes(x, u):
     ],
 )  # fmt: skip
 def test_wrong_derivatives_are_named(jacobian, hessian, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         lfo.DifferentiableFunction(two, jacobian, hessian, outputs=2, check_at=[([1.5, 0.7], [2.5])])
 
 
@@ -261,32 +262,34 @@ def test_wrong_derivatives_are_named(jacobian, hessian, words):
         (lambda f: f(two, two_slopes)("ab", [1]), "two.x"),
         (lambda f: f(two, two_slopes)([[1, 2]], [1]), "two.x.*a list of formulas or numbers"),
         (lambda f: f(two, two_slopes)([X[0], lfo.signals(3, 1)[0][0]], U), "the same signals"),
-        (lambda f: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(f(two, two_slopes))], 2, 1), "1 formulas; expected 2"),
+        (lambda f: lfo.PiecewiseSmoothDynamics([SmoothMode(f(two, two_slopes))], 2, 1), "1 formulas; expected 2"),
         (lambda f: f(lambda x, u: 1 / 0, two, vectorized=True)([1]), "ZeroDivisionError"),
     ],
 )  # fmt: skip
 def test_bad_functions_are_refused(make, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         make(lfo.DifferentiableFunction)
 
 
 def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     function = lfo.DifferentiableFunction(off, off_slopes)
     problem = buck(function, horizon=1, terminal_state=None)
-    with pytest.raises(lfo.ProblemError, match=r"dynamics.modes\[1\].f\[0\]: got the function off; expected formulas"):
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"dynamics.modes\[1\].f\[0\]: got the function off; expected formulas"
+    ):
         lfo.write_problem(problem, tmp_path / "buck.toml")
     result = lfo.solve(problem, method="nonsmooth")
-    with pytest.raises(lfo.ProblemError, match="got the function off"):
+    with pytest.raises(lfo.errors.ProblemError, match="got the function off"):
         result.dump(tmp_path / "run.zip")
     result.save(tmp_path / "answer.npz")
     saved = lfo.load(tmp_path / "answer.npz")
     assert lfo.certify(problem, saved.trajectory).pmp == "satisfied"
     assert "off(x_0, u_0)[0]" in repr(problem.dynamics)
     half = lfo.DifferentiableFunction(lambda x, u: x / 2, lambda x, u: 0 * x + [0.5, 0.0], vectorized=True)
-    missed = replace(problem, dynamics=lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(half)], 1, 1), terminal_state=[1.0])
-    with pytest.raises(lfo.UnsupportedError, match="not proven infeasible, it ended as 'numerical_error'"):
+    missed = replace(problem, dynamics=lfo.PiecewiseSmoothDynamics([SmoothMode(half)], 1, 1), terminal_state=[1.0])
+    with pytest.raises(lfo.errors.UnsupportedError, match="not proven infeasible, it ended as 'numerical_error'"):
         lfo.explain(missed)
-    with pytest.raises(lfo.UnsupportedError, match="off is no formula"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="off is no formula"):
         interval_jets(problem.dynamics.modes[1].f, np.zeros((1, 2)), np.ones((1, 2)))
 
 
@@ -311,13 +314,13 @@ def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     ],
 )
 def test_functions_that_cannot_be_traced_are_told_what_can(body, words):
-    with pytest.raises(lfo.ProblemError, match=f"{words}.*lfo.DifferentiableFunction"):
+    with pytest.raises(lfo.errors.ProblemError, match=f"{words}.*lfo.DifferentiableFunction"):
         lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [body(x, u)], 1, 1)
 
 
 def test_without_casadi_its_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(lfo.MissingExtraError, match=r"pip install 'lin-freq-ocp\[casadi\]'"):
+    with pytest.raises(lfo.errors.MissingExtraError, match=r"pip install 'lin-freq-ocp\[casadi\]'"):
         lfo.from_casadi(two, 2, 1)
 
 
@@ -408,12 +411,12 @@ def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(ca
         (lambda c: lfo.from_casadi(lambda x, u: x, 2, 1)([1], [1]), r"expected x \(2,\)"),
         (lambda c: lfo.PiecewiseSmoothDynamics.from_formulas(c.Function("f", [c.SX.sym("x")], [c.SX(1)]), 1, 1),
          "lfo.from_casadi"),
-        (lambda c: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lfo.from_casadi(lambda x, u: c.fabs(x), 1, 1))], 1, 1),
+        (lambda c: lfo.PiecewiseSmoothDynamics([SmoothMode(lfo.from_casadi(lambda x, u: c.fabs(x), 1, 1))], 1, 1),
          "from_formulas makes the pieces"),
     ],
 )  # fmt: skip
 def test_other_things_of_casadi_are_refused(casadi, make, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         make(casadi)
 
 

@@ -147,11 +147,11 @@ def test_modes_share_named_formulas():
     ],
 )
 def test_bad_named_formulas_are_refused_by_name(let, field, words):
-    with pytest.raises(lfo.ProblemError, match=words) as caught:
+    with pytest.raises(lfo.errors.ProblemError, match=words) as caught:
         dynamics_with(let=let, f=["a"])
     assert caught.value.field == field
 
 
 def test_linear_dynamics_have_no_named_formulas():
-    with pytest.raises(lfo.ProblemError, match="an unknown key"):
+    with pytest.raises(lfo.errors.ProblemError, match="an unknown key"):
         dynamics_with(let={}, A=[[1.0]], B=[[1.0]])

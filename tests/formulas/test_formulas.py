@@ -93,7 +93,7 @@ def test_a_formula_that_occurs_twice_is_one_node():
     ],
 )
 def test_bad_formulas_are_refused(make, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         make()
 
 
@@ -121,7 +121,7 @@ def test_texts_are_formulas(text, value):
      "", "tan(x_0)", "x_0 < 1", "[x_0]", "exp(x=1)", "'a'", "True", "x_0 + " * 3000 + "1"],
 )  # fmt: skip
 def test_texts_that_say_anything_else_are_refused(text):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         formula_from_text("f[0]", text, (N, M))
     assert caught.value.field == "f[0]"
 
@@ -151,7 +151,7 @@ def test_texts_that_say_anything_else_are_refused(text):
     ],
 )
 def test_texts_without_a_value_or_without_end_are_refused(text):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         formula_from_text("dynamics.f[0]", text, (2, 1))
     assert caught.value.field == "dynamics.f[0]"
     assert len(str(caught.value)) < 500

@@ -46,7 +46,7 @@ def test_an_added_function_is_text(softplus):
     again = formula_from_text("f", source_of(softplus), (1, 1))
     np.testing.assert_array_equal(values_of([again], y), values_of([softplus], y))
     assert formula_from_text("f", "softplus(0)", (1, 1)).constant == np.log(2)
-    with pytest.raises(lfo.ProblemError, match="a signal or a function"):
+    with pytest.raises(lfo.errors.ProblemError, match="a signal or a function"):
         defined("let", {"softplus": "x_0"}, (1, 1))
 
 

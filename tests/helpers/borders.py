@@ -11,7 +11,7 @@ from lin_freq_ocp.methods.modes.weights import weighted
 
 def changed(multipliers, **fields):
     names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage", "weights")
-    return lfo.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
+    return lfo.results.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
 
 
 def multipliers_of(problem, eta, mu, nu, rho_u=0.0, weights=None):
@@ -19,7 +19,7 @@ def multipliers_of(problem, eta, mu, nu, rho_u=0.0, weights=None):
     bins = np.full((T // 2 + 1, m), 0.0 + 0.0j)
     bins[0] = rho_u
     shaped = (np.reshape(part, shape) for part, shape in ((eta, (T, n)), (mu, (T + 1, n)), (nu, (T, m))))
-    return lfo.Multipliers(1.0, *shaped, bins, np.zeros(((T + 1) // 2 + 1, n)), weights=weights)
+    return lfo.results.Multipliers(1.0, *shaped, bins, np.zeros(((T + 1) // 2 + 1, n)), weights=weights)
 
 
 def peak_optimum():

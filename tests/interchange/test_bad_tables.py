@@ -158,12 +158,12 @@ BAD_MODES = {
 }
 
 
-def fault(tmp_path, tables) -> lfo.ProblemError | None:
+def fault(tmp_path, tables) -> lfo.errors.ProblemError | None:
     """Return what the reader says of the tables; nothing, if it reads them."""
     (tmp_path / "cart.toml").write_text("schema = 1\n")
     try:
         lfo.read_problem(tmp_path / "cart.toml", tables)
-    except lfo.ProblemError as error:
+    except lfo.errors.ProblemError as error:
         return error
     return None
 
@@ -206,7 +206,7 @@ def test_sets_within_sets_are_read_or_refused(tmp_path, depth):
     words = ""
     try:
         assert (lfo.read_problem(tmp_path / "deep.toml").control_tube.upper == 1).all()
-    except lfo.ProblemError as error:
+    except lfo.errors.ProblemError as error:
         words = error.got
     assert not words or (depth > 20 and "recursion" in words)
 

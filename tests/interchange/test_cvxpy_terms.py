@@ -60,24 +60,29 @@ FEATURES = {
     "stage rows": {"stage_rows": lfo.StageRows(C, D, [1.5, np.inf], name="gap")},
     "stage rows per time": {"stage_rows": lfo.StageRows(C, None, np.linspace(2.1, -0.1, 48).reshape(24, 2))},
     "soft stage rows": {"stage_rows": lfo.StageRows(C, D, [0.8, np.inf], penalty=0.3)},
-    "polyhedron": {"control_set": lfo.Polyhedron([[1, 1], [-1, 1], [0, -1]], [0.3, 0.2, 0.4])},
-    "ball": {"control_set": lfo.Ball(0.5, [0.1, 0.0])},
-    "balls per time": {"control_set": [lfo.Ball(0.4 + 0.01 * t) if t % 3 else lfo.Box(-0.4, 1) for t in range(24)]},
-    "ellipsoid": {"state_set": lfo.Ellipsoid(SPEEDS, 0.6, [0.0, -0.1, 0, 0])},
-    "cone and box": {"control_set": lfo.SecondOrderCone([[1, 0]], [0], [0, 0.5], 0.4) & lfo.Box(None, 0.3)},
+    "polyhedron": {"control_set": lfo.sets.Polyhedron([[1, 1], [-1, 1], [0, -1]], [0.3, 0.2, 0.4])},
+    "ball": {"control_set": lfo.sets.Ball(0.5, [0.1, 0.0])},
+    "balls per time": {
+        "control_set": [lfo.sets.Ball(0.4 + 0.01 * t) if t % 3 else lfo.Box(-0.4, 1) for t in range(24)]
+    },
+    "ellipsoid": {"state_set": lfo.sets.Ellipsoid(SPEEDS, 0.6, [0.0, -0.1, 0, 0])},
+    "cone and box": {"control_set": lfo.sets.SecondOrderCone([[1, 0]], [0], [0, 0.5], 0.4) & lfo.Box(None, 0.3)},
     "cone and fixed": {
-        "control_set": lfo.SecondOrderCone([[1, 0]], [0], [0, 0], 0.2) & lfo.Box([None, 0], [None, 0]),
+        "control_set": lfo.sets.SecondOrderCone([[1, 0]], [0], [0, 0], 0.2) & lfo.Box([None, 0], [None, 0]),
         "terminal_state": None,
     },
-    "soft box": {"control_set": lfo.Soft(lfo.Box([None, -0.3], [0.3, 0.3]), 0.2)},
-    "soft polyhedron": {"control_set": lfo.Soft(lfo.Polyhedron([[1, 0], [-1, -1]], [0.2, np.inf]), 0.05)},
-    "soft ball": {"state_set": lfo.Soft(lfo.Ball(0.9), 0.1)},
-    "initial set": {"initial_state": lfo.Ball(0.5, [1, 0, -1, 0.5])},
-    "terminal set": {"terminal_state": lfo.Ellipsoid(np.diag([1, 2, 1, 2]), 0.1, 0.1) & lfo.Box(None, 0.1)},
-    "soft terminal set": {"terminal_state": lfo.Soft(lfo.Ellipsoid(np.diag([1.0, 2, 1, 2]), 0.1), 0.05)},
-    "L1 cost": {"cost": QUADRATIC + lfo.L1Cost(x=[0.1, 0, 0.2, 0], u=np.linspace(0, 0.5, 48).reshape(24, 2))},
-    "largest value": {"cost": QUADRATIC + lfo.LInfCost(x=0.3, u=[0.1, 0.2], x_ref=0.2), "terminal_state": None},
-    "terminal norm": {"cost": QUADRATIC + lfo.L1Cost(terminal=0.1) + lfo.L1Cost(terminal=0.2), "terminal_state": None},
+    "soft box": {"control_set": lfo.sets.Soft(lfo.Box([None, -0.3], [0.3, 0.3]), 0.2)},
+    "soft polyhedron": {"control_set": lfo.sets.Soft(lfo.sets.Polyhedron([[1, 0], [-1, -1]], [0.2, np.inf]), 0.05)},
+    "soft ball": {"state_set": lfo.sets.Soft(lfo.sets.Ball(0.9), 0.1)},
+    "initial set": {"initial_state": lfo.sets.Ball(0.5, [1, 0, -1, 0.5])},
+    "terminal set": {"terminal_state": lfo.sets.Ellipsoid(np.diag([1, 2, 1, 2]), 0.1, 0.1) & lfo.Box(None, 0.1)},
+    "soft terminal set": {"terminal_state": lfo.sets.Soft(lfo.sets.Ellipsoid(np.diag([1.0, 2, 1, 2]), 0.1), 0.05)},
+    "L1 cost": {"cost": QUADRATIC + lfo.costs.L1Cost(x=[0.1, 0, 0.2, 0], u=np.linspace(0, 0.5, 48).reshape(24, 2))},
+    "largest value": {"cost": QUADRATIC + lfo.costs.LInfCost(x=0.3, u=[0.1, 0.2], x_ref=0.2), "terminal_state": None},
+    "terminal norm": {
+        "cost": QUADRATIC + lfo.costs.L1Cost(terminal=0.1) + lfo.costs.L1Cost(terminal=0.2),
+        "terminal_state": None,
+    },
     "mask": {"control_spectrum": lfo.MagnitudeBound(0.3, band=lfo.low_pass(0.5), component="left")},
     "mask with zeros": {"control_spectrum": lfo.MagnitudeBound([np.inf, 0.5, 0.0, 0.0], bins=[0, 2, 3, 12])},
     "mask of zeros": {"control_spectrum": lfo.MagnitudeBound(0.0, bins=[2, 3, 12])},
@@ -87,16 +92,20 @@ FEATURES = {
         )
     },
     "soft mask": {"state_spectrum": lfo.MagnitudeBound([0.5, np.inf, 0.1], bins=[2, 5, 12], penalty=0.05)},
-    "energy": {"control_spectrum": [lfo.EnergyBound(0.1, band=lfo.low_pass(0.4)), lfo.stop_band(bins=[12])]},
-    "no energy": {"state_spectrum": lfo.EnergyBound(0.0, bins=[2, 3], component=3)},
-    "soft energy": {"control_spectrum": lfo.EnergyBound(0.5, band=lfo.low_pass(0.4), penalty=0.1, oversampling=2)},
-    "equation": {"control_spectrum": lfo.LinearConstraint(SWING, [0.5, -0.2])},
-    "soft equation": {"control_spectrum": lfo.LinearConstraint(SWING, [0.5, -0.2], penalty=0.005)},
-    "output mask": {"output_spectrum": lfo.OutputSpectrum(C, D, lfo.MagnitudeBound(0.8, bins=range(2, 13)))},
+    "energy": {"control_spectrum": [lfo.spectrum.EnergyBound(0.1, band=lfo.low_pass(0.4)), lfo.stop_band(bins=[12])]},
+    "no energy": {"state_spectrum": lfo.spectrum.EnergyBound(0.0, bins=[2, 3], component=3)},
+    "soft energy": {
+        "control_spectrum": lfo.spectrum.EnergyBound(0.5, band=lfo.low_pass(0.4), penalty=0.1, oversampling=2)
+    },
+    "equation": {"control_spectrum": lfo.spectrum.LinearConstraint(SWING, [0.5, -0.2])},
+    "soft equation": {"control_spectrum": lfo.spectrum.LinearConstraint(SWING, [0.5, -0.2], penalty=0.005)},
+    "output mask": {"output_spectrum": lfo.spectrum.OutputSpectrum(C, D, lfo.MagnitudeBound(0.8, bins=range(2, 13)))},
     "output bands": {
         "output_spectrum": [
-            lfo.OutputSpectrum(C, None, lfo.stop_band(bins=[3, 4])),
-            lfo.OutputSpectrum(None, D, [lfo.low_pass(2.5), lfo.EnergyBound(0.1, bins=[2], component=1)]),
+            lfo.spectrum.OutputSpectrum(C, None, lfo.stop_band(bins=[3, 4])),
+            lfo.spectrum.OutputSpectrum(
+                None, D, [lfo.low_pass(2.5), lfo.spectrum.EnergyBound(0.1, bins=[2], component=1)]
+            ),
         ]
     },
 }
@@ -120,7 +129,7 @@ def test_every_feature_is_in_the_program(name):
 
 def test_the_dual_of_a_norm_is_the_price_of_its_limit():
     def optimum(radius: float) -> cp.Problem:
-        program = lfo.to_cvxpy(two_carts(control_set=lfo.Ball(radius)))
+        program = lfo.to_cvxpy(two_carts(control_set=lfo.sets.Ball(radius)))
         program.solve(solver="CLARABEL")
         return program
 
@@ -145,9 +154,9 @@ def test_a_longer_problem_has_no_more_expressions():
     def size(T: int) -> int:
         problem = two_carts(
             horizon=T,
-            cost=QUADRATIC + lfo.LInfCost(x=1.0),
-            control_set=[lfo.Ball(2), lfo.Soft(lfo.Ball(1), 1.0)] * (T // 2),
-            state_set=lfo.Ellipsoid(np.eye(4), 9.0),
+            cost=QUADRATIC + lfo.costs.LInfCost(x=1.0),
+            control_set=[lfo.sets.Ball(2), lfo.sets.Soft(lfo.sets.Ball(1), 1.0)] * (T // 2),
+            state_set=lfo.sets.Ellipsoid(np.eye(4), 9.0),
             stage_rows=lfo.StageRows(C, D, [1, 1], penalty=1.0),
             control_spectrum=lfo.MagnitudeBound(0.4, band=lfo.low_pass(0.5), oversampling=2),
         )

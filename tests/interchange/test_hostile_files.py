@@ -91,7 +91,7 @@ def read_or_refused(read, *given):
         warnings.simplefilter("ignore")
         try:
             read(*given)
-        except lfo.LinFreqOCPError:
+        except lfo.errors.LinFreqOCPError:
             return False
     return True
 
@@ -349,7 +349,7 @@ def test_bombs_are_not_unpacked(tmp_path, unpacked):
     """Half a gigabyte of zeros in half a megabyte: the sizes that the archive itself declares are enough."""
     path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], 2**28)
     for read in (lfo.load, lfo.load_run):
-        with pytest.raises(lfo.ProblemError, match=r"bytes that unpack to 5\d+ or more"):
+        with pytest.raises(lfo.errors.ProblemError, match=r"bytes that unpack to 5\d+ or more"):
             read(path)
     assert sum(unpacked) == 0
 
@@ -359,7 +359,7 @@ def test_an_archive_of_very_many_entries_is_refused(tmp_path):
         for number in range(MOST_ENTRIES + 1):
             archive.writestr(f"{number}.npy", b"")
     for read in (lfo.load, lfo.load_run):
-        with pytest.raises(lfo.ProblemError, match="10001 entries"):
+        with pytest.raises(lfo.errors.ProblemError, match="10001 entries"):
             read(tmp_path / "many.npz")
 
 
@@ -370,7 +370,7 @@ def test_an_array_is_not_larger_than_its_entry(tmp_path, unpacked, shape):
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
     with zipfile.ZipFile(tmp_path / "run.npz", "w") as archive:
         archive.writestr("x.npy", header.getvalue() + bytes(800))
-    with pytest.raises(lfo.ProblemError, match=r"x\.npy of shape .*as many numbers as it says"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"x\.npy of shape .*as many numbers as it says"):
         lfo.load(tmp_path / "run.npz")
     assert sum(unpacked) < 1000
 
@@ -378,13 +378,13 @@ def test_an_array_is_not_larger_than_its_entry(tmp_path, unpacked, shape):
 def test_what_is_no_array_is_not_taken_for_one(tmp_path):
     with zipfile.ZipFile(tmp_path / "run.npz", "w") as archive:
         archive.writestr("x", b"not an array")
-    with pytest.raises(lfo.ProblemError, match="which is no array"):
+    with pytest.raises(lfo.errors.ProblemError, match="which is no array"):
         lfo.load(tmp_path / "run.npz")
 
 
 def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path):
     savemat(tmp_path / "bomb.mat", {"x": np.zeros((2**22, 9)), "u": np.zeros((8, 1))}, do_compression=True)
-    with pytest.raises(lfo.ProblemError, match="bytes that unpack to"):
+    with pytest.raises(lfo.errors.ProblemError, match="bytes that unpack to"):
         lfo.read_mat(tmp_path / "bomb.mat", cart.problem)
 
 
@@ -422,11 +422,11 @@ def test_control_characters_in_names_are_refused(name):
         (lambda: lfo.LinearDynamics(A, A, control_names=[name]), "dynamics.control_names"),
         (lambda: lfo.OptimalControlProblem(system, **one, name=name), "name"),
         (lambda: lfo.StageRows(A, A, [1.0], name=name), "stage_rows.name"),
-        (lambda: lfo.OutputSpectrum(A, None, [lfo.low_pass(1.0)], [name]), "output_spectrum.output_names"),
+        (lambda: lfo.spectrum.OutputSpectrum(A, None, [lfo.low_pass(1.0)], [name]), "output_spectrum.output_names"),
         (lambda: lfo.AffineMode(A, A, name=name), "mode.name"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(**mode)], 1, 1), "dynamics.modes[0].name"),
+        (lambda: lfo.PiecewiseSmoothDynamics([lfo.dynamics.SmoothMode(**mode)], 1, 1), "dynamics.modes[0].name"),
     }:
-        with pytest.raises(lfo.ProblemError, match="printable characters") as caught:
+        with pytest.raises(lfo.errors.ProblemError, match="printable characters") as caught:
             make()
         assert caught.value.field == field
 

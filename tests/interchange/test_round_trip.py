@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.formulas.text import source_of
 from lin_freq_ocp.interchange.problem_file import array_references
 from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
+from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, notch
 from lin_freq_ocp.testing.random_mixed import FEATURES, problem_of, random_model
 
 T, N, M = 12, 3, 2
@@ -28,10 +30,10 @@ DYNAMICS = lfo.LinearDynamics(
 )
 
 F, CENTRE = RNG.standard_normal((4, N)), RNG.standard_normal(N)
-POLYHEDRON = lfo.Polyhedron(F, [1 / 3, np.inf, 2.0, 0.1])
-BALL = lfo.Ball(1 / 3, CENTRE)
-ELLIPSOID = lfo.Ellipsoid(RNG.standard_normal((2, N)), 0.7, CENTRE)
-CONE = lfo.SecondOrderCone(F, RNG.standard_normal(4), CENTRE, 0.9)
+POLYHEDRON = lfo.sets.Polyhedron(F, [1 / 3, np.inf, 2.0, 0.1])
+BALL = lfo.sets.Ball(1 / 3, CENTRE)
+ELLIPSOID = lfo.sets.Ellipsoid(RNG.standard_normal((2, N)), 0.7, CENTRE)
+CONE = lfo.sets.SecondOrderCone(F, RNG.standard_normal(4), CENTRE, 0.9)
 BOX = lfo.Box([-1 / 3, None, 0.0], [1.0, 2.0, None])
 
 LOW = lfo.low_pass(cutoff_hz=2.0)
@@ -71,32 +73,32 @@ MODES: dict[str, list[lfo.AffineMode]] = {
 FEATURES_ALONE: dict[str, dict[str, Any]] = {
     "polyhedron": {"state_set": POLYHEDRON},
     "ball": {"state_set": BALL},
-    "ball around zero": {"control_set": lfo.Ball(0.1)},
+    "ball around zero": {"control_set": lfo.sets.Ball(0.1)},
     "ellipsoid": {"state_set": ELLIPSOID},
-    "cylinder around zero": {"terminal_state": lfo.Ellipsoid([[1.0, 2.0, 0.0]])},
+    "cylinder around zero": {"terminal_state": lfo.sets.Ellipsoid([[1.0, 2.0, 0.0]])},
     "second-order cone": {"terminal_state": CONE},
     "intersection": {"state_set": BOX & POLYHEDRON & CONE},
-    "intersection of intersections": {"state_set": lfo.Intersection([BALL & BOX, lfo.Box(-9, 9) & ELLIPSOID])},
+    "intersection of intersections": {"state_set": lfo.sets.Intersection([BALL & BOX, lfo.Box(-9, 9) & ELLIPSOID])},
     "intersection with bounds per time": {"state_set": lfo.Box(-RNG.uniform(1, 2, size=(T + 1, N)), None) & BALL},
-    "soft box": {"state_set": lfo.Soft(BOX, 1 / 3)},
-    "soft box of all components": {"control_set": lfo.Soft(lfo.Box(-0.1, None), 2.0)},
-    "soft polyhedron": {"initial_state": lfo.Soft(POLYHEDRON, 0.1)},
-    "soft ball": {"terminal_state": lfo.Soft(BALL, 10.0)},
-    "soft ellipsoid within a ball": {"state_set": lfo.Soft(ELLIPSOID, 0.7) & lfo.Ball(9.0)},
-    "a ball per time": {"control_set": [lfo.Ball(0.1 * (t + 1), [t / 3, 0.0]) for t in range(T)]},
-    "the same ball at all times": {"control_set": [lfo.Ball(0.1)] * T},
-    "two polyhedra by turns": {"state_set": [POLYHEDRON, lfo.Polyhedron(F, np.ones(4))] * (T // 2) + [POLYHEDRON]},
+    "soft box": {"state_set": lfo.sets.Soft(BOX, 1 / 3)},
+    "soft box of all components": {"control_set": lfo.sets.Soft(lfo.Box(-0.1, None), 2.0)},
+    "soft polyhedron": {"initial_state": lfo.sets.Soft(POLYHEDRON, 0.1)},
+    "soft ball": {"terminal_state": lfo.sets.Soft(BALL, 10.0)},
+    "soft ellipsoid within a ball": {"state_set": lfo.sets.Soft(ELLIPSOID, 0.7) & lfo.sets.Ball(9.0)},
+    "a ball per time": {"control_set": [lfo.sets.Ball(0.1 * (t + 1), [t / 3, 0.0]) for t in range(T)]},
+    "the same ball at all times": {"control_set": [lfo.sets.Ball(0.1)] * T},
+    "two polyhedra by turns": {"state_set": [POLYHEDRON, lfo.sets.Polyhedron(F, np.ones(4))] * (T // 2) + [POLYHEDRON]},
     "sets of all kinds by turns": {
-        "state_set": [*(POLYHEDRON, BALL, ELLIPSOID, CONE, BOX & BALL, lfo.Soft(BOX, 1.0), BOX), *[BALL, CONE] * 3]
+        "state_set": [*(POLYHEDRON, BALL, ELLIPSOID, CONE, BOX & BALL, lfo.sets.Soft(BOX, 1.0), BOX), *[BALL, CONE] * 3]
     },
     "boxes per time": {"control_set": [lfo.Box(None, t) for t in range(T)]},
-    "L1 cost": {"cost": lfo.L1Cost(x=[0.1, 0.0, 1 / 3], u=0.7, terminal=2.0, x_ref=CENTRE)},
+    "L1 cost": {"cost": L1Cost(x=[0.1, 0.0, 1 / 3], u=0.7, terminal=2.0, x_ref=CENTRE)},
     "L1 cost per time": {
         "cost": lfo.QuadraticCost(R=1.0)
-        + lfo.L1Cost(x=RNG.uniform(size=(T, N)), u_ref=RNG.normal(size=(T, M)), u=RNG.uniform(size=(T, M)))
+        + L1Cost(x=RNG.uniform(size=(T, N)), u_ref=RNG.normal(size=(T, M)), u=RNG.uniform(size=(T, M)))
     },
     "three norms": {
-        "cost": lfo.LInfCost(x=1.0, x_ref=RNG.normal(size=(T + 1, N))) + lfo.L1Cost(u=0.1) + lfo.LInfCost(terminal=0.7)
+        "cost": LInfCost(x=1.0, x_ref=RNG.normal(size=(T + 1, N))) + L1Cost(u=0.1) + LInfCost(terminal=0.7)
     },
     "soft rows": {"stage_rows": lfo.StageRows(F, None, [0.1, 0.2, np.inf, 0.3], name="soft", penalty=1 / 3)},
     "soft rows beside hard ones": {
@@ -113,30 +115,30 @@ FEATURES_ALONE: dict[str, dict[str, Any]] = {
     },
     "magnitude bound per bin": {"control_spectrum": lfo.MagnitudeBound([0.1, np.inf, 1 / 3, 0.0], bins=[0, 1, 3, 6])},
     "windowed by name": {"state_spectrum": lfo.MagnitudeBound(0.2, band=LOW, window="hann")},
-    "windowed by an array": {"state_spectrum": lfo.EnergyBound(0.2, band=LOW, window=RNG.uniform(size=T + 1))},
-    "oversampled": {"control_spectrum": lfo.MagnitudeBound(0.2, band=lfo.notch(1.0, 0.7), oversampling=5)},
-    "oversampled bins": {"control_spectrum": lfo.EnergyBound(0.2, bins=[2, 3], oversampling=4, window="blackman")},
+    "windowed by an array": {"state_spectrum": EnergyBound(0.2, band=LOW, window=RNG.uniform(size=T + 1))},
+    "oversampled": {"control_spectrum": lfo.MagnitudeBound(0.2, band=notch(1.0, 0.7), oversampling=5)},
+    "oversampled bins": {"control_spectrum": EnergyBound(0.2, bins=[2, 3], oversampling=4, window="blackman")},
     "soft bounds": {
         "control_spectrum": [
-            lfo.MagnitudeBound(0.1, band=lfo.high_pass(0.7), penalty=1 / 3),
-            lfo.EnergyBound(1 / 7, band=lfo.band_pass(0.6, 1.9), penalty=0.1, component="torque"),
-            lfo.EnergyBound(0.0, band=lfo.low_pass(2.0, component="torque [N m]")),
+            lfo.MagnitudeBound(0.1, band=lfo.spectrum.high_pass(0.7), penalty=1 / 3),
+            EnergyBound(1 / 7, band=lfo.spectrum.band_pass(0.6, 1.9), penalty=0.1, component="torque"),
+            EnergyBound(0.0, band=lfo.low_pass(2.0, component="torque [N m]")),
         ]
     },
-    "bands among bounds": {"control_spectrum": [lfo.EnergyBound(0.1, bins=[3]), LOW, lfo.stop_band(bins=[1])]},
-    "linear constraint": {"control_spectrum": lfo.LinearConstraint(RNG.normal(size=(T, 2, M)), [0.1, 1 / 3])},
-    "soft linear constraint": {"state_spectrum": lfo.LinearConstraint(RNG.normal(size=(T + 1, 1, N)), penalty=0.7)},
-    "outputs of states": {"output_spectrum": lfo.OutputSpectrum(F, constraints=lfo.EnergyBound(0.1, bins=[6]))},
-    "outputs of controls": {"output_spectrum": lfo.OutputSpectrum(D=np.ones((1, M)), constraints=[LOW])},
+    "bands among bounds": {"control_spectrum": [EnergyBound(0.1, bins=[3]), LOW, lfo.stop_band(bins=[1])]},
+    "linear constraint": {"control_spectrum": LinearConstraint(RNG.normal(size=(T, 2, M)), [0.1, 1 / 3])},
+    "soft linear constraint": {"state_spectrum": LinearConstraint(RNG.normal(size=(T + 1, 1, N)), penalty=0.7)},
+    "outputs of states": {"output_spectrum": OutputSpectrum(F, constraints=EnergyBound(0.1, bins=[6]))},
+    "outputs of controls": {"output_spectrum": OutputSpectrum(D=np.ones((1, M)), constraints=[LOW])},
     "outputs of both": {
         "output_spectrum": [
-            lfo.OutputSpectrum(
+            OutputSpectrum(
                 F[:2],
                 RNG.normal(size=(2, M)),
-                [lfo.MagnitudeBound(0.1, band=LOW, component="sway"), lfo.notch(1.0, 0.7, component="load [N]")],
+                [lfo.MagnitudeBound(0.1, band=LOW, component="sway"), notch(1.0, 0.7, component="load [N]")],
                 ["sway [m]", "load [N]"],
             ),
-            lfo.OutputSpectrum(F, constraints=[lfo.MagnitudeBound(0.2, band=LOW, window="hann", penalty=1.0)]),
+            OutputSpectrum(F, constraints=[lfo.MagnitudeBound(0.2, band=LOW, window="hann", penalty=1.0)]),
         ]
     },
 }  # fmt: skip
@@ -166,7 +168,7 @@ def assert_same_dynamics(one: Any, other: Any) -> None:
     )
     assert [mode.name for mode in one.modes] == [mode.name for mode in other.modes]
     for mine, theirs in zip(one.modes, other.modes, strict=True):
-        if isinstance(mine, lfo.SmoothMode):
+        if isinstance(mine, lfo.dynamics.SmoothMode):
             for part in ("f", "region", "domain"):
                 assert [source_of(a) for a in getattr(mine, part)] == [source_of(a) for a in getattr(theirs, part)]
             continue
@@ -295,12 +297,12 @@ def test_large_arrays_of_all_features_leave_the_text(tmp_path):
     steps = INLINE_LIMIT // M + 1
     problem = problem_with(
         horizon=steps,
-        cost=lfo.QuadraticCost(R=1.0) + lfo.L1Cost(u=RNG.uniform(size=(steps, M))),
-        control_set=lfo.Box(-RNG.uniform(1, 2, size=(steps, M)), None) & lfo.Ball(9.0),
-        state_set=lfo.Polyhedron(RNG.normal(size=(INLINE_LIMIT, N)), np.full(INLINE_LIMIT, 9.0)),
-        control_spectrum=[lfo.LinearConstraint(RNG.normal(size=(steps, 1, M)))],
-        output_spectrum=lfo.OutputSpectrum(
-            np.ones((1, N)), constraints=[lfo.EnergyBound(1.0, band=LOW), lfo.MagnitudeBound(1.0, band=LOW)]
+        cost=lfo.QuadraticCost(R=1.0) + L1Cost(u=RNG.uniform(size=(steps, M))),
+        control_set=lfo.Box(-RNG.uniform(1, 2, size=(steps, M)), None) & lfo.sets.Ball(9.0),
+        state_set=lfo.sets.Polyhedron(RNG.normal(size=(INLINE_LIMIT, N)), np.full(INLINE_LIMIT, 9.0)),
+        control_spectrum=[LinearConstraint(RNG.normal(size=(steps, 1, M)))],
+        output_spectrum=OutputSpectrum(
+            np.ones((1, N)), constraints=[EnergyBound(1.0, band=LOW), lfo.MagnitudeBound(1.0, band=LOW)]
         ),
         state_spectrum=lfo.MagnitudeBound(1.0, band=LOW, window="hann", component=0),
     )
@@ -313,7 +315,7 @@ def test_large_arrays_of_all_features_leave_the_text(tmp_path):
             "cost.norms[0].u",
             "state_set.F",
         ]
-    windowed = lfo.EnergyBound(1.0, band=LOW, window=RNG.uniform(size=2 * INLINE_LIMIT))
+    windowed = EnergyBound(1.0, band=LOW, window=RNG.uniform(size=2 * INLINE_LIMIT))
     long = problem_with(horizon=2 * INLINE_LIMIT, control_spectrum=[LOW, windowed])
     (tmp_path / "long").mkdir()
     tables = round_trip(long, tmp_path / "long")
@@ -331,26 +333,28 @@ def test_a_problem_read_back_has_the_same_optimum(tmp_path):
     assert np.array_equal(one.trajectory.x, other.trajectory.x)
 
 
-class Diamond(lfo.Ball):
+class Diamond(lfo.sets.Ball):
     """A set of a user's own."""
 
 
-class Huber(lfo.L1Cost):
+class Huber(L1Cost):
     """A cost of a user's own."""
 
 
 def test_what_no_file_can_hold_is_refused_in_words(tmp_path):
-    with pytest.raises(lfo.ProblemError, match=r"state_set: got .*expected a set that a problem file can hold"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"state_set: got .*expected a set that a problem file can hold"):
         lfo.write_problem(problem_with(state_set=Diamond(1.0)), tmp_path / "problem.toml")
-    with pytest.raises(lfo.ProblemError, match=r"cost.norms\[0\]: got .*expected a cost that a problem file can hold"):
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"cost.norms\[0\]: got .*expected a cost that a problem file can hold"
+    ):
         lfo.write_problem(problem_with(cost=Huber(u=1.0)), tmp_path / "problem.toml")
     assert not (tmp_path / "problem.toml").exists()
 
 
 def test_repeated_sets_are_one_constraint_however_they_are_given():
     """The same matrix at all times is not stacked, whether it is one object or many of equal values."""
-    once = problem_with(control_set=lfo.Ball(0.1))
-    often = problem_with(control_set=[lfo.Ball(0.1) for _ in range(T)])
+    once = problem_with(control_set=lfo.sets.Ball(0.1))
+    often = problem_with(control_set=[lfo.sets.Ball(0.1) for _ in range(T)])
     assert once.terms[0].map.D.shape == often.terms[0].map.D.shape == (M, M)
-    moving = replace(once, control_set=[lfo.Ball(0.1, [t, 0.0]) for t in range(T)])
+    moving = replace(once, control_set=[lfo.sets.Ball(0.1, [t, 0.0]) for t in range(T)])
     assert (moving.terms[0].map.D.shape, moving.terms[0].map.constant.shape) == ((M, M), (T, M))

@@ -94,13 +94,13 @@ def test_a_run_comes_back_and_is_repeated(tmp_path, options):
 @pytest.mark.parametrize(
     ("problem", "options", "error", "status"),
     [
-        (WEAK, {}, lfo.InfeasibleError, "infeasible"),
-        (DRIFTING, {}, lfo.UnboundedError, "unbounded"),
-        (lfo.library.pendulum(), {"time_limit": 1e-3}, lfo.LimitError, "limit"),
+        (WEAK, {}, lfo.errors.InfeasibleError, "infeasible"),
+        (DRIFTING, {}, lfo.errors.UnboundedError, "unbounded"),
+        (lfo.library.pendulum(), {"time_limit": 1e-3}, lfo.errors.LimitError, "limit"),
         (
             lfo.library.pendulum(),
             {"tolerance": 10.0, "method": "convex", "backend": "osqp"},
-            lfo.NumericalError,
+            lfo.errors.NumericalError,
             "numerical_error",
         ),
     ],
@@ -119,7 +119,7 @@ def test_the_result_of_an_error_can_be_dumped(tmp_path, problem, options, error,
 
 def test_large_arrays_are_in_the_archive(tmp_path):
     problem = everything_at_once(60)
-    dump_run(tmp_path / "run.zip", problem, {}, error=lfo.UnsupportedError("not yet"))
+    dump_run(tmp_path / "run.zip", problem, {}, error=lfo.errors.UnsupportedError("not yet"))
     with zipfile.ZipFile(tmp_path / "run.zip") as archive:
         assert sorted(archive.namelist()) == ["problem.problem.npz", "problem.toml", "run.json"]
     loaded = lfo.load_run(tmp_path / "run.zip")
@@ -297,7 +297,7 @@ def test_a_bad_archive_is_refused_with_file_and_place(dumped, name, change, word
 )
 def test_a_bad_run_is_refused_with_its_key(dumped, keys, words):
     changed(dumped, **keys)
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.load_run(dumped)
     assert str(caught.value).startswith(f"run.zip: run.json: {words}")
 
@@ -333,7 +333,7 @@ def test_only_the_files_of_a_run_are_taken_out(dumped):
     assert lfo.load_run(dumped).solve().status == "optimal"
     assert sorted(Path().absolute().parent.rglob("*")) == before
     rewritten(dumped, "problem.toml", lambda text: text + b'\n[state_set]\nlower = {npz = "../evil.npz", key = "A"}\n')
-    with pytest.raises(lfo.ProblemError, match="expected the name of a file in the folder"):
+    with pytest.raises(lfo.errors.ProblemError, match="expected the name of a file in the folder"):
         lfo.load_run(dumped)
 
 
@@ -346,5 +346,5 @@ def test_a_damaged_archive_is_refused_or_read(dumped):
         dumped.write_bytes(damaged[: rng.integers(len(whole) // 2, 2 * len(whole))])
         try:
             lfo.load_run(dumped)
-        except lfo.ProblemError:
+        except lfo.errors.ProblemError:
             continue

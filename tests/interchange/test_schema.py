@@ -235,7 +235,7 @@ def refused(tables: dict[str, Any], folder: Path) -> str:
     place = ""
     try:
         lfo.read_problem(folder / "cart.toml", {"schema": None, **tables})
-    except lfo.ProblemError as error:
+    except lfo.errors.ProblemError as error:
         place = error.field
     return place
 
@@ -338,7 +338,7 @@ def test_the_kinds_are_those_of_the_reader():
         assert (found | {"kind"}, needed) == (keys(kind), set(PARTS[kind].get("required", ())))
 
 
-class Slab(lfo.Polyhedron):
+class Slab(lfo.sets.Polyhedron):
     """A set of a user's own, with the arguments of its constructor as attributes."""
 
     def __init__(self, normal: Any, width: float = 1.0):
@@ -353,7 +353,7 @@ def test_a_set_of_a_new_class_is_one_line(tmp_path, monkeypatch):
     lfo.write_problem(lfo.read_problem(written(path), {"state_set": slab}), path)
     assert tomllib.loads(path.read_text())["state_set"] == {"kind": "slab", "normal": [1.0, 0.0], "width": 1.0}
     with pytest.raises(
-        lfo.ProblemError, match=r"cart.toml: state_set.norml: got an unknown key.*Did you mean 'normal'"
+        lfo.errors.ProblemError, match=r"cart.toml: state_set.norml: got an unknown key.*Did you mean 'normal'"
     ):
         lfo.read_problem(path, {"state_set": {"norml": 1.0, "normal": None}})
 
@@ -370,7 +370,7 @@ SHORT = {"horizon": 20, "sampling_time": 0.25, "cutoff_hz": 1.0}
 
 
 @pytest.fixture(scope="module")
-def solved() -> lfo.Result:
+def solved() -> lfo.results.Result:
     return lfo.solve(lfo.library.double_integrator(**SHORT))
 
 
@@ -389,7 +389,7 @@ def test_the_result_of_mixed_features_is_valid(seed):
 
 
 def test_the_result_of_a_solve_without_solution_is_valid():
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3))
     summary = printed(result_summary(caught.value.result))
     assert summary["conflict"]
@@ -440,8 +440,8 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
     for part, kind in (
         ("measures", Measures),
         ("conflict", Conflict),
-        ("explanation", lfo.Explanation),
-        ("cure", lfo.Cure),
+        ("explanation", lfo.results.Explanation),
+        ("cure", lfo.results.Cure),
     ):
         names = {field.name for field in fields(kind)}
         assert (set(parts[part]["properties"]), set(parts[part]["required"])) == (names, names)

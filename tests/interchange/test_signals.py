@@ -74,13 +74,13 @@ def test_nothing_depends_on_the_dynamics(tmp_path, some, problem):
     save_mat(tmp_path / "some.mat", problem, some)
     assert_same(lfo.read_csv(tmp_path / "some.csv", problem), some)
     assert_same(lfo.read_mat(tmp_path / "some.mat", problem), some)
-    assert_same(lfo.from_time_response(lfo.to_time_response(problem, some), problem), some)
+    assert_same(lfo.from_time_response(lfo.io.to_time_response(problem, some), problem), some)
 
 
 def test_there_is_nothing_to_write_without_a_trajectory(tmp_path):
     result = lfo.solve(replace(PROBLEM, control_set=lfo.Box(-0.1, 0.1)), throw=False)
     for write in (lambda: result.to_mat(tmp_path / "run.mat"), result.to_time_response):
-        with pytest.raises(lfo.SolveError, match="without a trajectory"):
+        with pytest.raises(lfo.errors.SolveError, match="without a trajectory"):
             write()
     assert list(tmp_path.iterdir()) == []
 
@@ -152,7 +152,7 @@ def csv_file(folder, text):
 
 
 def csv_message(folder, text, problem=PROBLEM):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.read_csv(csv_file(folder, text), problem)
     assert caught.value.field.startswith("run.csv: ")
     return str(caught.value)
@@ -286,7 +286,7 @@ def test_controls_of_lsim_have_one_row_more(tmp_path, some):
 def test_a_bad_mat_file_is_refused_with_its_variable(tmp_path, some, change, words):
     variables = {"x": some.x, "u": some.u} | change
     savemat(tmp_path / "run.mat", {name: value for name, value in variables.items() if value is not None})
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.read_mat(tmp_path / "run.mat", PROBLEM)
     assert words in str(caught.value)
 
@@ -294,7 +294,7 @@ def test_a_bad_mat_file_is_refused_with_its_variable(tmp_path, some, change, wor
 def test_version_7_3_is_refused_with_the_cure(tmp_path):
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     (tmp_path / "run.mat").write_bytes(head + b"\x89HDF\r\n\x1a\n" * 20)
-    with pytest.raises(lfo.ProblemError, match=r"v7\.3.*'-v7'"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"v7\.3.*'-v7'"):
         lfo.read_mat(tmp_path / "run.mat", PROBLEM)
 
 
@@ -380,7 +380,7 @@ def response_of(some, **change):
     ],
 )
 def test_a_response_that_does_not_fit_is_refused(some, change, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.from_time_response(response_of(some, **change), PROBLEM)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -390,10 +390,10 @@ def test_only_one_response_is_taken(some):
     plant = control.ss(PROBLEM.dynamics.A, np.eye(2), np.eye(2), np.zeros((2, 2)), 0.1)
     both = control.step_response(plant, 0.1 * np.arange(T + 1))
     for response, words in ((both, "2 traces"), (some, "a control.TimeResponseData")):
-        with pytest.raises(lfo.ProblemError, match=words):
+        with pytest.raises(lfo.errors.ProblemError, match=words):
             lfo.from_time_response(response, PROBLEM)
     one = control.step_response(discrete_plant(), 0.1 * np.arange(T + 1))
     assert_same(lfo.from_time_response(one, PROBLEM), lfo.simulate(PROBLEM, np.ones((T, 1))))
-    short = lfo.to_time_response(replace(PROBLEM, horizon=5), lfo.Trajectory(some.x[:6], some.u[:5]))
-    with pytest.raises(lfo.ProblemError, match="got 6 times; expected 21"):
+    short = lfo.io.to_time_response(replace(PROBLEM, horizon=5), lfo.Trajectory(some.x[:6], some.u[:5]))
+    with pytest.raises(lfo.errors.ProblemError, match="got 6 times; expected 21"):
         lfo.from_time_response(short, PROBLEM)

@@ -82,8 +82,8 @@ def test_search_agrees_with_brute_force(seed):
 @pytest.mark.parametrize(
     "fields",
     [
-        {"cost": lfo.QuadraticCost(Q=np.eye(2), R=0.1) + lfo.L1Cost(u=0.5)},
-        {"state_set": lfo.Soft(lfo.Ball(radius=0.8), 5.0)},
+        {"cost": lfo.QuadraticCost(Q=np.eye(2), R=0.1) + lfo.costs.L1Cost(u=0.5)},
+        {"state_set": lfo.sets.Soft(lfo.sets.Ball(radius=0.8), 5.0)},
         {"control_spectrum": lfo.MagnitudeBound(0.5, bins=[1, 2])},
         {"stage_rows": lfo.StageRows([[1.0, 1.0]], [[1.0]], [1.5])},
         {"cost": lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]])},
@@ -95,7 +95,7 @@ def test_search_agrees_with_brute_force(seed):
 def test_everything_that_linear_problems_have(fields):
     bounds = {"state_set": lfo.Box([-4, -4], [4, 4])} if "state_set" not in fields else {}
     if not bounds:
-        fields = {"state_set": lfo.Intersection([lfo.Box([-4, -4], [4, 4]), fields["state_set"]])}
+        fields = {"state_set": lfo.sets.Intersection([lfo.Box([-4, -4], [4, 4]), fields["state_set"]])}
     problem = random_problem(3, horizon=3, **fields)
     expected, _ = brute_force(problem)
     result = lfo.solve(problem)
@@ -190,7 +190,7 @@ def test_a_leaf_with_other_multipliers_proves_less(solved, change):
 
 def replace_eta(multipliers, eta):
     parts = multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x, multipliers.stage
-    return lfo.Multipliers(multipliers.eta_C, eta, *parts)
+    return lfo.results.Multipliers(multipliers.eta_C, eta, *parts)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -212,7 +212,7 @@ def test_any_multipliers_bound_every_sequence_from_below(seed):
 
 def test_infeasible_is_proven_by_the_tree():
     problem = replace(library.pendulum_with_wall(horizon=4), terminal_state=[0.19, 1.4])
-    with pytest.raises(lfo.InfeasibleError, match="search tree") as caught:
+    with pytest.raises(lfo.errors.InfeasibleError, match="search tree") as caught:
         lfo.solve(problem)
     result = caught.value.result
     assert result.tree_bound.value == np.inf
@@ -235,7 +235,7 @@ def test_limits_leave_a_point_and_a_valid_bound():
     assert loose.status == "optimal"
     assert loose.gap <= 0.05
     assert len(loose.tree.nodes) < len(lfo.solve(problem).tree.nodes)
-    with pytest.raises(lfo.LimitError, match="time limit"):
+    with pytest.raises(lfo.errors.LimitError, match="time limit"):
         lfo.solve(problem, time_limit=1e-9)
 
 
@@ -310,22 +310,22 @@ def test_parts_on_two_processes(monkeypatch):
 
 def test_what_is_refused(monkeypatch):
     hybrid, linear = library.buck_affine(horizon=4), library.double_integrator(horizon=4)
-    with pytest.raises(lfo.UnsupportedError, match="'convex', which is for linear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'convex', which is for linear dynamics"):
         lfo.solve(hybrid, method="convex")
-    with pytest.raises(lfo.UnsupportedError, match="which is for piecewise-affine dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="which is for piecewise-affine dynamics"):
         lfo.solve(linear, method="branch_and_bound")
-    with pytest.raises(lfo.UnsupportedError, match="backend: got 'osqp'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="backend: got 'osqp'"):
         lfo.solve(hybrid, method="branch_and_bound", backend="osqp")
-    with pytest.raises(lfo.UnsupportedError, match="executor"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="executor"):
         lfo.solve(hybrid, method="enumerate", executor=Here())
     monkeypatch.setattr(enumeration, "MOST_SEQUENCES", 100)
-    with pytest.raises(lfo.UnsupportedError, match="more than"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="more than"):
         lfo.solve(library.buck_affine(horizon=12), method="enumerate")
-    with pytest.raises(lfo.UnsupportedError, match="unbounded at t = 0"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="unbounded at t = 0"):
         lfo.solve(random_problem(1, control_set=None))
-    with pytest.raises(lfo.UnsupportedError, match="eigenvalue"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue"):
         lfo.solve(replace(hybrid, cost=lfo.QuadraticCost(Q=-1.0, R=1.0)))
-    with pytest.raises(lfo.UnsupportedError, match="node_limit"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="node_limit"):
         lfo.solve(hybrid, node_limit=0)
 
 

@@ -41,7 +41,7 @@ KNOWN = [
 """Global optima, each found by several methods (dynamic programming, enumeration, a global solver); the long ones are
 in scripts/verify.py."""
 
-RESULTS: dict[str, lfo.Result] = {}
+RESULTS: dict[str, lfo.results.Result] = {}
 
 
 def solved(build, arguments):
@@ -118,7 +118,7 @@ def test_spoiled_multipliers_are_refused(arguments, spoiled):
     result = solved(BUCK, arguments)
     given = {name: factor * getattr(result.multipliers, name) for name, factor in spoiled.items()}
     fields = {name: getattr(result.multipliers, name) for name in ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x")}
-    multipliers = lfo.Multipliers(**(fields | given))
+    multipliers = lfo.results.Multipliers(**(fields | given))
     assert judge(result.problem, result.trajectory, multipliers).pmp == "violated"
 
 
@@ -183,14 +183,14 @@ def test_newtons_equations_have_their_derivatives():
 
 
 def test_newton_refuses_what_it_does_not_take():
-    problem = replace(BUCK(horizon=2), control_set=lfo.Ball(6.0))
+    problem = replace(BUCK(horizon=2), control_set=lfo.sets.Ball(6.0))
     start = lfo.simulate(problem, [[2.5], [2.4]])
-    with pytest.raises(lfo.UnsupportedError, match="takes bounds and stop bands"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="takes bounds and stop bands"):
         newton(problem, start, None, np.zeros(2, dtype=int))
 
 
 def test_other_sets_are_solved_without_newton():
-    problem = replace(BUCK(horizon=3), control_set=lfo.Intersection([lfo.Box(2.2, 6), lfo.Ball(5.5)]))
+    problem = replace(BUCK(horizon=3), control_set=lfo.sets.Intersection([lfo.Box(2.2, 6), lfo.sets.Ball(5.5)]))
     result = lfo.solve(problem, method="nonsmooth")
     assert result.cost == pytest.approx(17.345547997984184, rel=1e-6)
     assert result.certificate.pmp == "satisfied"

@@ -38,12 +38,12 @@ TWICE = {
     ),
     "a bound repeated by a polyhedron": (
         cart(),
-        cart(control_set=BOX & lfo.Polyhedron([[-1.0], [1.0]], [0.6, 0.6])),
+        cart(control_set=BOX & lfo.sets.Polyhedron([[-1.0], [1.0]], [0.6, 0.6])),
         lambda u: int((np.abs(u) > 0.6 - 1e-6).sum()),
     ),
     "a bound repeated by a ball": (
         cart(),
-        cart(control_set=BOX & lfo.Ball(0.6)),
+        cart(control_set=BOX & lfo.sets.Ball(0.6)),
         lambda u: int((np.abs(u) > 0.6 - 1e-6).sum()),
     ),
     "a bound repeated by joint rows": (
@@ -90,13 +90,13 @@ def test_all_shares_of_two_equal_rows_are_accepted():
     assert judge(problem, result.trajectory, replace_stage(result.multipliers, stage)).pmp == "violated"
 
 
-def replace_stage(given: lfo.Multipliers, stage: dict[str, np.ndarray]) -> lfo.Multipliers:
-    return lfo.Multipliers(given.eta_C, given.eta, given.mu, given.nu, given.rho_u, given.rho_x, stage)
+def replace_stage(given: lfo.results.Multipliers, stage: dict[str, np.ndarray]) -> lfo.results.Multipliers:
+    return lfo.results.Multipliers(given.eta_C, given.eta, given.mu, given.nu, given.rho_u, given.rho_x, stage)
 
 
-def scaled(given: lfo.Multipliers, factor: float) -> lfo.Multipliers:
+def scaled(given: lfo.results.Multipliers, factor: float) -> lfo.results.Multipliers:
     parts = (factor * part for part in (given.eta, given.mu, given.nu, given.rho_u, given.rho_x))
-    return lfo.Multipliers(given.eta_C, *parts, {name: factor * part for name, part in given.stage.items()})
+    return lfo.results.Multipliers(given.eta_C, *parts, {name: factor * part for name, part in given.stage.items()})
 
 
 @pytest.mark.parametrize("seed", range(11))
@@ -128,7 +128,9 @@ DEGENERATE = {  # name: problem, the first control's only value
         0.0,
     ),
     "a mask on an output": (
-        degenerate(output_spectrum=lfo.OutputSpectrum(None, [[2.0, 0.0]], lfo.MagnitudeBound(float(T), bins=[0]))),
+        degenerate(
+            output_spectrum=lfo.spectrum.OutputSpectrum(None, [[2.0, 0.0]], lfo.MagnitudeBound(float(T), bins=[0]))
+        ),
         0.5,
     ),
 }
@@ -179,7 +181,7 @@ def test_other_abnormal_multipliers_are_refused_however_small(name, size):
     problem, value = DEGENERATE[name]
     point = lfo.simulate(problem, np.tile([value, 0.3], (T, 1)))
     rng, zero = np.random.default_rng(0), abnormal_multipliers(problem, point)
-    noise = lfo.Multipliers(
+    noise = lfo.results.Multipliers(
         0.0, size * rng.standard_normal((T, 2)), 0 * zero.mu, 0 * zero.nu, 0 * zero.rho_u, 0 * zero.rho_x, {}
     )
     certificate = judge(problem, point, noise)
@@ -210,7 +212,7 @@ def test_rows_that_oppose_each_other_at_one_time_are_no_abnormal_extremal():
 
 def test_the_radius_of_a_ball_alone_is_no_multiplier():
     """It is a constant of the program, and its own dual, the radius' price, a combination of nothing."""
-    problem = cart(control_set=lfo.Ball(0.6), terminal_state=lfo.Ball(0.5, [0.1, -0.5]))
+    problem = cart(control_set=lfo.sets.Ball(0.6), terminal_state=lfo.sets.Ball(0.5, [0.1, -0.5]))
     other = lfo.solve(replace(problem, cost=lfo.QuadraticCost(R=1.0)))
     assert abnormal_multipliers(problem, other.trajectory) is None
     certificate = lfo.certify(problem, other.trajectory)
@@ -220,14 +222,14 @@ def test_the_radius_of_a_ball_alone_is_no_multiplier():
 
 def test_without_a_trajectory_there_is_nothing_to_say():
     result = lfo.solve(lfo.library.pendulum(control_bound=1.0), throw=False)
-    with pytest.raises(lfo.SolveError, match="without a trajectory"):
+    with pytest.raises(lfo.errors.SolveError, match="without a trajectory"):
         _ = result.uniqueness
 
 
 def test_a_dense_rank_is_not_tried_for_too_many_gradients(monkeypatch):
     result = lfo.solve(cart())
     monkeypatch.setattr(multipliers_module, "MOST_GRADIENTS", 20)
-    with pytest.raises(lfo.UnsupportedError, match="29 active gradients; their rank is computed for up to 20"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="29 active gradients; their rank is computed for up to 20"):
         _ = result.uniqueness
 
 

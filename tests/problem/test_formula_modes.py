@@ -66,7 +66,7 @@ def test_random_formulas_are_accepted_and_their_modes_cover_everything(seed):
     formulas = [random_formula(rng, 3) for _ in range(2)]
     try:
         dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(formulas, 2, 1)
-    except lfo.ProblemError as error:
+    except lfo.errors.ProblemError as error:
         if "64 combinations" in str(error):
             pytest.skip(str(error))
         raise

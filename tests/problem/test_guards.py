@@ -73,12 +73,12 @@ def test_guards_on_controls():
 def test_signs_that_occur_beyond_the_sets_only_may_be_left_out_on_purpose():
     guards = {"G": [[1.0, 0.0], [0.0, 1.0]], "H": None, "d": [0.0, 5.0]}
     modes = {"+-": (A, B), "--": (2 * A, B)}
-    with pytest.raises(lfo.ProblemError, match=r"no pattern for the signs '\+\+' *; .* give None for them"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"no pattern for the signs '\+\+' *; .* give None for them"):
         from_guards(**guards, modes=modes)
     dynamics = from_guards(**guards, modes=modes | {"*+": None})
     assert len(dynamics.modes) == 2
     assert len(problem_of(dynamics, state_set=lfo.Box(-1, 1)).borders) == 1
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         problem_of(dynamics, state_set=lfo.Box(-6, 6))
 
 
@@ -111,7 +111,7 @@ def test_signs_that_occur_beyond_the_sets_only_may_be_left_out_on_purpose():
 )
 def test_bad_guards_are_refused(change, field, words):
     given = {"G": [[1.0, 0.0], [0.0, 1.0]], "H": None, "d": [0.0, 0.0], "modes": {"**": (A, B)}} | change
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         from_guards(**given)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -127,7 +127,7 @@ def test_many_guards_with_few_patterns_are_no_matter_of_all_signs():
 def test_guards_per_time_must_be_for_all_times():
     modes = {"+": (RIGHT, B), "-": (LEFT, B)}
     dynamics = from_guards(None, [[1.0]], np.zeros((4, 1)), modes)
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         problem_of(dynamics, 5)
     assert caught.value.field == "dynamics.modes[0].h"
 
@@ -152,12 +152,12 @@ def excess(i, v):
 
 
 PIECES = [
-    lfo.SmoothPiece(
+    lfo.dynamics.SmoothPiece(
         buck(lambda i, v: REFERENCE + DECAY * excess(i, v)),
         *([0.8], [V_S]),
         **{"G": [[1.0]], "H": [[GAIN]], "h": [REFERENCE / DECAY], "name": "rising"},
     ),
-    lfo.SmoothPiece(
+    lfo.dynamics.SmoothPiece(
         buck(lambda i, v: REFERENCE - DECAY * RESISTANCE * excess(i, v) / (v - REFERENCE * RESISTANCE)),
         *([REFERENCE / DECAY - GAIN * V_S], [V_S]),
         **{"G": [[-1.0]], "H": [[-GAIN]], "h": [-REFERENCE / DECAY], "name": "falling"},
@@ -181,7 +181,10 @@ def test_a_point_of_the_border_keeps_the_map_continuous():
 
 
 def test_elsewhere_the_map_jumps_and_the_border_says_so():
-    pieces = [PIECES[0], lfo.SmoothPiece(PIECES[1].system, [0.9], [3.0], PIECES[1].G, PIECES[1].H, PIECES[1].h)]
+    pieces = [
+        PIECES[0],
+        lfo.dynamics.SmoothPiece(PIECES[1].system, [0.9], [3.0], PIECES[1].G, PIECES[1].H, PIECES[1].h),
+    ]
     (border,) = problem_of(linearised(pieces), state_set=lfo.Box(0, 1), control_set=lfo.Box(2.2, 6)).borders
     assert not border.continuous
     assert 1e-3 < border.jump < 1
@@ -192,8 +195,8 @@ def test_pieces_are_linearised_as_one_model_is():
     systems = [control.nlsys(one, None, states=2, inputs=1, dt=0) for one in slope]
     x, u = np.linspace(0, 1, 10).reshape(5, 2), np.ones((4, 1))
     pieces = [
-        lfo.SmoothPiece(systems[0], [0.5, 0.0], [0.0], G=[[1.0, 0.0]], h=[1.0], params={"k": 2.0}),
-        lfo.SmoothPiece(systems[1], x, u, G=[[-1.0, 0.0]], h=[-1.0], integrator="Radau", state_scale=2.0),
+        lfo.dynamics.SmoothPiece(systems[0], [0.5, 0.0], [0.0], G=[[1.0, 0.0]], h=[1.0], params={"k": 2.0}),
+        lfo.dynamics.SmoothPiece(systems[1], x, u, G=[[-1.0, 0.0]], h=[-1.0], integrator="Radau", state_scale=2.0),
     ]
     dynamics = linearised(pieces, 0.1, state_names=["a", "b"], control_names=["f"])
     alone = [
@@ -216,16 +219,26 @@ GOOD, CONTINUOUS = PIECES[0], control.nlsys(lambda t, x, u, params: u - x, None,
         ([], "pieces", "at least one SmoothPiece"),
         (GOOD, "pieces", "a list"),
         ([GOOD, 3], "pieces[1]", "a SmoothPiece"),
-        ([GOOD, lfo.SmoothPiece("model", [1.0], [1.0])], "pieces[1].system", "control.NonlinearIOSystem"),
-        ([lfo.SmoothPiece(CONTINUOUS, [1.0], [1.0])], "sampling_time", "The system is continuous"),
-        ([lfo.SmoothPiece(GOOD.system, [1.0, 1.0], [1.0])], "pieces[0].x, u", "shapes (2,) and (1,)"),
-        ([lfo.SmoothPiece(GOOD.system, [1.0], [1.0], G=[[1.0, 2.0]], h=[1.0])], "pieces[0].G", "expected shape (1, 1)"),
-        ([lfo.SmoothPiece(GOOD.system, [1.0], [1.0], G=[[1.0]])], "pieces[0].h", "one limit per row"),
-        ([lfo.SmoothPiece(buck(lambda i, v: abs(i)), [1e-4], [1.0])], "pieces[0].system, t = 0", "a smooth model"),
+        ([GOOD, lfo.dynamics.SmoothPiece("model", [1.0], [1.0])], "pieces[1].system", "control.NonlinearIOSystem"),
+        ([lfo.dynamics.SmoothPiece(CONTINUOUS, [1.0], [1.0])], "sampling_time", "The system is continuous"),
+        ([lfo.dynamics.SmoothPiece(GOOD.system, [1.0, 1.0], [1.0])], "pieces[0].x, u", "shapes (2,) and (1,)"),
+        (
+            [lfo.dynamics.SmoothPiece(GOOD.system, [1.0], [1.0], G=[[1.0, 2.0]], h=[1.0])],
+            "pieces[0].G",
+            "expected shape (1, 1)",
+        ),
+        ([lfo.dynamics.SmoothPiece(GOOD.system, [1.0], [1.0], G=[[1.0]])], "pieces[0].h", "one limit per row"),
+        (
+            [lfo.dynamics.SmoothPiece(buck(lambda i, v: abs(i)), [1e-4], [1.0])],
+            "pieces[0].system, t = 0",
+            "a smooth model",
+        ),
         (
             [
                 GOOD,
-                lfo.SmoothPiece(control.nlsys(lambda t, x, u, params: u, None, states=1, inputs=1, dt=0.5), [1], [1]),
+                lfo.dynamics.SmoothPiece(
+                    control.nlsys(lambda t, x, u, params: u, None, states=1, inputs=1, dt=0.5), [1], [1]
+                ),
             ],
             "pieces[1].system.dt",
             "got 0.5; expected None, as in the first piece",
@@ -233,7 +246,7 @@ GOOD, CONTINUOUS = PIECES[0], control.nlsys(lambda t, x, u, params: u - x, None,
         (
             [
                 GOOD,
-                lfo.SmoothPiece(
+                lfo.dynamics.SmoothPiece(
                     control.nlsys(lambda t, x, u, params: u[0] + x, None, states=2, inputs=1, dt=True), [1, 1], [1]
                 ),
             ],
@@ -243,7 +256,7 @@ GOOD, CONTINUOUS = PIECES[0], control.nlsys(lambda t, x, u, params: u - x, None,
     ],
 )
 def test_bad_pieces_are_refused(pieces, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         linearised(pieces)
     assert caught.value.field == field
     assert words in str(caught.value)

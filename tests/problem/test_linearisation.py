@@ -140,7 +140,7 @@ def test_natural_sizes_set_the_steps():
     x, u = [0.4e-6], [0.0]
     A = lfo.LinearDynamics.linearised(system, x, u, state_scale=1e-6, control_scale=[1e-6]).A
     assert A[0, 0] == pytest.approx(np.cos(0.4), rel=1e-10)
-    with pytest.raises(lfo.ProblemError, match=r"derivatives of state 0 by x\[0\].*Give state_scale") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match=r"derivatives of state 0 by x\[0\].*Give state_scale") as caught:
         lfo.LinearDynamics.linearised(system, x, u)
     assert caught.value.field == "system, t = 0"
 
@@ -161,7 +161,7 @@ def test_near_a_kink_there_are_no_derivatives(where):
         system = control.nlsys(lambda t, x, u, params: u - friction(x), None, states=["v"], inputs=["f"], dt=0)
         return lfo.LinearDynamics.linearised(system, [speed], [0.0], PERIOD)
 
-    with pytest.raises(lfo.ProblemError, match="farther from the kink"):
+    with pytest.raises(lfo.errors.ProblemError, match="farther from the kink"):
         linearised(np.abs, where)
     away = linearised(np.abs, 1000 * where).A[0, 0]
     assert away == pytest.approx(np.exp(-PERIOD * np.sign(where)), rel=1e-9)
@@ -182,7 +182,7 @@ def test_near_a_kink_there_are_no_derivatives(where):
 def test_at_a_kink_there_are_no_derivatives(update, found, dt):
     """Central differences are those of a smooth model there."""
     system = control.nlsys(lambda t, x, u, params: [update(x, u), -x[1]], None, states=2, inputs=1, dt=dt)
-    with pytest.raises(lfo.ProblemError, match="farther from the kink") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match="farther from the kink") as caught:
         lfo.LinearDynamics.linearised(system, [0.0, 0.0], [2.0], PERIOD)
     assert found in str(caught.value)
     assert caught.value.field == "system, t = 0"
@@ -203,7 +203,7 @@ def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     """The time constant 1e-5 s is over at once: after 0.1 s the fast state is at 2 u, and nothing else matters."""
     monkeypatch.setattr("lin_freq_ocp.problem.dynamics.linearisation.MOST_EVALUATIONS", 10_000)
     system = control.nlsys(lambda t, x, u, params: (2 * u - x) / 1e-5, None, states=1, inputs=1, dt=0)
-    with pytest.raises(lfo.ProblemError, match="integrator='Radau'") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match="integrator='Radau'") as caught:
         lfo.LinearDynamics.linearised(system, [1.0], [0.5], PERIOD)
     assert caught.value.field == "system, t = 0"
     dynamics = lfo.LinearDynamics.linearised(system, [1.0], [0.5], PERIOD, integrator="Radau")
@@ -269,7 +269,7 @@ POINT = np.zeros(2), np.zeros(1)
 )
 def test_what_does_not_fit_is_refused(change, field, words):
     given = {"system": pendulum(), "x": POINT[0], "u": POINT[1], "sampling_time": PERIOD} | change
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.LinearDynamics.linearised(**given)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -290,7 +290,7 @@ def test_models_without_a_finite_value_are_refused_with_the_time(update, words):
     system = control.nlsys(
         lambda t, x, u, params: update(t, x, u, params) if t > 1 else np.zeros(2), None, states=2, inputs=1, dt=0
     )
-    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(lfo.ProblemError) as caught:
+    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.LinearDynamics.linearised(system, np.zeros((4, 2)), np.zeros((3, 1)), 0.5)
     assert words in str(caught.value)
     assert "t = " in caught.value.field

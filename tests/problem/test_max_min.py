@@ -198,7 +198,7 @@ def test_matrices_act_on_signals():
     ],
 )
 def test_what_is_not_piecewise_affine_is_refused(make, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         make()
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -208,5 +208,5 @@ def test_too_many_combinations_are_refused(monkeypatch):
     monkeypatch.setattr("lin_freq_ocp.problem.dynamics.max_min.MOST_PIECES", 8)
     x, u = lfo.signals(4, 1)
     from_formulas([sum(abs(one) for one in x[:3]), *x[1:]], 4, 1)
-    with pytest.raises(lfo.ProblemError, match="more than 8 combinations"):
+    with pytest.raises(lfo.errors.ProblemError, match="more than 8 combinations"):
         from_formulas([sum(abs(one) for one in x) + u[0], *x[1:]], 4, 1)

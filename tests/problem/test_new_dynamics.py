@@ -128,11 +128,11 @@ def test_it_describes_itself_and_its_methods(registered):
     given = problem(BILINEAR)
     assert "bilinear: (A + u N) x + B u" in given._repr_html_()
     assert "linear: A x + B u" in problem(DELAYED)._repr_html_()
-    with pytest.raises(lfo.UnsupportedError, match="'from_rest' for bilinear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'from_rest' for bilinear dynamics"):
         lfo.solve(given, "spectral")
-    with pytest.raises(lfo.UnsupportedError, match="for bilinear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="for bilinear dynamics"):
         lfo.solve(problem(DELAYED), "from_rest")
-    with pytest.raises(lfo.UnsupportedError, match=r"got Bilinear; expected LinearDynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"got Bilinear; expected LinearDynamics"):
         _ = given.linear
 
 

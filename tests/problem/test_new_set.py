@@ -79,6 +79,6 @@ def test_it_is_kept_where_states_are_added():
 
 def test_it_is_widened_where_a_conflict_is_explained():
     impossible = problem(control_set=SET, terminal_state=[10.0, 0.0])
-    with pytest.raises(lfo.InfeasibleError):
+    with pytest.raises(lfo.errors.InfeasibleError):
         lfo.solve(impossible)
     assert "control set" in str(lfo.explain(impossible))

@@ -108,7 +108,7 @@ def test_it_is_exported():
 
 
 def test_it_stands_beside_other_costs_and_describes_itself():
-    both = problem(COST, lfo.L1Cost(x=0.1), COST)
+    both = problem(COST, lfo.costs.L1Cost(x=0.1), COST)
     assert [term.name for term in both.terms] == ["worst thrust", "L1 cost of states", "worst thrust 2"]
     assert "the largest weighted thrust" in both._repr_html_()
     assert lfo.solve(both).certificate.globally_optimal

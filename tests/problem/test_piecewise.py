@@ -125,7 +125,10 @@ def test_regions_that_touch_at_an_edge_have_no_border_there():
 def test_a_border_beyond_the_sets_is_none():
     inside = {"state_set": lfo.Box(0.5, 10), "control_set": lfo.Box(-1, 1)}
     assert problem_of(rotation(), **inside).borders == ()
-    polyhedron = {"state_set": lfo.Polyhedron([[-1.0, 0.0]], [-0.5]) & lfo.Box(-9, 9), "control_set": lfo.Box(-1, 1)}
+    polyhedron = {
+        "state_set": lfo.sets.Polyhedron([[-1.0, 0.0]], [-0.5]) & lfo.Box(-9, 9),
+        "control_set": lfo.Box(-1, 1),
+    }
     assert problem_of(rotation(), **polyhedron).borders == ()
     assert len(problem_of(rotation()).borders) == 1
 
@@ -200,7 +203,7 @@ def test_where_no_mode_holds_the_place_is_told():
         lfo.AffineMode(A, B, G=[[-1.0], [1.0]], h=[0.0, 1.0], name="right"),
     ]
     problem = problem_of(lfo.PiecewiseAffineDynamics(modes), 4, initial_state=[0.4], state_set=lfo.Box(-1, 1))
-    with pytest.raises(lfo.NumericalError, match=r"No mode .* at t = 2, x = \[1\.6\], u = \[0\.0\]"):
+    with pytest.raises(lfo.errors.NumericalError, match=r"No mode .* at t = 2, x = \[1\.6\], u = \[0\.0\]"):
         lfo.simulate(problem, np.zeros((4, 1)))
     x = np.array([[0.4], [1.6], [3.2], [6.4], [12.8]])
     assert problem.piecewise.sequence_of(x, np.zeros((4, 1))).tolist() == [1, 1, 1, 1]  # the nearest region's
@@ -208,7 +211,7 @@ def test_where_no_mode_holds_the_place_is_told():
 
 def test_a_state_that_overflows_is_called_that():
     everywhere = lfo.PiecewiseAffineDynamics([lfo.AffineMode([[1e200]], [[1.0]])])
-    with pytest.raises(lfo.NumericalError, match="overflows at t = 2"):
+    with pytest.raises(lfo.errors.NumericalError, match="overflows at t = 2"):
         lfo.simulate(problem_of(everywhere, 4, initial_state=[1e10]), np.zeros((4, 1)))
 
 
@@ -260,14 +263,14 @@ def test_a_rate_limit_remembers_the_control_in_every_mode():
 )
 def test_what_needs_linear_dynamics_says_what_to_take(call, words):
     problem = problem_of(rotation(), 3, initial_state=[1.0, 1.0])
-    with pytest.raises(lfo.UnsupportedError, match=words):
+    with pytest.raises(lfo.errors.UnsupportedError, match=words):
         call(problem)
 
 
 def test_signals_from_elsewhere_become_trajectories(tmp_path):
     problem = problem_of(rotation(sampling_time=0.1), 3, initial_state=[1.0, 1.0])
     replay = lfo.simulate(problem, [[0.1], [0.2], [-0.1]])
-    again = lfo.from_time_response(lfo.to_time_response(problem, replay), problem)
+    again = lfo.from_time_response(lfo.io.to_time_response(problem, replay), problem)
     np.testing.assert_array_equal(again.x, replay.x)
     (tmp_path / "u.csv").write_text("u_0\n0.1\n0.2\n-0.1\n")
     np.testing.assert_array_equal(lfo.read_csv(tmp_path / "u.csv", problem).x, replay.x)
@@ -277,7 +280,7 @@ def test_a_run_that_ended_without_a_result_keeps_the_modes(tmp_path):
     from lin_freq_ocp.interchange.runs.run_file import dump_run
 
     problem = problem_of(rotation(), 3, initial_state=[1.0, 1.0], name="rotation")
-    dump_run(tmp_path / "run.zip", problem, {"method": "auto"}, error=lfo.UnsupportedError("no"))
+    dump_run(tmp_path / "run.zip", problem, {"method": "auto"}, error=lfo.errors.UnsupportedError("no"))
     loaded = lfo.load_run(tmp_path / "run.zip").problem
     assert str(loaded) == str(problem)
     assert "2 modes" in str(loaded)
@@ -316,7 +319,7 @@ A, B = np.eye(2), np.ones((2, 1))
     ],
 )
 def test_a_bad_mode_is_refused_by_field(given, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.AffineMode(**{"A": A, "B": B} | given)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -337,7 +340,7 @@ ONE = lfo.AffineMode(A, B)
     ],
 )
 def test_modes_that_do_not_go_together_are_refused(modes, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.PiecewiseAffineDynamics(modes)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -356,22 +359,24 @@ def test_modes_that_do_not_go_together_are_refused(modes, field, words):
 )
 def test_what_is_given_for_other_times_is_refused(mode, field):
     dynamics = lfo.PiecewiseAffineDynamics([lfo.AffineMode(A, B, H=[[1.0]], h=[0.0]), mode])
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         problem_of(dynamics, 5)
     assert caught.value.field == field
 
 
 @pytest.mark.parametrize("sequence", [[0, 0], [0, 1, 2], [0.0, 1.0, 0.0], ["a"] * 3, [[0], [0, 1]], None, [-1, 0, 0]])
 def test_what_is_no_mode_sequence_is_refused(sequence):
-    with pytest.raises(lfo.ProblemError, match=r"sequence: got .*; expected 3 mode numbers from 0 to 1"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"sequence: got .*; expected 3 mode numbers from 0 to 1"):
         problem_of(rotation(), 3).with_modes(sequence)
 
 
 def test_the_rows_of_regions_have_a_name_of_their_own():
     problem = problem_of(rotation(), 3)
-    with pytest.raises(lfo.ProblemError, match=r"stage_rows: got rows named 'mode region'; expected another name"):
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"stage_rows: got rows named 'mode region'; expected another name"
+    ):
         replace(problem, stage_rows=lfo.StageRows([[1.0, 0.0]], None, [1.0], name="mode region"))
     linear = problem_of(lfo.LinearDynamics(A, B), 3)
-    with pytest.raises(lfo.UnsupportedError, match="expected PiecewiseAffineDynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="expected PiecewiseAffineDynamics"):
         linear.with_modes([0, 0, 0])
     assert linear.borders == ()

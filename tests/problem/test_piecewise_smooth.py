@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
+from lin_freq_ocp.dynamics import SmoothMode
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 
@@ -98,7 +99,7 @@ def test_linearised_modes_agree_to_first_order():
 def test_outside_its_domain_a_mode_does_not_hold():
     problem = library.buck_converter(horizon=1, v_min=None, v_max=None, terminal_state=None)
     assert lfo.simulate(problem, [[1.0]]).x[1, 0] == pytest.approx(buck_step(0.65, 1.0))
-    with pytest.raises(lfo.NumericalError, match="No mode of the dynamics is defined and holds at t = 0"):
+    with pytest.raises(lfo.errors.NumericalError, match="No mode of the dynamics is defined and holds at t = 0"):
         lfo.simulate(problem, [[1.0]], [3.0])
     trajectory = lfo.Trajectory([[3.0], [1.0]], [[1.0]])
     failed = {one.label for one in lfo.certify(problem, trajectory).failed}
@@ -109,11 +110,11 @@ def test_outside_its_domain_a_mode_does_not_hold():
     ("make", "words"),
     [
         (lambda: lfo.PiecewiseSmoothDynamics([], 1, 1), "a list of at least one SmoothMode"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(3)], 1, 1), r"dynamics.modes\[0\].f"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [x[0], u[0]])], 1, 1), "one for each state"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [abs(x[0])])], 1, 1), "smooth pieces"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [x[0]], name="a")] * 2, 1, 1), "second time"),
-        (lambda: lfo.PiecewiseSmoothDynamics([lfo.SmoothMode(lambda x, u: [x[0]], [lfo.signals(2, 1)[0][0]])], 1, 1),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(3)], 1, 1), r"dynamics.modes\[0\].f"),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0], u[0]])], 1, 1), "one for each state"),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [abs(x[0])])], 1, 1), "smooth pieces"),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0]], name="a")] * 2, 1, 1), "second time"),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0]], [lfo.signals(2, 1)[0][0]])], 1, 1),
          r"region\[0\]"),
         (lambda: lfo.PiecewiseSmoothDynamics.from_formulas(["+".join(f"abs(sin({k}*x_0))" for k in range(1, 8))], 1, 1),
          "more than 64 combinations"),
@@ -123,19 +124,19 @@ def test_outside_its_domain_a_mode_does_not_hold():
     ],
 )  # fmt: skip
 def test_bad_dynamics_are_refused(make, words):
-    with pytest.raises(lfo.ProblemError, match=words):
+    with pytest.raises(lfo.errors.ProblemError, match=words):
         make()
 
 
 def test_other_kinds_of_dynamics_are_asked_for_in_words():
     problem = library.buck_converter(horizon=2)
-    with pytest.raises(lfo.UnsupportedError, match="PiecewiseSmoothDynamics; expected LinearDynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="PiecewiseSmoothDynamics; expected LinearDynamics"):
         _ = problem.linear
-    with pytest.raises(lfo.UnsupportedError, match="expected PiecewiseAffineDynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="expected PiecewiseAffineDynamics"):
         problem.with_modes([0, 0])
-    with pytest.raises(lfo.UnsupportedError, match="LinearDynamics; expected PiecewiseSmooth"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="LinearDynamics; expected PiecewiseSmooth"):
         _ = library.pendulum(horizon=10).smooth_pieces
-    with pytest.raises(lfo.UnsupportedError, match="'spectral', which is for linear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'spectral', which is for linear dynamics"):
         lfo.solve(problem, method="spectral")
-    with pytest.raises(lfo.UnsupportedError, match="'nonsmooth', which is for piecewise-smooth dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for piecewise-smooth dynamics"):
         lfo.solve(library.pendulum(horizon=10), method="nonsmooth")

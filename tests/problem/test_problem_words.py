@@ -39,17 +39,17 @@ W = np.array([[2.0, 0.0], [0.0, 1.0]])
 VARYING = np.linspace(1, 3, T)
 
 SETS: dict[str, tuple[Any, list[str]]] = {
-    "ball": (lfo.Ball(2.0, [1.0, 0.0]), ["within 2 of (1, 0)"]),
-    "ball at the origin": (lfo.Ball(2.0), ["within 2 of the origin"]),
-    "ellipsoid": (lfo.Ellipsoid(W, 3.0, [0.5, 0.0]), ["|W (", "(0.5, 0)", "≤ 3", "W = diag(2, 1)"]),
-    "polyhedron": (lfo.Polyhedron([[1, 2], [-1, 0]], [4, 5]), ["+ 2 ", "≤ 4", "≤ 5"]),
-    "large polyhedron": (lfo.Polyhedron(np.ones((40, 2)), np.ones(40)), ["40 rows"]),
-    "cone": (lfo.SecondOrderCone(np.eye(2), [0, 0], [0, 1], 7.0), ["second-order cone", "7"]),
-    "intersection": (lfo.Box(-3, 3) & lfo.Ball(4.0), ["within ±3", "within 4 of the origin"]),
-    "soft box": (lfo.Soft(lfo.Box(-3, [3, np.inf]), 10.0), ["soft", "10 per unit", "within ±3"]),
-    "soft ball": (lfo.Soft(lfo.Ball(4.0), 11.0), ["soft", "11 per unit", "within 4 of the origin"]),
-    "soft rows": (lfo.Soft(lfo.Polyhedron([[1, 2]], [4]), 12.0), ["soft", "12 per unit", "≤ 4"]),
-    "soft ellipsoid": (lfo.Soft(lfo.Ellipsoid(W, 3.0), 13.0), ["soft", "13 per unit", "≤ 3"]),
+    "ball": (lfo.sets.Ball(2.0, [1.0, 0.0]), ["within 2 of (1, 0)"]),
+    "ball at the origin": (lfo.sets.Ball(2.0), ["within 2 of the origin"]),
+    "ellipsoid": (lfo.sets.Ellipsoid(W, 3.0, [0.5, 0.0]), ["|W (", "(0.5, 0)", "≤ 3", "W = diag(2, 1)"]),
+    "polyhedron": (lfo.sets.Polyhedron([[1, 2], [-1, 0]], [4, 5]), ["+ 2 ", "≤ 4", "≤ 5"]),
+    "large polyhedron": (lfo.sets.Polyhedron(np.ones((40, 2)), np.ones(40)), ["40 rows"]),
+    "cone": (lfo.sets.SecondOrderCone(np.eye(2), [0, 0], [0, 1], 7.0), ["second-order cone", "7"]),
+    "intersection": (lfo.Box(-3, 3) & lfo.sets.Ball(4.0), ["within ±3", "within 4 of the origin"]),
+    "soft box": (lfo.sets.Soft(lfo.Box(-3, [3, np.inf]), 10.0), ["soft", "10 per unit", "within ±3"]),
+    "soft ball": (lfo.sets.Soft(lfo.sets.Ball(4.0), 11.0), ["soft", "11 per unit", "within 4 of the origin"]),
+    "soft rows": (lfo.sets.Soft(lfo.sets.Polyhedron([[1, 2]], [4]), 12.0), ["soft", "12 per unit", "≤ 4"]),
+    "soft ellipsoid": (lfo.sets.Soft(lfo.sets.Ellipsoid(W, 3.0), 13.0), ["soft", "13 per unit", "≤ 3"]),
 }
 
 PLACES = {
@@ -57,7 +57,7 @@ PLACES = {
     "control set": lambda one: {"control_set": one},
     "initial set": lambda one: {"initial_state": one},
     "terminal set": lambda one: {"terminal_state": one},
-    "state set at times": lambda one: {"state_set": [lfo.Everything()] * T + [one]},
+    "state set at times": lambda one: {"state_set": [lfo.sets.Everything()] * T + [one]},
 }
 
 
@@ -111,12 +111,15 @@ COSTS: dict[str, tuple[Any, list[str]]] = {
     "time-varying": (lfo.QuadraticCost(R=VARYING[:, None, None] * np.eye(2)), ["R depends on time"]),
     "cross": (lfo.QuadraticCost(Q=1, R=1, S=[[0.5, 0.1], [0, 0]]), ["x' S u", "S = [0.5 0.1; 0 0]"]),
     "linear": (lfo.QuadraticCost(q=[1.0, 2.0], r=[3.0, 4.0], p=[5, 6]), ["q = (1, 2)", "r = (3, 4)", "p = (5, 6)"]),
-    "L1": (lfo.L1Cost(u=[0.1, 0.2]), ["absolute values", "controls with weights (0.1, 0.2)"]),
-    "LInf": (lfo.LInfCost(x=3.0), ["largest absolute value", "states with weights 3"]),
-    "L1 around references": (lfo.L1Cost(x=1.0, x_ref=[7.0, 0.0]), ["x_ref = (7, 0)"]),
-    "terminal L1": (lfo.L1Cost(terminal=[0.0, 9.0]), ["terminal state with weights (0, 9)"]),
-    "L1 over time": (lfo.L1Cost(u=VARYING[:, None] * np.ones(2)), ["depend on time, from 1 to 3"]),
-    "sum": (lfo.QuadraticCost(R=1) + lfo.L1Cost(u=0.1) + lfo.LInfCost(x=0.3), ["R = I", "weights 0.1", "weights 0.3"]),
+    "L1": (lfo.costs.L1Cost(u=[0.1, 0.2]), ["absolute values", "controls with weights (0.1, 0.2)"]),
+    "LInf": (lfo.costs.LInfCost(x=3.0), ["largest absolute value", "states with weights 3"]),
+    "L1 around references": (lfo.costs.L1Cost(x=1.0, x_ref=[7.0, 0.0]), ["x_ref = (7, 0)"]),
+    "terminal L1": (lfo.costs.L1Cost(terminal=[0.0, 9.0]), ["terminal state with weights (0, 9)"]),
+    "L1 over time": (lfo.costs.L1Cost(u=VARYING[:, None] * np.ones(2)), ["depend on time, from 1 to 3"]),
+    "sum": (
+        lfo.QuadraticCost(R=1) + lfo.costs.L1Cost(u=0.1) + lfo.costs.LInfCost(x=0.3),
+        ["R = I", "weights 0.1", "weights 0.3"],
+    ),
     "none": (lfo.QuadraticCost(), ["nothing: any feasible point will do"]),
 }
 
@@ -142,9 +145,9 @@ def coefficients(length: int) -> np.ndarray:
 SPECTRA: dict[str, tuple[Callable[[int], Any], list[str]]] = {
     "low pass in Hz": (lambda _: lfo.low_pass(cutoff_hz=2.0), ["above 2 Hz", "every component"]),
     "low pass": (lambda _: lfo.low_pass(1.5, component=1), ["above 1.5 rad/sample"]),
-    "high pass": (lambda _: lfo.high_pass(cutoff_hz=1.0), ["below 1 Hz"]),
-    "band pass": (lambda _: lfo.band_pass(lower_hz=1.0, upper_hz=2.0), ["below 1 and above 2 Hz"]),
-    "notch": (lambda _: lfo.notch(centre_hz=2.0, width_hz=1.0), ["between 1.5 and 2.5 Hz"]),
+    "high pass": (lambda _: lfo.spectrum.high_pass(cutoff_hz=1.0), ["below 1 Hz"]),
+    "band pass": (lambda _: lfo.spectrum.band_pass(lower_hz=1.0, upper_hz=2.0), ["below 1 and above 2 Hz"]),
+    "notch": (lambda _: lfo.spectrum.notch(centre_hz=2.0, width_hz=1.0), ["between 1.5 and 2.5 Hz"]),
     "bins": (lambda _: lfo.stop_band(bins=[3, 4, 5, 9], component=0), ["bins 3 to 5 and 9"]),
     "mask": (lambda _: lfo.MagnitudeBound(0.5, band=lfo.low_pass(cutoff_hz=2.0)), ["|DFT| ≤ 0.5", "above 2 Hz"]),
     "mask per bin": (lambda _: lfo.MagnitudeBound([0.1, 0.4], bins=[3, 4]), ["0.1 to 0.4", "bins 3 to 4"]),
@@ -154,10 +157,13 @@ SPECTRA: dict[str, tuple[Callable[[int], Any], list[str]]] = {
         ["window hann", "4 times as fine", "between"],
     ),
     "own window": (lambda length: lfo.MagnitudeBound(0.5, bins=[3], window=np.ones(length)), ["window"]),
-    "energy": (lambda _: lfo.EnergyBound(0.7, bins=[3, 4], component=0), ["energy", "≤ 0.7", "bins 3 to 4"]),
-    "soft energy": (lambda _: lfo.EnergyBound(0.7, bins=[3, 4], penalty=21.0), ["soft", "21 per unit"]),
-    "equation": (lambda length: lfo.LinearConstraint(coefficients(length)), ["linear equation", "all times"]),
-    "soft equation": (lambda length: lfo.LinearConstraint(coefficients(length), penalty=22.0), ["soft", "22 per unit"]),
+    "energy": (lambda _: lfo.spectrum.EnergyBound(0.7, bins=[3, 4], component=0), ["energy", "≤ 0.7", "bins 3 to 4"]),
+    "soft energy": (lambda _: lfo.spectrum.EnergyBound(0.7, bins=[3, 4], penalty=21.0), ["soft", "21 per unit"]),
+    "equation": (lambda length: lfo.spectrum.LinearConstraint(coefficients(length)), ["linear equation", "all times"]),
+    "soft equation": (
+        lambda length: lfo.spectrum.LinearConstraint(coefficients(length), penalty=22.0),
+        ["soft", "22 per unit"],
+    ),
 }
 
 
@@ -169,7 +175,9 @@ def test_every_frequency_constraint_is_described(kind: str, of: str):
     make, words = SPECTRA[kind]
     one = make(T + 1 if of == "state" else T)
     if of == "output":
-        given: Any = lfo.OutputSpectrum(C=[[1, 0], [0, 2]], D=np.eye(2), constraints=[one], output_names=["a", "b"])
+        given: Any = lfo.spectrum.OutputSpectrum(
+            C=[[1, 0], [0, 2]], D=np.eye(2), constraints=[one], output_names=["a", "b"]
+        )
     else:
         given = [one]
     facts = said(problem(**{f"{of}_spectrum": given}))
@@ -216,7 +224,7 @@ def test_bounds_that_depend_on_time_have_their_range():
 
 
 def test_soft_and_hard_parts_of_one_set_are_told_apart():
-    facts = said(problem(state_set=lfo.Box(-3, 3) & lfo.Soft(lfo.Box(-1, 1), 5.0)))
+    facts = said(problem(state_set=lfo.Box(-3, 3) & lfo.sets.Soft(lfo.Box(-1, 1), 5.0)))
     assert facts["state: V [m/s]"].startswith("within ±3")
     assert "soft, 5 per unit of excess" in facts["state set"]
 
@@ -235,16 +243,16 @@ def everything_at_once() -> lfo.OptimalControlProblem:
             x_ref=rng.normal(size=(61, n)),
             q=np.pi * np.ones(n),
         )
-        + lfo.L1Cost(x=rng.uniform(size=n), terminal=rng.uniform(size=n), x_ref=rng.normal(size=n)),
-        state_set=[lfo.Ball(float(i + 5), rng.normal(size=n)) & lfo.Box(-100, 100 + i) for i in range(61)],
-        terminal_state=lfo.Ellipsoid(rng.normal(size=(n, n)), 7.0, rng.normal(size=n)),
+        + lfo.costs.L1Cost(x=rng.uniform(size=n), terminal=rng.uniform(size=n), x_ref=rng.normal(size=n)),
+        state_set=[lfo.sets.Ball(float(i + 5), rng.normal(size=n)) & lfo.Box(-100, 100 + i) for i in range(61)],
+        terminal_state=lfo.sets.Ellipsoid(rng.normal(size=(n, n)), 7.0, rng.normal(size=n)),
         control_spectrum=[
             lfo.stop_band(bins=list(range(1, 30, 2))),
             lfo.MagnitudeBound(rng.uniform(1, 9, size=15).tolist(), bins=list(range(0, 30, 2))),
-            lfo.LinearConstraint(rng.normal(size=(60, 1, 1))),
+            lfo.spectrum.LinearConstraint(rng.normal(size=(60, 1, 1))),
         ],
         stage_rows=lfo.StageRows(rng.normal(size=(2, n)), rng.normal(size=(2, 1)), [99.0, 98.0], "mixed"),
-        output_spectrum=lfo.OutputSpectrum(
+        output_spectrum=lfo.spectrum.OutputSpectrum(
             C=rng.normal(size=(9, n)), constraints=lfo.low_pass(cutoff_hz=2, component=3)
         ),
     )

@@ -176,11 +176,11 @@ def test_an_active_limit_of_mixed_features_costs_what_a_model_by_hand_does(seed)
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(limit, previous, field):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.rate_limited(problem_of(), limit, previous)
     assert caught.value.field == field
 
 
 def test_a_problem_is_limited_once():
-    with pytest.raises(lfo.ProblemError, match="a problem without stage rows named 'rate limit'"):
+    with pytest.raises(lfo.errors.ProblemError, match="a problem without stage rows named 'rate limit'"):
         lfo.rate_limited(lfo.rate_limited(problem_of(), 0.3), 0.2)

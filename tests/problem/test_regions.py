@@ -20,7 +20,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 FACTOR = 10.0 ** np.arange(-9, 10, 6)
 
 
-def place_of(error: lfo.ProblemError) -> np.ndarray:
+def place_of(error: lfo.errors.ProblemError) -> np.ndarray:
     """Return the point (x, u) that a message names."""
     return np.array(ast.literal_eval(error.got[error.got.index("= [") + 2 : error.got.index("]") + 1]))
 
@@ -65,7 +65,7 @@ def test_what_is_wrong_with_regions_is_found_where_it_is(seed, n, kinks, boxed, 
         limits = modes[i].region.e.copy()
         limits[row] += (0.02 if kind == "w" else -0.02) * (1 + abs(limits[row]))
         modes[i] = with_region(modes[i], h=limits)
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         replace(problem, dynamics=lfo.PiecewiseAffineDynamics(modes))
     error, v = caught.value, place_of(caught.value)
     if kind == "w":
@@ -103,10 +103,10 @@ def test_the_same_gap_is_found_in_all_units(unit, sets):
     }[sets]
     assert len(halves(unit, **given).borders) == 1
     assert len(halves(unit, unit * (1 + 1e-9), **given).borders) == 1
-    with pytest.raises(lfo.ProblemError, match="no mode around") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around") as caught:
         halves(unit, unit * 1.001, **given)
     assert unit * 0.999 < place_of(caught.value)[0] < unit * 1.002
-    with pytest.raises(lfo.ProblemError, match="overlaps that of 'below'"):
+    with pytest.raises(lfo.errors.ProblemError, match="overlaps that of 'below'"):
         halves(unit, unit * 0.999, **given)
 
 
@@ -115,7 +115,7 @@ def test_a_gap_within_the_tolerance_still_has_a_border():
     for gap in (0.0, 1e-12, 0.5 * THICKNESS, 1.9 * THICKNESS):
         (border,) = halves(0.0, gap, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
         assert border.limit == pytest.approx(0.0, abs=2 * THICKNESS)
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         halves(0.0, 2 * SAME_FACET, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1))
 
 
@@ -124,13 +124,13 @@ def test_components_that_bounds_fix_hide_nothing(fixed):
     """Regions in x and u, with u fixed: the gap is at x = 0, whatever u is."""
     given = {"state_set": lfo.Box(-1, 1), "control_set": lfo.Box(fixed, fixed)}
     assert len(halves(0.0, **given).borders) == 1
-    with pytest.raises(lfo.ProblemError, match="no mode around") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around") as caught:
         halves(0.0, 0.1, **given)
     assert 0 < place_of(caught.value)[0] < 0.1
     assert place_of(caught.value)[1] == fixed
-    with pytest.raises(lfo.ProblemError, match="overlaps"):
+    with pytest.raises(lfo.errors.ProblemError, match="overlaps"):
         halves(0.1, 0.0, **given)
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         halves(-2.0, 2.0, state_set=lfo.Box(0.5, 0.5), control_set=lfo.Box(fixed, fixed))  # a single point
 
 
@@ -143,7 +143,7 @@ def test_bounds_far_from_zero_lose_no_digits():
     given = {"state_set": lfo.Box(1e6, 1e6 + 1), "control_set": lfo.Box(-1, 1)}
     (border,) = halves(1e6 + 0.5, **given).borders
     assert border.limit == 1e6 + 0.5
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         halves(1e6 + 0.5, 1e6 + 0.5001, **given)
 
 
@@ -156,7 +156,7 @@ def test_a_slanting_gap_in_components_of_unlike_size():
             if not words:
                 assert len(problem_of(lfo.PiecewiseAffineDynamics([rows, below]), state_set=state_set).borders) == 1
                 continue
-            with pytest.raises(lfo.ProblemError, match=words):
+            with pytest.raises(lfo.errors.ProblemError, match=words):
                 problem_of(lfo.PiecewiseAffineDynamics([rows, below]), state_set=state_set)
 
 
@@ -169,7 +169,7 @@ def test_a_row_of_rounding_errors_says_no_size():
     ]
     assert len(problem_of(lfo.PiecewiseAffineDynamics(modes)).borders) == 3
     modes[2] = with_region(modes[2], h=[-1.5])
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         problem_of(lfo.PiecewiseAffineDynamics(modes))
 
 
@@ -185,12 +185,12 @@ WEDGE = [
 @pytest.mark.parametrize(
     "given",
     [
-        {"state_set": lfo.Polyhedron([[1.0, 1.0]], [1.0])},
-        {"state_set": lfo.Polyhedron([[1.0, 1.0]], [1.0]) & lfo.Box(-3, 3), "initial_state": [0.0, 0.0]},
+        {"state_set": lfo.sets.Polyhedron([[1.0, 1.0]], [1.0])},
+        {"state_set": lfo.sets.Polyhedron([[1.0, 1.0]], [1.0]) & lfo.Box(-3, 3), "initial_state": [0.0, 0.0]},
         {"stage_rows": lfo.StageRows([[1.0, 1.0]], None, [1.0])},
         {"stage_rows": lfo.StageRows([[1.0, 1.0]], None, [1.0]), "initial_state": [9.0, 9.0]},
-        {"state_set": [lfo.Polyhedron([[1.0, 1.0]], [1.0 - 0.1 * t]) for t in range(6)]},
-        {"state_set": [lfo.Polyhedron([[1.0 + t, 1.0 + t]], [1.0]) & lfo.Box(0, 9) for t in range(6)]},
+        {"state_set": [lfo.sets.Polyhedron([[1.0, 1.0]], [1.0 - 0.1 * t]) for t in range(6)]},
+        {"state_set": [lfo.sets.Polyhedron([[1.0 + t, 1.0 + t]], [1.0]) & lfo.Box(0, 9) for t in range(6)]},
         {"state_set": [*[lfo.Box(-3, 0.5)] * 5, lfo.Box(-9, 9)]},
     ],
 )
@@ -205,22 +205,22 @@ def test_the_regions_need_to_cover_the_sets_only(given):
     [
         {},
         {"state_set": lfo.Box(-3, 3)},
-        {"state_set": lfo.Polyhedron([[1.0, 1.0]], [1.1])},
+        {"state_set": lfo.sets.Polyhedron([[1.0, 1.0]], [1.1])},
         {"stage_rows": lfo.StageRows([[1.0, 1.0]], None, [1.0], penalty=5.0)},
-        {"state_set": lfo.Soft(lfo.Polyhedron([[1.0, 1.0]], [1.0]), 5.0)},
-        {"terminal_state": lfo.Polyhedron([[1.0, 1.0]], [1.0])},
-        {"initial_state": lfo.Polyhedron([[1.0, 1.0]], [1.0])},
-        {"state_set": lfo.Ball(0.1)},  # of balls and cones the check knows nothing
+        {"state_set": lfo.sets.Soft(lfo.sets.Polyhedron([[1.0, 1.0]], [1.0]), 5.0)},
+        {"terminal_state": lfo.sets.Polyhedron([[1.0, 1.0]], [1.0])},
+        {"initial_state": lfo.sets.Polyhedron([[1.0, 1.0]], [1.0])},
+        {"state_set": lfo.sets.Ball(0.1)},  # of balls and cones the check knows nothing
     ],
 )
 def test_what_may_be_left_must_be_covered(given):
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, **given)
 
 
 def test_the_time_of_a_gap_is_told():
-    sets = [lfo.Polyhedron([[1.0, 1.0]], [1.0 if t != 3 else 1.2]) & lfo.Box(-3, 3) for t in range(6)]
-    with pytest.raises(lfo.ProblemError, match=r"no mode around \(x, u\) = .* at t = 3") as caught:
+    sets = [lfo.sets.Polyhedron([[1.0, 1.0]], [1.0 if t != 3 else 1.2]) & lfo.Box(-3, 3) for t in range(6)]
+    with pytest.raises(lfo.errors.ProblemError, match=r"no mode around \(x, u\) = .* at t = 3") as caught:
         problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=sets)
     assert 1.0 < place_of(caught.value)[:2].sum() < 1.2
     edges = np.array([[0.0], [0.1], [0.2], [0.3]])
@@ -228,7 +228,7 @@ def test_the_time_of_a_gap_is_told():
         lfo.AffineMode([[0.5]], [[1.0]], G=[[1.0]], h=edges),
         lfo.AffineMode([[0.5]], [[1.0]], G=[[-1.0]], h=-edges - [[0.0], [0.0], [0.05], [0.0]], name="right"),
     ]
-    with pytest.raises(lfo.ProblemError, match=r"no mode around .* at t = 2"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"no mode around .* at t = 2"):
         problem_of(lfo.PiecewiseAffineDynamics(moving), 4)
     moving[1] = with_region(moving[1], h=-edges)
     borders = problem_of(lfo.PiecewiseAffineDynamics(moving), 4).borders
@@ -238,7 +238,7 @@ def test_the_time_of_a_gap_is_told():
 def test_rows_that_are_equations_leave_the_bounds():
     """In x_0 + x_1 = 1 fits no ball: what is around it must be covered."""
     equation = lfo.StageRows([[1.0, 1.0], [-1.0, -1.0]], None, [1.0, -1.0])
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 3), stage_rows=equation)
 
 
@@ -279,7 +279,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert square.inner_point(0.76) is None
     monkeypatch.setattr(polyhedra, "_projected", lambda *given: None)
     assert halves(0.0, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
-    with pytest.raises(lfo.ProblemError, match="no mode around"):
+    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
         halves(0.0, 0.1)
 
 

@@ -15,18 +15,18 @@ CENTRE = np.array([0.5, -0.2, 0.1])
 
 SETS = {  # and the same set in CVXPY
     "polyhedron": (
-        lfo.Polyhedron(np.vstack([F, np.eye(3), -np.eye(3)]), np.ones(11)),
+        lfo.sets.Polyhedron(np.vstack([F, np.eye(3), -np.eye(3)]), np.ones(11)),
         lambda v: [F @ v <= 1, v <= 1, v >= -1],
     ),
-    "ball": (lfo.Ball(1.5, CENTRE), lambda v: [cp.norm(v - CENTRE) <= 1.5]),
-    "ball around zero": (lfo.Ball(2.0), lambda v: [cp.norm(v) <= 2]),
-    "ellipsoid": (lfo.Ellipsoid(W, 1.2, CENTRE), lambda v: [cp.norm(W @ (v - CENTRE)) <= 1.2]),
+    "ball": (lfo.sets.Ball(1.5, CENTRE), lambda v: [cp.norm(v - CENTRE) <= 1.5]),
+    "ball around zero": (lfo.sets.Ball(2.0), lambda v: [cp.norm(v) <= 2]),
+    "ellipsoid": (lfo.sets.Ellipsoid(W, 1.2, CENTRE), lambda v: [cp.norm(W @ (v - CENTRE)) <= 1.2]),
     "cone and box": (
-        lfo.SecondOrderCone(F[:2], [0.1, 0.2], [1.0, 0.0, 0.0], 0.5) & lfo.Box(-2, 2),
+        lfo.sets.SecondOrderCone(F[:2], [0.1, 0.2], [1.0, 0.0, 0.0], 0.5) & lfo.Box(-2, 2),
         lambda v: [cp.norm(F[:2] @ v + np.array([0.1, 0.2])) <= v[0] + 0.5, cp.abs(v) <= 2],
     ),
     "box and ball": (
-        lfo.Box([0, None, -0.1], 1) & lfo.Ball(1.1),
+        lfo.Box([0, None, -0.1], 1) & lfo.sets.Ball(1.1),
         lambda v: [v[0] >= 0, v[2] >= -0.1, v <= 1, cp.norm(v) <= 1.1],
     ),
 }
@@ -43,36 +43,36 @@ def test_membership_and_violation_agree_with_cvxpy(name):
 
 
 def test_a_ball_in_a_box_is_not_contained_where_only_one_of_them_is():
-    both = lfo.Box(-1, 1) & lfo.Ball(1.2)
+    both = lfo.Box(-1, 1) & lfo.sets.Ball(1.2)
     points = np.array([[0.5, 0.5], [1.0, 1.0], [1.1, 0.0]])
     assert both.contains(points).tolist() == [True, False, False]
     np.testing.assert_allclose(both.violation(points), [0, np.sqrt(2) - 1.2, 0.1], atol=1e-12)
 
 
 BAD = {
-    "no matrix": (lambda: lfo.Polyhedron([1, 2], [1]), "Polyhedron.F"),
-    "limits": (lambda: lfo.Polyhedron(np.eye(2), [1]), "Polyhedron.g"),
-    "minus infinity": (lambda: lfo.Polyhedron(np.eye(2), [1, -np.inf]), "Polyhedron.g"),
-    "impossible row": (lambda: lfo.Polyhedron([[0.0, 0.0]], [-1]), "Polyhedron.g"),
-    "radius": (lambda: lfo.Ball(0), "Ball.radius"),
-    "centre": (lambda: lfo.Ball(1, [[0]]), "Ball.centre"),
-    "ellipsoid's centre": (lambda: lfo.Ellipsoid(np.eye(2), 1, [1, 2, 3]), "Ellipsoid.centre"),
-    "ellipsoid's matrix": (lambda: lfo.Ellipsoid([1, 2]), "Ellipsoid.W"),
-    "cone": (lambda: lfo.SecondOrderCone(np.eye(2), [0], [0, 0]), "SecondOrderCone.g"),
-    "cone's slope": (lambda: lfo.SecondOrderCone(np.eye(2), [0, 0], [0]), "SecondOrderCone.h"),
-    "cone's constant": (lambda: lfo.SecondOrderCone(np.eye(2), [0, 0], [0, 0], [1]), "SecondOrderCone.d"),
-    "nothing": (lambda: lfo.Intersection([]), "Intersection"),
-    "no set": (lambda: lfo.Intersection([3]), "Intersection"),
-    "dimensions": (lambda: lfo.Polyhedron(np.eye(2), [1, 1]) & lfo.Box([0, 0, 0], 1), "Intersection"),
-    "no soft cone": (lambda: lfo.Soft(SETS["cone and box"][0], 1.0), "Soft"),
-    "penalty": (lambda: lfo.Soft(lfo.Ball(1), 0), "Soft.penalty"),
-    "soft box per time": (lambda: lfo.Soft(lfo.Box(np.zeros((3, 1)), 1), 1.0), "Soft"),
+    "no matrix": (lambda: lfo.sets.Polyhedron([1, 2], [1]), "Polyhedron.F"),
+    "limits": (lambda: lfo.sets.Polyhedron(np.eye(2), [1]), "Polyhedron.g"),
+    "minus infinity": (lambda: lfo.sets.Polyhedron(np.eye(2), [1, -np.inf]), "Polyhedron.g"),
+    "impossible row": (lambda: lfo.sets.Polyhedron([[0.0, 0.0]], [-1]), "Polyhedron.g"),
+    "radius": (lambda: lfo.sets.Ball(0), "Ball.radius"),
+    "centre": (lambda: lfo.sets.Ball(1, [[0]]), "Ball.centre"),
+    "ellipsoid's centre": (lambda: lfo.sets.Ellipsoid(np.eye(2), 1, [1, 2, 3]), "Ellipsoid.centre"),
+    "ellipsoid's matrix": (lambda: lfo.sets.Ellipsoid([1, 2]), "Ellipsoid.W"),
+    "cone": (lambda: lfo.sets.SecondOrderCone(np.eye(2), [0], [0, 0]), "SecondOrderCone.g"),
+    "cone's slope": (lambda: lfo.sets.SecondOrderCone(np.eye(2), [0, 0], [0]), "SecondOrderCone.h"),
+    "cone's constant": (lambda: lfo.sets.SecondOrderCone(np.eye(2), [0, 0], [0, 0], [1]), "SecondOrderCone.d"),
+    "nothing": (lambda: lfo.sets.Intersection([]), "Intersection"),
+    "no set": (lambda: lfo.sets.Intersection([3]), "Intersection"),
+    "dimensions": (lambda: lfo.sets.Polyhedron(np.eye(2), [1, 1]) & lfo.Box([0, 0, 0], 1), "Intersection"),
+    "no soft cone": (lambda: lfo.sets.Soft(SETS["cone and box"][0], 1.0), "Soft"),
+    "penalty": (lambda: lfo.sets.Soft(lfo.sets.Ball(1), 0), "Soft.penalty"),
+    "soft box per time": (lambda: lfo.sets.Soft(lfo.Box(np.zeros((3, 1)), 1), 1.0), "Soft"),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_sets_are_refused_by_the_field(name):
     make, field = BAD[name]
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         make()
     assert caught.value.field == field

@@ -25,7 +25,7 @@ KINDS = ("x", "u", "xu")
 VARYING = ("", "C", "D", "e", "CDe")
 
 
-def solve(problem: lfo.OptimalControlProblem, method: str = "convex", backend: str = "auto") -> lfo.Result:
+def solve(problem: lfo.OptimalControlProblem, method: str = "convex", backend: str = "auto") -> lfo.results.Result:
     return lfo.solve(problem, method=method, backend=backend)
 
 
@@ -75,12 +75,12 @@ def replace_limits(rows: lfo.StageRows, e: Any, name: str = "second") -> lfo.Sta
     return lfo.StageRows(rows.C, rows.D, e, name=name)
 
 
-def changed(multipliers: lfo.Multipliers, **fields: Any) -> lfo.Multipliers:
+def changed(multipliers: lfo.results.Multipliers, **fields: Any) -> lfo.results.Multipliers:
     names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage")
-    return lfo.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
+    return lfo.results.Multipliers(**({name: getattr(multipliers, name) for name in names} | fields))
 
 
-def scaled(multipliers: lfo.Multipliers, factor: float) -> lfo.Multipliers:
+def scaled(multipliers: lfo.results.Multipliers, factor: float) -> lfo.results.Multipliers:
     return changed(multipliers, stage={name: factor * weights for name, weights in multipliers.stage.items()})
 
 
@@ -88,7 +88,7 @@ def failed(certificate: Certificate) -> set[str]:
     return {one.label for one in certificate.failed}
 
 
-def place_of_largest(multipliers: lfo.Multipliers, name: str) -> tuple[int, int]:
+def place_of_largest(multipliers: lfo.results.Multipliers, name: str) -> tuple[int, int]:
     weights = multipliers.stage[name]
     t, row = np.unravel_index(np.argmax(weights), weights.shape)
     return int(t), int(row)
@@ -165,7 +165,7 @@ BAD_IN_A_PROBLEM = [
 
 @pytest.mark.parametrize(("make", "field", "words"), BAD_ROWS)
 def test_rows_that_say_nothing_or_nonsense_are_refused(make, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         make()
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -173,7 +173,7 @@ def test_rows_that_say_nothing_or_nonsense_are_refused(make, field, words):
 
 @pytest.mark.parametrize(("given", "field", "words"), BAD_IN_A_PROBLEM)
 def test_rows_that_do_not_fit_their_problem_are_refused(given, field, words):
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         replace(problem_of("x", ""), stage_rows=given)
     assert caught.value.field == field
     assert words in str(caught.value)
@@ -197,7 +197,7 @@ def test_multipliers_that_do_not_fit_the_rows_are_refused(stage, words):
     problem = replace(problem, stage_rows=replace_limits(rows, np.full((T, 2), np.inf), rows.name))
     result = solve(problem)
     assert judge(problem, result.trajectory, changed(result.multipliers, stage=None)).pmp == "satisfied"
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         judge(problem, result.trajectory, changed(result.multipliers, stage=stage))
     assert caught.value.field.startswith("multipliers.stage")
     assert words in str(caught.value)
@@ -436,7 +436,7 @@ def test_rows_in_conflict_are_named_with_their_times():
     """The cart must cover 1 m in 2.4 s, at a speed of at most 0.3 m/s (row 1): 0.72 m."""
     solve(cart())
     rows = lfo.StageRows([[0.0, -1.0], [0.0, 1.0]], [[0.0], [0.05]], [9.0, 0.3], name="traction")
-    with pytest.raises(lfo.InfeasibleError, match=r"row 1 of traction, t = ") as caught:
+    with pytest.raises(lfo.errors.InfeasibleError, match=r"row 1 of traction, t = ") as caught:
         solve(cart(stage_rows=rows))
     result = caught.value.result
     assert "row 0" not in str(caught.value)
@@ -452,7 +452,7 @@ def test_rows_in_conflict_are_named_with_their_times():
 
 def test_rows_that_contradict_each_other_are_both_named():
     rows = [lfo.StageRows(None, [[1.0]], [-1.0], name="pull"), lfo.StageRows(None, [[-1.0]], [0.5], name="push")]
-    with pytest.raises(lfo.InfeasibleError, match=r"row 0 of pull.*row 0 of push"):
+    with pytest.raises(lfo.errors.InfeasibleError, match=r"row 0 of pull.*row 0 of push"):
         solve(cart(stage_rows=rows, terminal_state=None))
 
 
@@ -489,7 +489,7 @@ def test_a_bad_table_is_refused_with_its_place(tmp_path, table, place):
     lfo.write_problem(cart(), tmp_path / "cart.toml")
     good = (tmp_path / "cart.toml").read_text(encoding="utf-8")
     (tmp_path / "cart.toml").write_text(good + table, encoding="utf-8")
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.read_problem(tmp_path / "cart.toml")
     assert f"cart.toml: {place}" in str(caught.value)
 

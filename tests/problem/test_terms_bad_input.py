@@ -32,13 +32,18 @@ def mask(*limit, **fields) -> lfo.MagnitudeBound:
     return lfo.MagnitudeBound(*limit, **({"bins": [1]} | fields))
 
 
-def outputs(C=None, D=None, constraints=None, names=None) -> lfo.OutputSpectrum:
-    return lfo.OutputSpectrum(C, D, lfo.low_pass(1) if constraints is None else constraints, names)
+def outputs(C=None, D=None, constraints=None, names=None) -> lfo.spectrum.OutputSpectrum:
+    return lfo.spectrum.OutputSpectrum(C, D, lfo.low_pass(1) if constraints is None else constraints, names)
 
 
-L1, LInf, Quadratic = lfo.L1Cost, lfo.LInfCost, lfo.QuadraticCost
-Mask, Energy, Equation, Rows = lfo.MagnitudeBound, lfo.EnergyBound, lfo.LinearConstraint, lfo.StageRows
-Ball, Box, Soft = lfo.Ball, lfo.Box, lfo.Soft
+L1, LInf, Quadratic = lfo.costs.L1Cost, lfo.costs.LInfCost, lfo.QuadraticCost
+Mask, Energy, Equation, Rows = (
+    lfo.MagnitudeBound,
+    lfo.spectrum.EnergyBound,
+    lfo.spectrum.LinearConstraint,
+    lfo.StageRows,
+)
+Ball, Box, Soft = lfo.sets.Ball, lfo.Box, lfo.sets.Soft
 BALL_3, BOX_3 = Ball(1, [0, 0, 0]), Box([0, 0, 0], 1)
 NO_COST = "QuadraticCost, L1Cost, LInfCost, or a sum of them"
 
@@ -58,11 +63,11 @@ COSTS = {
     "in a sum": (lambda: problem(cost=Quadratic(R=1) + L1(x=[1])), "cost.norms[0].x", "(1,)", "shape (2,)"),
     "no cost in a sum": (lambda: Quadratic(R=1) + 3, "cost", "3", NO_COST),
     "no cost in a norm's sum": (lambda: L1(u=1) + "a", "cost", "'a'", NO_COST),
-    "no cost": (lambda: lfo.CostSum([L1(u=1), None]), "cost", "None", NO_COST),
+    "no cost": (lambda: lfo.costs.CostSum([L1(u=1), None]), "cost", "None", NO_COST),
     "number plus cost": (lambda: 1 + L1(u=1), "cost", "1", NO_COST),
     "false plus cost": (lambda: False + Quadratic(), "cost", "False", NO_COST),
-    "no list": (lambda: lfo.CostSum(L1(u=1)), "cost", "L1Cost(", "a list of costs"),
-    "nothing": (lambda: lfo.CostSum(None), "cost", "None", "a list of costs"),
+    "no list": (lambda: lfo.costs.CostSum(L1(u=1)), "cost", "L1Cost(", "a list of costs"),
+    "nothing": (lambda: lfo.costs.CostSum(None), "cost", "None", "a list of costs"),
     "two quadratic": (lambda: Quadratic(R=1) + L1(u=1) + Quadratic(Q=1), "cost", "two quadratic", "Add their matrices"),
     "a list as cost": (lambda: problem(cost=[L1(u=1)]), "cost", "[L1Cost(", NO_COST),
 }
@@ -135,7 +140,7 @@ ENERGIES_AND_EQUATIONS = {
     "window": (lambda: Energy(1, bins=[1], window="magic"), "EnergyBound.window", "'magic'", "scipy.signal"),
     "window's length": (lambda: states(Energy(1, bins=[1], window=[1, 2])), "state_spectrum.window", "(2,)", "(9,)"),
     "component twice": (
-        lambda: Energy(1, band=lfo.notch(1, 0.5, component="x_0"), component=0),
+        lambda: Energy(1, band=lfo.spectrum.notch(1, 0.5, component="x_0"), component=0),
         "EnergyBound.component",
         "0, and 'x_0' from the band",
         "one component",
@@ -180,7 +185,7 @@ OUTPUTS = {
     "no rows": (lambda: outputs(np.zeros((0, 2))), "output_spectrum", "(0, 2)", "one row per output"),
     "rows differ": (lambda: outputs([[1, 0]], [[1], [1]]), "output_spectrum", "(1, 2), (2, 1)", "one row per output"),
     "nan": (lambda: outputs([[0, np.nan]]), "output_spectrum.C[0][1]", "nan", "a finite number"),
-    "no constraint": (lambda: lfo.OutputSpectrum([[1, 0]]), "output_spectrum.constraints", "nothing", "bands"),
+    "no constraint": (lambda: lfo.spectrum.OutputSpectrum([[1, 0]]), "output_spectrum.constraints", "nothing", "bands"),
     "a number": (lambda: outputs([[1, 0]], None, 3), "output_spectrum.constraints", "3", "bands, MagnitudeBound"),
     "an equation": (
         lambda: outputs([[1, 0]], None, [Equation(np.ones((8, 1, 1)))]),
@@ -218,13 +223,23 @@ OUTPUTS = {
 }
 
 SETS = {
-    "states": (lambda: problem(state_set=lfo.Polyhedron(np.eye(3), [1, 1, 1])), "state_set", "3 dim", "a set in 2"),
+    "states": (
+        lambda: problem(state_set=lfo.sets.Polyhedron(np.eye(3), [1, 1, 1])),
+        "state_set",
+        "3 dim",
+        "a set in 2",
+    ),
     "controls": (lambda: problem(control_set=Ball(1, [0, 0])), "control_set", "2 dimensions", "a set in 1"),
     "start": (lambda: problem(initial_state=BALL_3), "initial_state", "3 dimensions", "a set in 2"),
-    "end": (lambda: problem(terminal_state=lfo.Ellipsoid(np.eye(3))), "terminal_state", "3 dimensions", "a set in 2"),
+    "end": (
+        lambda: problem(terminal_state=lfo.sets.Ellipsoid(np.eye(3))),
+        "terminal_state",
+        "3 dimensions",
+        "a set in 2",
+    ),
     "a new end": (lambda: problem().with_ends(terminal_state=BALL_3), "terminal_state", "3 dimensions", "a set in 2"),
     "cone": (
-        lambda: problem(terminal_state=lfo.SecondOrderCone(np.eye(3), [0, 0, 0], [0, 0, 0], 1)),
+        lambda: problem(terminal_state=lfo.sets.SecondOrderCone(np.eye(3), [0, 0, 0], [0, 0, 0], 1)),
         "terminal_state",
         "3 dimensions",
         "a set in 2",
@@ -246,7 +261,7 @@ SETS = {
     ),
     "a band": (lambda: problem(terminal_state=lfo.low_pass(1)), "terminal_state", "Band(", "a set, or None"),
     "a ball for bounds": (lambda: Box(Ball(1), 1), "Box.lower", "Ball(", "numbers"),
-    "a box for rows": (lambda: lfo.Polyhedron(Box(0, 1), [1]), "Polyhedron.F", "Box(", "numbers"),
+    "a box for rows": (lambda: lfo.sets.Polyhedron(Box(0, 1), [1]), "Polyhedron.F", "Box(", "numbers"),
     "a set for rows": (lambda: problem(stage_rows=Ball(1)), "stage_rows", "Ball(", "StageRows, a sequence of them"),
     "boxes apart": (
         lambda: Box(0, 1) & Box(2, 3),
@@ -281,7 +296,7 @@ ALL = {
 @pytest.mark.parametrize("case", ALL)
 def test_what_is_wrong_is_refused_by_the_field(case):
     make, field, got, expected = ALL[case]
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         make()
     assert caught.value.field == field
     assert got in caught.value.got
@@ -291,7 +306,9 @@ def test_what_is_wrong_is_refused_by_the_field(case):
 
 def test_a_bound_from_below_is_refused_with_the_reason_and_an_alternative():
     for limit in ((), (2.0,)):
-        with pytest.raises(lfo.UnsupportedError, match=r"not convex.*mean can be zero.*Ask for a reference instead"):
+        with pytest.raises(
+            lfo.errors.UnsupportedError, match=r"not convex.*mean can be zero.*Ask for a reference instead"
+        ):
             lfo.MagnitudeBound(*limit, at_least=1.0, bins=[1])
 
 
@@ -300,7 +317,7 @@ def test_a_limit_in_decibels_beyond_all_numbers_is_none():
 
 
 def test_an_output_band_that_removes_nothing_warns_and_is_no_constraint():
-    with pytest.warns(lfo.BandWarning, match=r"output_spectrum.constraints\[0\]: .* removes no bin"):
+    with pytest.warns(lfo.errors.BandWarning, match=r"output_spectrum.constraints\[0\]: .* removes no bin"):
         given = problem(output_spectrum=outputs([[1, 0]], None, lfo.low_pass(np.pi)))
     assert given.terms == ()
     assert lfo.solve(given).cost == 0

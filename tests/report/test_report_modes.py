@@ -412,7 +412,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     first = comparison.filtered[0].replay
     assert (first.meaningful, first.measures.cost, first.measures.state_violation) == (False, None, None)
     assert first.stopped.startswith("No mode of the dynamics holds at t = ")
-    with pytest.raises(lfo.NumericalError, match="No mode"):
+    with pytest.raises(lfo.errors.NumericalError, match="No mode"):
         lfo.simulate(problem, first.trajectory.u)
     rows = dict(strip_rows(comparison))
     assert rows["brickwall"] is None

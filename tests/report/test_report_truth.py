@@ -34,12 +34,12 @@ def problem(**fields: Any) -> lfo.OptimalControlProblem:
 
 
 @cache
-def worse_between_the_bins() -> lfo.Comparison:
+def worse_between_the_bins() -> lfo.results.Comparison:
     """A notch that is empty at its bins, and fuller than before between them."""
     return lfo.compare(problem(control_spectrum=lfo.stop_band(bins=[1, 2])), filters=["brickwall"])
 
 
-def with_status(comparison: lfo.Comparison, status: str, kind: str = "rigorous") -> lfo.Comparison:
+def with_status(comparison: lfo.results.Comparison, status: str, kind: str = "rigorous") -> lfo.results.Comparison:
     result = comparison.constrained
     assert result.certificate is not None
     assert result.certificate.bound is not None
@@ -48,7 +48,7 @@ def with_status(comparison: lfo.Comparison, status: str, kind: str = "rigorous")
     return replace(comparison, constrained=replace(result, status=status, certificate=certificate))
 
 
-def everything_said(comparison: lfo.Comparison) -> str:
+def everything_said(comparison: lfo.results.Comparison) -> str:
     certificate = comparison.constrained.certificate
     assert certificate is not None
     parts = [str(words.finding(comparison)), str(tiles(comparison)), *words.verdict(certificate, comparison.problem)]
@@ -112,7 +112,7 @@ def test_a_band_on_one_control_leaves_the_others_as_they_are():
     assert filter_limits(one) == ""
 
 
-OUTPUT = lfo.OutputSpectrum(C=[[1, 1]], constraints=lfo.MagnitudeBound(3.0, bins=[5, 6]), output_names=["tip"])
+OUTPUT = lfo.spectrum.OutputSpectrum(C=[[1, 1]], constraints=lfo.MagnitudeBound(3.0, bins=[5, 6]), output_names=["tip"])
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ OUTPUT = lfo.OutputSpectrum(C=[[1, 1]], constraints=lfo.MagnitudeBound(3.0, bins
         ({"output_spectrum": OUTPUT}, "the band is on outputs, on which filters of"),
         ({"control_spectrum": lfo.stop_band(bins=[9]), "output_spectrum": OUTPUT}, "bands on outputs are not filtered"),
         (
-            {"control_spectrum": lfo.LinearConstraint(np.ones((T, 1, 2)))},
+            {"control_spectrum": lfo.spectrum.LinearConstraint(np.ones((T, 1, 2)))},
             "linear equations over all times are nothing that a filter",
         ),
     ],
@@ -145,11 +145,12 @@ TRACK = np.column_stack([np.sin(np.linspace(0, 3, T + 1)), np.zeros(T + 1)])
 
 
 @cache
-def tracking() -> lfo.Comparison:
+def tracking() -> lfo.results.Comparison:
     return lfo.compare(
         problem(
-            cost=lfo.QuadraticCost(Q=np.diag([5.0, 0.0]), R=0.1, x_ref=TRACK) + lfo.L1Cost(u=[0, 0.1], u_ref=[0, 0.7]),
-            state_set=lfo.Soft(lfo.Box([-0.9, -50], [0.9, 50]), 3.0),
+            cost=lfo.QuadraticCost(Q=np.diag([5.0, 0.0]), R=0.1, x_ref=TRACK)
+            + lfo.costs.L1Cost(u=[0, 0.1], u_ref=[0, 0.7]),
+            state_set=lfo.sets.Soft(lfo.Box([-0.9, -50], [0.9, 50]), 3.0),
             stage_rows=lfo.StageRows([[0, 0]], [[0, 2]], [3.0], "limit"),
             terminal_state=None,
             control_spectrum=[

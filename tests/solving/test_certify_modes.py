@@ -43,9 +43,9 @@ def test_controls_alone_are_replayed_through_the_modes():
     certificate = lfo.certify(problem, [[1.0], [4.0]])
     assert certificate.pmp == "satisfied"
     assert certificate.cost == pytest.approx(-5.75)
-    with pytest.raises(lfo.ProblemError, match="expected shape"):
+    with pytest.raises(lfo.errors.ProblemError, match="expected shape"):
         lfo.certify(problem, [[1.0]])
-    with pytest.raises(lfo.ProblemError, match="trajectory"):
+    with pytest.raises(lfo.errors.ProblemError, match="trajectory"):
         lfo.certify(problem, lfo.Trajectory(np.zeros((2, 1)), np.zeros((1, 1))))
 
 
@@ -89,7 +89,7 @@ def test_abnormal_multipliers_are_found_where_there_are_no_others():
         lfo.PiecewiseAffineDynamics(modes),
         1,
         lfo.QuadraticCost(r=[1.0, 0.0]),
-        lfo.Ball(1.0, centre=[0.0, 1.0]),
+        lfo.sets.Ball(1.0, centre=[0.0, 1.0]),
         initial_state=[1.0],
         terminal_state=[1.0],
     )
@@ -154,7 +154,7 @@ def test_weights_survive_the_round_trip(tmp_path):
     with np.load(tmp_path / "run.npz") as archive:
         arrays = dict(archive)
     np.savez(tmp_path / "bad.npz", **(arrays | {"weights": np.zeros(2)}))
-    with pytest.raises(lfo.ProblemError, match=r"bad\.npz: weights"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"bad\.npz: weights"):
         lfo.load(tmp_path / "bad.npz")
 
 

@@ -33,7 +33,7 @@ def balls(horizon: int) -> lfo.OptimalControlProblem:
     plain = lfo.library.double_integrator(
         horizon=horizon, sampling_time=4 / horizon, cutoff_hz=horizon / 40, speed_bound=None, control_bound=0.27
     )
-    return replace(plain, control_set=lfo.Ball(0.27))
+    return replace(plain, control_set=lfo.sets.Ball(0.27))
 
 
 PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
@@ -51,7 +51,7 @@ PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
 def test_every_path_ends_at_its_time_limit(path: str) -> None:
     make, method = PATHS[path]
     problem, started = make(), time.perf_counter()
-    with pytest.raises(lfo.LimitError, match=r"time limit|MaxTime|timelimit") as raised:
+    with pytest.raises(lfo.errors.LimitError, match=r"time limit|MaxTime|timelimit") as raised:
         lfo.solve(problem, method=method, time_limit=0.05)
     assert time.perf_counter() - started < CEILING
     assert raised.value.result.status == "limit"
@@ -111,14 +111,14 @@ def test_leaves_that_are_not_looked_at_in_time_prove_nothing() -> None:
 def test_explaining_stops_at_its_limit() -> None:
     problem = replace(lfo.library.pendulum(horizon=240), control_set=lfo.Box(-0.01, 0.01))
     started = time.perf_counter()
-    with pytest.raises(lfo.InfeasibleError):
+    with pytest.raises(lfo.errors.InfeasibleError):
         lfo.solve(problem, time_limit=0.5)
     assert time.perf_counter() - started < CEILING
 
 
 def test_a_limit_error_says_cost_bound_and_gap() -> None:
     problem = lfo.library.cart_pole_with_walls()
-    with pytest.raises(lfo.LimitError) as raised:
+    with pytest.raises(lfo.errors.LimitError) as raised:
         lfo.solve(problem, time_limit=2.0)
     error, result = raised.value, raised.value.result
     assert (error.cost, error.bound, error.gap) == (result.cost, result.lower_bound, result.gap)
@@ -128,7 +128,7 @@ def test_a_limit_error_says_cost_bound_and_gap() -> None:
 
 
 def test_a_limit_error_without_a_result_has_none_of_them() -> None:
-    error = lfo.LimitError("stopped")
+    error = lfo.errors.LimitError("stopped")
     assert (error.cost, error.bound, error.gap) == (None, None, None)
     again = pickle.loads(pickle.dumps(error))
     assert (again.cost, str(again)) == (None, "stopped")
@@ -145,7 +145,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.real_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
-    with pytest.raises(lfo.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):
         lfo.solve(problem, method="convex")
 
 
@@ -158,23 +158,23 @@ def test_rows_are_counted_as_they_are_made() -> None:
 
 def test_a_horizon_that_does_not_fit_is_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     small_memory(monkeypatch, 1e9)
-    with pytest.raises(lfo.UnsupportedError, match=r"memory: .*horizon = 10{8},.* GiB.*shorter horizon"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*horizon = 10{8},.* GiB.*shorter horizon"):
         lfo.library.pendulum(horizon=10**8)
 
 
 def test_the_fourier_domain_method_refuses_what_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = lfo.library.pendulum(horizon=20_000)
     small_memory(monkeypatch, 1e6)
-    with pytest.raises(lfo.UnsupportedError, match=r"memory: method 'spectral' with horizon = 20000"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: method 'spectral' with horizon = 20000"):
         lfo.SpectralSolver(problem)
-    with pytest.raises(lfo.UnsupportedError, match=r"dense rows.*Before that: memory: method 'spectral'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"dense rows.*Before that: memory: method 'spectral'"):
         lfo.solve(problem)
 
 
 def test_working_rows_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = lfo.SpectralSolver(lfo.library.pendulum(horizon=12_000))
     small_memory(monkeypatch, 1e4)
-    with pytest.raises(lfo.UnsupportedError, match=r"memory: .*working rows"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*working rows"):
         solver.solve()
 
 
@@ -187,5 +187,5 @@ def test_a_large_border_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyP
     lower, upper = np.full((2 * LARGEST_BORDER, 1), -1.0), np.full((2 * LARGEST_BORDER, 1), 1.0)
     lower[::2] = upper[::2] = 0.0
     fixed = replace(problem, control_set=lfo.Box(lower, upper))
-    with pytest.raises(lfo.UnsupportedError, match=r"values within the horizon|border unknowns"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"values within the horizon|border unknowns"):
         lfo.SpectralSolver(fixed)

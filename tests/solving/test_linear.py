@@ -113,8 +113,8 @@ def test_bounds_of_1e20_and_more_are_none():
     np.testing.assert_array_equal(box.upper, [3.0, np.inf, np.inf])
     np.testing.assert_array_equal(lfo.Box([3e21], [3e21]).lower, [3e21])  # a point, however small the unit
     assert lfo.StageRows([[1.0]], None, [1e20]).e[0] == np.inf
-    assert lfo.Polyhedron([[1.0]], [1e20]).g[0] == np.inf
-    with pytest.raises(lfo.ProblemError, match=r"Box\.lower"):
+    assert lfo.sets.Polyhedron([[1.0]], [1e20]).g[0] == np.inf
+    with pytest.raises(lfo.errors.ProblemError, match=r"Box\.lower"):
         lfo.Box([1e20], [2e20])
 
 
@@ -127,7 +127,7 @@ def test_bounds_of_1e20_and_more_are_none():
 )
 def test_an_end_outside_the_state_set_is_an_infeasible_problem_with_cures(changed, family, moved):
     problem = replace(BRAKING, **changed)
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(problem)
     result = caught.value.result
     assert result.status == "infeasible"
@@ -139,7 +139,7 @@ def test_an_end_outside_the_state_set_is_an_infeasible_problem_with_cures(change
     assert family <= set(cures)
 
 
-@pytest.mark.parametrize("outside", [lfo.Ball(1.0, [0, 0]), lfo.Polyhedron([[1, 1]], [1.0])])
+@pytest.mark.parametrize("outside", [lfo.sets.Ball(1.0, [0, 0]), lfo.sets.Polyhedron([[1, 1]], [1.0])])
 def test_a_point_outside_a_set_that_is_no_box_is_infeasible_too(outside):
     """The initial state is 1e-3 outside; the terminal one, which is free here, could be inside."""
     result = lfo.solve(replace(BRAKING, state_set=outside, initial_state=[1.001, 0], terminal_state=None), throw=False)

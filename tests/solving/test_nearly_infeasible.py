@@ -96,5 +96,5 @@ def test_a_slow_low_pass_leaves_no_trajectory():
         result = lfo.solve(problem, method=method, throw=False)
         assert result.status == "infeasible"
         assert prove_infeasible(problem, result.ray) is not None
-    with pytest.raises(lfo.InfeasibleError, match="In conflict"):
+    with pytest.raises(lfo.errors.InfeasibleError, match="In conflict"):
         lfo.solve(problem)

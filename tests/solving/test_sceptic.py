@@ -11,13 +11,13 @@ from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 
 
-def at_rest(cost, **given) -> lfo.Certificate:
+def at_rest(cost, **given) -> lfo.results.Certificate:
     problem = lfo.OptimalControlProblem(SUM, 5, cost, initial_state=[0.0], **given)
     return lfo.certify(problem, np.zeros((5, 1)))
 
 
 def test_a_numerical_bound_that_looks_nowhere_proves_nothing():
-    behind_a_row = at_rest(lfo.QuadraticCost(p=[-1.0]), state_set=lfo.Polyhedron([[1.0]], [1.0]))
+    behind_a_row = at_rest(lfo.QuadraticCost(p=[-1.0]), state_set=lfo.sets.Polyhedron([[1.0]], [1.0]))
     behind_a_mask = at_rest(lfo.QuadraticCost(r=[-1.0]), control_spectrum=lfo.MagnitudeBound(1.0, bins=[0, 1, 2]))
     for certificate in (behind_a_row, behind_a_mask):
         assert not certificate.globally_optimal
@@ -27,7 +27,7 @@ def test_a_numerical_bound_that_looks_nowhere_proves_nothing():
 
 def test_a_linear_cost_does_not_make_units_that_hide_violations():
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0, 1.0]], [[0.0], [1.0]])
-    given = {"initial_state": [1.0, 0.0], "control_set": lfo.Box([-1.0], [1.0]), "terminal_state": lfo.Ball(1.0)}
+    given = {"initial_state": [1.0, 0.0], "control_set": lfo.Box([-1.0], [1.0]), "terminal_state": lfo.sets.Ball(1.0)}
     result = lfo.solve(lfo.OptimalControlProblem(dynamics, 12, lfo.QuadraticCost(r=[10.0]), **given))
     assert result.cost == pytest.approx(-10.0)
     assert result.certificate.globally_optimal
@@ -70,7 +70,7 @@ def test_a_direction_through_rounding_is_verified():
         8,
         lfo.QuadraticCost(r=[-0.9, 0.5]),
         initial_state=[1.0],
-        state_set=lfo.Ball(3.0),
+        state_set=lfo.sets.Ball(3.0),
     )
     result = lfo.solve(problem, throw=False)
     assert result.status == "unbounded"
@@ -81,7 +81,7 @@ def test_an_optimum_at_kinks_is_not_proven_wrong():
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.5, 0.3], [-0.2, 0.8]], [[1.0], [0.6]]),
         8,
-        lfo.L1Cost(x=1.0, u=1.0, terminal=1.0) + lfo.LInfCost(x=0.3, u=0.2),
+        lfo.costs.L1Cost(x=1.0, u=1.0, terminal=1.0) + lfo.costs.LInfCost(x=0.3, u=0.2),
         initial_state=[1.0, 0.3],
     )
     result = lfo.solve(problem)
@@ -93,7 +93,7 @@ def test_an_optimum_at_kinks_is_not_proven_wrong():
     "bound",
     [
         lambda by: lfo.MagnitudeBound(0.5 + by, bins=[1, 2, 3], oversampling=4, between=True),
-        lambda by: lfo.EnergyBound((1.2 + by) ** 2, bins=range(2, 9), oversampling=4),
+        lambda by: lfo.spectrum.EnergyBound((1.2 + by) ** 2, bins=range(2, 9), oversampling=4),
     ],
     ids=["between", "energy"],
 )
@@ -114,9 +114,9 @@ def test_the_grid_of_bins_reaches_the_nyquist_frequency_of_an_odd_horizon():
     assert mask.bins(31, None, "mask")[-1] == 4 * 31 // 2
 
 
-def with_stage(multipliers: lfo.Multipliers, stage) -> lfo.Multipliers:
+def with_stage(multipliers: lfo.results.Multipliers, stage) -> lfo.results.Multipliers:
     names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x")
-    return lfo.Multipliers(**{name: getattr(multipliers, name) for name in names}, stage=stage)
+    return lfo.results.Multipliers(**{name: getattr(multipliers, name) for name in names}, stage=stage)
 
 
 def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never_a_higher():
@@ -140,7 +140,7 @@ def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never
 def test_a_multiplier_of_a_ball_that_points_elsewhere_is_seen_to_first_order():
     dynamics = lfo.LinearDynamics(np.eye(2), np.eye(2))
     problem = lfo.OptimalControlProblem(
-        dynamics, 4, lfo.QuadraticCost(Q=1.0, R=0.1), initial_state=[3.0, 1.0], control_set=lfo.Ball(0.5)
+        dynamics, 4, lfo.QuadraticCost(Q=1.0, R=0.1), initial_state=[3.0, 1.0], control_set=lfo.sets.Ball(0.5)
     )
     result = lfo.solve(problem)
     turn = 5e-4
@@ -155,6 +155,8 @@ def test_the_bound_of_a_point_far_from_the_optimum_is_what_the_multipliers_say()
     rows = lfo.StageRows(None, [[1.0]], [1.0])
     problem = lfo.OptimalControlProblem(SUM, 1, lfo.QuadraticCost(R=1.0), initial_state=[0.0], stage_rows=rows)
     zero = lfo.solve(problem).multipliers
-    given = lfo.Multipliers(1.0, [[0.0]], np.zeros((2, 1)), [[0.0]], zero.rho_u, zero.rho_x, {"stage rows": [[0.5]]})
+    given = lfo.results.Multipliers(
+        1.0, [[0.0]], np.zeros((2, 1)), [[0.0]], zero.rho_u, zero.rho_x, {"stage rows": [[0.5]]}
+    )
     bounds = [lfo.certify(problem, lfo.Trajectory([[0.0], [u]], [[u]]), given).lower_bound for u in (-2.0, 0.0, 0.9)]
     assert bounds == [0.0, 0.0, 0.0]

@@ -97,7 +97,7 @@ def test_without_any_cost_every_feasible_trajectory_is_extremal():
 class TestEndings:
     @pytest.mark.parametrize(("method", "solver"), [("auto", "spectral"), ("convex", "convex, clarabel")])
     def test_infeasible(self, method, solver):
-        with pytest.raises(lfo.InfeasibleError, match=r"control bound on force \[N\]") as caught:
+        with pytest.raises(lfo.errors.InfeasibleError, match=r"control bound on force \[N\]") as caught:
             lfo.solve(lfo.library.pendulum(control_bound=1.0), method=method)
         result = caught.value.result
         assert result.solver == solver
@@ -115,7 +115,7 @@ class TestEndings:
     def test_unbounded(self):
         integrator = lfo.LinearDynamics([[1.0]], [[1.0]])
         problem = lfo.OptimalControlProblem(integrator, 10, lfo.QuadraticCost(r=[1.0]), initial_state=[0.0])
-        with pytest.raises(lfo.UnboundedError, match="no lower bound"):
+        with pytest.raises(lfo.errors.UnboundedError, match="no lower bound"):
             lfo.solve(problem)
 
     def test_infeasible_comes_before_unbounded(self):
@@ -123,14 +123,14 @@ class TestEndings:
         two = lfo.LinearDynamics(np.eye(2), np.eye(2))
         sets = {"control_set": lfo.Box([-1, None], [1, None]), "initial_state": [0, 0]}
         cost = lfo.QuadraticCost(r=[0.0, 1.0])
-        with pytest.raises(lfo.UnboundedError):
+        with pytest.raises(lfo.errors.UnboundedError):
             lfo.solve(lfo.OptimalControlProblem(two, 5, cost, **sets))
-        with pytest.raises(lfo.InfeasibleError):
+        with pytest.raises(lfo.errors.InfeasibleError):
             lfo.solve(lfo.OptimalControlProblem(two, 5, cost, **sets, terminal_state=lfo.Box([9, None], [9, None])))
 
     @METHODS
     def test_limit_keeps_the_best_point(self, method):
-        with pytest.raises(lfo.LimitError) as caught:
+        with pytest.raises(lfo.errors.LimitError) as caught:
             lfo.solve(lfo.library.pendulum(horizon=480), method=method, time_limit=1e-3)
         assert caught.value.result.trajectory is not None
         assert not caught.value.result.certificate.globally_optimal
@@ -141,7 +141,7 @@ class TestEndings:
             return Solution(Claim.SOLVED, 1e3 + honest.z[::-1], 1e3 + honest.y[::-1], "Solved")
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
-        with pytest.raises(lfo.NumericalError, match="residuals are too large"):
+        with pytest.raises(lfo.errors.NumericalError, match="residuals are too large"):
             lfo.solve(lfo.library.pendulum(), method="convex")
 
     def test_a_false_ray_is_not_believed(self, monkeypatch):
@@ -149,19 +149,19 @@ class TestEndings:
             return Solution(Claim.INFEASIBLE, None, np.ones(len(program.lower)), "PrimalInfeasible")
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
-        with pytest.raises(lfo.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
+        with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(), method="convex")
         assert not caught.value.proven
 
     @pytest.mark.parametrize("method", ["auto", "spectral", "convex"])
     def test_nonconvex_cost_is_refused_with_its_eigenvalue(self, method):
         problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=-2.0))
-        with pytest.raises(lfo.UnsupportedError, match="eigenvalue -2"):
+        with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue -2"):
             lfo.solve(problem, method=method)
 
     @pytest.mark.parametrize("bad", [{"method": "magic"}, {"backend": "magic"}, {"time_limit": 0}, {"tolerance": -1}])
     def test_bad_options(self, bad):
-        with pytest.raises(lfo.UnsupportedError, match=next(iter(bad))):
+        with pytest.raises(lfo.errors.UnsupportedError, match=next(iter(bad))):
             lfo.solve(lfo.library.pendulum(), **bad)
 
 
@@ -235,13 +235,13 @@ class TestChoiceOfMethod:
         assert (result.method, result.backend, result.solver) == ("convex", backend, f"convex, {backend}")
 
     def test_spectral_refuses_a_named_backend(self):
-        with pytest.raises(lfo.UnsupportedError, match="backend: got 'clarabel' for the method 'spectral'"):
+        with pytest.raises(lfo.errors.UnsupportedError, match="backend: got 'clarabel' for the method 'spectral'"):
             lfo.solve(lfo.library.pendulum(), method="spectral", backend="clarabel")
 
     @pytest.mark.parametrize("case", outside_the_spectral_class())
     def test_spectral_refuses_with_the_reason_and_auto_takes_the_sparse_program(self, case):
         problem, reason = outside_the_spectral_class()[case]
-        with pytest.raises(lfo.UnsupportedError, match=f"method 'spectral': {reason}.*Use method 'convex'"):
+        with pytest.raises(lfo.errors.UnsupportedError, match=f"method 'spectral': {reason}.*Use method 'convex'"):
             lfo.solve(problem, method="spectral")
         result = lfo.solve(problem)
         assert (result.method, result.backend) == ("convex", "clarabel")
@@ -292,7 +292,7 @@ class TestChoiceOfMethod:
     @pytest.mark.parametrize("ray", [None, lambda honest: replace(honest, eta_C=0.0)])
     def test_a_false_ray_of_spectral_alone_is_not_believed(self, ray, monkeypatch):
         monkeypatch.setattr(SpectralSolver, "solve", claiming(infeasible_with(ray)))
-        with pytest.raises(lfo.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
+        with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(), method="spectral")
         assert not caught.value.proven
         result = caught.value.result
@@ -357,13 +357,13 @@ class TestShapesOfProblems:
 
     @METHODS
     def test_everything_removed_leaves_the_drift(self, method):
-        with pytest.warns(lfo.BandWarning, match="removes every bin"):
+        with pytest.warns(lfo.errors.BandWarning, match="removes every bin"):
             problem = lfo.OptimalControlProblem(
                 lfo.LinearDynamics([[0.5]], [[1.0]]),
                 8,
                 lfo.QuadraticCost(Q=2.0, R=1.0),
                 initial_state=[1.0],
-                control_spectrum=lfo.band_pass(0.5, 0.6),
+                control_spectrum=lfo.spectrum.band_pass(0.5, 0.6),
             )
         result = lfo.solve(problem, method=method)
         assert np.abs(result.control).max() < 1e-9
@@ -477,7 +477,7 @@ class TestCertify:
 
     def test_a_wrong_shape(self, solved):
         result = solved("paper, constrained")
-        with pytest.raises(lfo.ProblemError, match=r"trajectory: got x \(240, 4\)"):
+        with pytest.raises(lfo.errors.ProblemError, match=r"trajectory: got x \(240, 4\)"):
             lfo.certify(result.problem, lfo.Trajectory(result.trajectory.x[1:], result.control[1:]))
 
 

@@ -42,11 +42,11 @@ TAKEN = {
 METHODS = sorted({method for _, method in TAKEN})
 
 OBJECTS = {
-    "spectral": lfo.Spectral(tolerance=1e-4),
-    "convex": lfo.Convex(backend="osqp", tolerance=1e-4),
-    "branch_and_bound": lfo.BranchAndBound(gap=1e-4, node_limit=3),
-    "enumerate": lfo.Enumeration(gap=1e-4, node_limit=3),
-    "miqp": lfo.MixedInteger(backend="daqp", gap=1e-4, node_limit=3),
+    "spectral": lfo.solvers.Spectral(tolerance=1e-4),
+    "convex": lfo.solvers.Convex(backend="osqp", tolerance=1e-4),
+    "branch_and_bound": lfo.solvers.BranchAndBound(gap=1e-4, node_limit=3),
+    "enumerate": lfo.solvers.Enumeration(gap=1e-4, node_limit=3),
+    "miqp": lfo.solvers.MixedInteger(backend="daqp", gap=1e-4, node_limit=3),
 }
 
 
@@ -60,14 +60,16 @@ def test_the_table_knows_every_method():
 def test_an_option_is_taken_or_refused(kind, method, option):
     given = {option: OPTIONS[option]}
     if (kind, method) not in TAKEN:
-        with pytest.raises(lfo.UnsupportedError, match=f"method: got '{method}', which is for .* dynamics; expected"):
+        with pytest.raises(
+            lfo.errors.UnsupportedError, match=f"method: got '{method}', which is for .* dynamics; expected"
+        ):
             chosen(PROBLEMS[kind], method, given)
     elif option in TAKEN[kind, method]:
         found = chosen(PROBLEMS[kind], method, given)
         fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
         assert not fields or OPTIONS[option] in {getattr(found, name, None) for name in fields}
     else:
-        with pytest.raises(lfo.UnsupportedError, match=f"{option}: got .* for the method '{method}' and {kind}"):
+        with pytest.raises(lfo.errors.UnsupportedError, match=f"{option}: got .* for the method '{method}' and {kind}"):
             chosen(PROBLEMS[kind], method, given)
 
 
@@ -75,7 +77,7 @@ def test_an_option_is_taken_or_refused(kind, method, option):
 @pytest.mark.parametrize("name", OBJECTS)
 def test_an_object_is_its_shorthand_with_keywords(kind, name):
     if (kind, name) not in TAKEN:
-        with pytest.raises(lfo.UnsupportedError, match=f"method: got '{name}', which is for"):
+        with pytest.raises(lfo.errors.UnsupportedError, match=f"method: got '{name}', which is for"):
             chosen(PROBLEMS[kind], OBJECTS[name], {})
         return
     options = {option: getattr(OBJECTS[name], option, None) for option in ("backend", "tolerance", "gap", "node_limit")}
@@ -83,29 +85,31 @@ def test_an_object_is_its_shorthand_with_keywords(kind, name):
 
 
 def test_options_beside_an_object_are_refused():
-    with pytest.raises(lfo.UnsupportedError, match=r"tolerance: got 0.1 beside .* belong to it: lfo.Convex\(...\)"):
-        lfo.solve(PROBLEMS["linear"], lfo.Convex(), tolerance=0.1)
-    with pytest.raises(lfo.UnsupportedError, match=r"gap: got 0.1 without a global bound"):
-        lfo.Nonsmooth(global_bound=False, gap=0.1)
-    with pytest.raises(lfo.UnsupportedError, match=r"gap: got one, and a tolerance"):
+    with pytest.raises(
+        lfo.errors.UnsupportedError, match=r"tolerance: got 0.1 beside .* belong to it: lfo.solvers.Convex\(...\)"
+    ):
+        lfo.solve(PROBLEMS["linear"], lfo.solvers.Convex(), tolerance=0.1)
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got 0.1 without a global bound"):
+        lfo.solvers.Nonsmooth(global_bound=False, gap=0.1)
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got one, and a tolerance"):
         lfo.solve(PROBLEMS["piecewise-affine"], tolerance=0.1, gap=0.1)
-    with pytest.raises(lfo.UnsupportedError, match=r"method: got 3; expected a text"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"method: got 3; expected a text"):
         lfo.solve(PROBLEMS["linear"], 3)
-    with pytest.raises(lfo.UnsupportedError, match=r"'minlp', which is no method any more: .*verify_nonsmooth"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"'minlp', which is no method any more: .*verify_nonsmooth"):
         lfo.solve(PROBLEMS["piecewise-smooth"], "minlp")
 
 
 @pytest.mark.parametrize(
     ("method", "saved"),
     [
-        (lfo.Convex(tolerance=1e-7), {"method": "convex", "backend": "auto", "tolerance": 1e-7}),
+        (lfo.solvers.Convex(tolerance=1e-7), {"method": "convex", "backend": "auto", "tolerance": 1e-7}),
         ("spectral", {"method": "spectral", "backend": "auto", "tolerance": None}),
     ],
 )
 def test_a_result_knows_the_options_that_repeat_it(method, saved):
     problem = PROBLEMS["linear"]
     assert lfo.solve(problem, method).options == {**saved, "time_limit": None}
-    searched = lfo.solve(PROBLEMS["piecewise-affine"], replace(lfo.BranchAndBound(), node_limit=500)).options
+    searched = lfo.solve(PROBLEMS["piecewise-affine"], replace(lfo.solvers.BranchAndBound(), node_limit=500)).options
     assert searched["node_limit"] == 500
     assert searched["method"] in ("auto", "branch_and_bound")
 

@@ -114,7 +114,7 @@ LINEAR = lfo.OptimalControlProblem(
     + [(block(horizon=3), method) for method in ("enumerate", "miqp")],
 )
 def test_methods_without_a_search_refuse_a_start(problem, method):
-    with pytest.raises(lfo.UnsupportedError, match="start: got one"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="start: got one"):
         lfo.solve(problem, method=method, start=np.zeros((3, 1)))
 
 
@@ -140,7 +140,7 @@ def test_methods_without_a_search_refuse_a_start(problem, method):
 )
 @pytest.mark.parametrize("smooth", [False, True])
 def test_bad_starts_are_refused_by_name(start, words, smooth):
-    with pytest.raises(lfo.ProblemError, match=words) as caught:
+    with pytest.raises(lfo.errors.ProblemError, match=words) as caught:
         lfo.solve(block(smooth, 3), start=start)
     assert caught.value.field.startswith("start")
 
@@ -155,9 +155,9 @@ def test_controls_that_cannot_be_replayed_are_refused():
         state_set=lfo.Box(-9, 9),
         initial_state=[1.0],
     )
-    with pytest.raises(lfo.ProblemError, match="start: got controls that cannot be replayed"):
+    with pytest.raises(lfo.errors.ProblemError, match="start: got controls that cannot be replayed"):
         lfo.solve(problem, start=np.ones((6, 1)))
-    with pytest.raises(lfo.ProblemError, match="start: initial_state"):
+    with pytest.raises(lfo.errors.ProblemError, match="start: initial_state"):
         lfo.solve(replace(problem, initial_state=None), start=np.ones((6, 1)))
 
 

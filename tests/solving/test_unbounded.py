@@ -25,27 +25,27 @@ def problem_of(dynamics: lfo.LinearDynamics, cost: Any, start: Any = "rest", **f
 
 
 SLANTED = [[1.0, -1.0], [-1.0, 1.0]]
-CONE = lfo.SecondOrderCone([[1, 0]], [0], [0, 1], 1.0)
+CONE = lfo.sets.SecondOrderCone([[1, 0]], [0], [0, 1], 1.0)
 UNBOUNDED = {
     "bounded on the other side": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Box(None, [2.0])),
     "a state that falls": problem_of(CART, Cost(q=[1.0, 0]), [0.0, 1.0], control_set=lfo.Box(None, [1.0])),
-    "steeper than its L1 cost": problem_of(ONE, Cost(r=[1.0]) + lfo.L1Cost(u=0.9)),
-    "steeper than its Linf cost": problem_of(TWO, Cost(r=[1.0, -1.0]) + lfo.LInfCost(u=1.5)),
-    "steeper than its penalty": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Soft(lfo.Box(-1, 1), 0.5)),
+    "steeper than its L1 cost": problem_of(ONE, Cost(r=[1.0]) + lfo.costs.L1Cost(u=0.9)),
+    "steeper than its Linf cost": problem_of(TWO, Cost(r=[1.0, -1.0]) + lfo.costs.LInfCost(u=1.5)),
+    "steeper than its penalty": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Soft(lfo.Box(-1, 1), 0.5)),
     "a mask lets the mean pass": problem_of(
         ONE, Cost(q=[1.0]), control_spectrum=lfo.MagnitudeBound(1.0, bins=range(1, 6))
     ),
     "an energy bound lets the mean pass": problem_of(
-        CART, Cost(q=[1.0, 0]), control_spectrum=lfo.EnergyBound(1.0, bins=range(1, 6))
+        CART, Cost(q=[1.0, 0]), control_spectrum=lfo.spectrum.EnergyBound(1.0, bins=range(1, 6))
     ),
     "a stop band lets the mean pass": problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.stop_band(bins=[1, 2])),
     "an output mask on a difference": problem_of(
         TWO,
         Cost(r=[1.0, 1.0]),
-        output_spectrum=lfo.OutputSpectrum(None, [[1.0, -1.0]], lfo.MagnitudeBound(1.0, bins=range(6))),
+        output_spectrum=lfo.spectrum.OutputSpectrum(None, [[1.0, -1.0]], lfo.MagnitudeBound(1.0, bins=range(6))),
     ),
     "a free initial state": problem_of(STABLE, Cost(q=[1.0], R=1.0), None),
-    "between two rows": problem_of(TWO, Cost(r=[1.0, 1.0]), control_set=lfo.Polyhedron(SLANTED, [1.0, 1.0])),
+    "between two rows": problem_of(TWO, Cost(r=[1.0, 1.0]), control_set=lfo.sets.Polyhedron(SLANTED, [1.0, 1.0])),
     "along a cone": problem_of(TWO, Cost(r=[0.0, -1.0]), control_set=CONE),
     "joint rows on one side": problem_of(ONE, Cost(p=[1.0]), stage_rows=lfo.StageRows([[1.0]], [[1.0]], [1.0])),
     "the control without curvature": problem_of(TWO, Cost(r=[1.0, 1.0], R=np.diag([1.0, 0.0]))),
@@ -53,13 +53,13 @@ UNBOUNDED = {
 BOUNDED = {
     "bounded on this side": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Box([-2.0], None)),
     "a state that cannot fall": problem_of(CART, Cost(q=[1.0, 0]), [0.0, 1.0], control_set=lfo.Box([-1.0], None)),
-    "less steep than its L1 cost": problem_of(ONE, Cost(r=[1.0]) + lfo.L1Cost(u=1.1, u_ref=0.5)),
-    "less steep than its Linf cost": problem_of(TWO, Cost(r=[1.0, -1.0]) + lfo.LInfCost(u=2.1, u_ref=0.5)),
-    "less steep than its penalty": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Soft(lfo.Box(-1, 1), 1.5)),
+    "less steep than its L1 cost": problem_of(ONE, Cost(r=[1.0]) + lfo.costs.L1Cost(u=1.1, u_ref=0.5)),
+    "less steep than its Linf cost": problem_of(TWO, Cost(r=[1.0, -1.0]) + lfo.costs.LInfCost(u=2.1, u_ref=0.5)),
+    "less steep than its penalty": problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Soft(lfo.Box(-1, 1), 1.5)),
     "a mask on the mean, too": problem_of(ONE, Cost(q=[1.0]), control_spectrum=lfo.MagnitudeBound(1.0, bins=range(6))),
     "a stop band on the mean": problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.stop_band(bins=[0])),
     "a bounded initial state": problem_of(STABLE, Cost(q=[1.0], R=1.0), lfo.Box([-1.0], None)),
-    "across two rows": problem_of(TWO, Cost(r=[1.0, -1.0]), control_set=lfo.Polyhedron(SLANTED, [1.0, 1.0])),
+    "across two rows": problem_of(TWO, Cost(r=[1.0, -1.0]), control_set=lfo.sets.Polyhedron(SLANTED, [1.0, 1.0])),
     "into a cone": problem_of(TWO, Cost(r=[0.0, 1.0]), control_set=CONE),
     "the control with curvature": problem_of(TWO, Cost(r=[1.0, 0.0], R=np.diag([1.0, 0.0]))),
 }
@@ -105,7 +105,7 @@ def test_the_cost_falls_for_ever_along_a_verified_direction(name, method):
         fallen = problem.value(there.x, there.u) - before
         assert fallen < 0
     assert fallen / step == pytest.approx(along.slope, rel=1e-3)
-    with pytest.raises(lfo.UnboundedError, match="no lower bound"):
+    with pytest.raises(lfo.errors.UnboundedError, match="no lower bound"):
         lfo.solve(problem, method=method)
 
 
@@ -144,7 +144,9 @@ REFUSED = {  # name: accepted problem, problem that refuses, direction
     "a state bound, at one time": (
         problem_of(ONE, Cost(r=[1.0])),
         problem_of(
-            ONE, Cost(r=[1.0]), state_set=[lfo.Box([-9.0], None) if t == 7 else lfo.Everything() for t in range(T + 1)]
+            ONE,
+            Cost(r=[1.0]),
+            state_set=[lfo.Box([-9.0], None) if t == 7 else lfo.sets.Everything() for t in range(T + 1)],
         ),
         DOWN,
     ),
@@ -160,20 +162,20 @@ REFUSED = {  # name: accepted problem, problem that refuses, direction
     ),
     "the sign": (problem_of(ONE, Cost(r=[1.0])), problem_of(ONE, Cost(r=[-1.0])), DOWN),
     "no slope": (problem_of(ONE, Cost(r=[1.0])), problem_of(ONE, Cost()), DOWN),
-    "an L1 cost": (problem_of(ONE, Cost(r=[1.0])), problem_of(ONE, Cost(r=[1.0]) + lfo.L1Cost(u=1.01)), DOWN),
+    "an L1 cost": (problem_of(ONE, Cost(r=[1.0])), problem_of(ONE, Cost(r=[1.0]) + lfo.costs.L1Cost(u=1.01)), DOWN),
     "a penalty": (
-        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Soft(lfo.Ball(5.0), 0.9)),
-        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Soft(lfo.Ball(5.0), 1.01)),
+        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Soft(lfo.sets.Ball(5.0), 0.9)),
+        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Soft(lfo.sets.Ball(5.0), 1.01)),
         DOWN,
     ),
     "a ball": (
-        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Soft(lfo.Ball(5.0), 0.9)),
-        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.Ball(5.0)),
+        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Soft(lfo.sets.Ball(5.0), 0.9)),
+        problem_of(ONE, Cost(r=[1.0]), control_set=lfo.sets.Ball(5.0)),
         DOWN,
     ),
     "a cone": (
         problem_of(TWO, Cost(r=[-1.0, -1.0]), control_set=CONE),
-        problem_of(TWO, Cost(r=[-1.0, -1.0]), control_set=lfo.SecondOrderCone([[1, 0]], [0], [0, 0.9], 1.0)),
+        problem_of(TWO, Cost(r=[-1.0, -1.0]), control_set=lfo.sets.SecondOrderCone([[1, 0]], [0], [0, 0.9], 1.0)),
         moving(problem_of(TWO, Cost()), [1.0, 1.0]),
     ),
     "a row": (
@@ -192,13 +194,15 @@ REFUSED = {  # name: accepted problem, problem that refuses, direction
         DOWN,
     ),
     "an energy bound": (
-        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.EnergyBound(5.0, bins=[1, 2])),
-        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.EnergyBound(5.0, bins=[0, 1])),
+        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.spectrum.EnergyBound(5.0, bins=[1, 2])),
+        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.spectrum.EnergyBound(5.0, bins=[0, 1])),
         DOWN,
     ),
     "an equation over all times": (
-        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.LinearConstraint(np.ones((T, 1, 1)), [5.0], penalty=0.5)),
-        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.LinearConstraint(np.ones((T, 1, 1)), [5.0])),
+        problem_of(
+            ONE, Cost(r=[1.0]), control_spectrum=lfo.spectrum.LinearConstraint(np.ones((T, 1, 1)), [5.0], penalty=0.5)
+        ),
+        problem_of(ONE, Cost(r=[1.0]), control_spectrum=lfo.spectrum.LinearConstraint(np.ones((T, 1, 1)), [5.0])),
         DOWN,
     ),
     "the dynamics": (problem_of(ONE, Cost(r=[1.0])), problem_of(STABLE, Cost(r=[1.0])), DOWN),
@@ -224,7 +228,9 @@ FAR = lfo.Box([9.0, None], None)
 HELD = lfo.Box([-0.1, None], [0.1, None])
 BOTH = {
     "a control bound": problem_of(TWO, Cost(r=[1.0, 1.0], R=np.diag([1.0, 0.0])), control_set=HELD, terminal_state=FAR),
-    "an L1 cost": problem_of(TWO, Cost(r=[1.0, 1.0]) + lfo.L1Cost(u=[2.0, 0.5]), control_set=HELD, terminal_state=FAR),
+    "an L1 cost": problem_of(
+        TWO, Cost(r=[1.0, 1.0]) + lfo.costs.L1Cost(u=[2.0, 0.5]), control_set=HELD, terminal_state=FAR
+    ),
     "a mask": problem_of(
         TWO,
         Cost(r=[0.0, 1.0], R=np.diag([1.0, 0.0])),

@@ -126,5 +126,5 @@ def test_a_trajectory_that_is_wrong_is_not_excused_by_its_decimals():
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, 0.1, float("nan")])
 def test_a_tolerance_that_forgives_everything_is_refused(tolerance):
-    with pytest.raises(lfo.UnsupportedError, match="tolerance: got"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="tolerance: got"):
         lfo.certify(SMALL, np.zeros((40, 1)), tolerance=tolerance)

@@ -17,12 +17,12 @@ POLE, A = I_REF * R, exp(-R * TC / L)
 
 
 @cache
-def norm_optimum() -> lfo.Result:
+def norm_optimum() -> lfo.results.Result:
     return lfo.solve(library.norm_dynamics((1.0, 0.0), 3), method="nonsmooth")
 
 
 @cache
-def buck_optimum(case: str) -> lfo.Result:
+def buck_optimum(case: str) -> lfo.results.Result:
     given = {
         "usual": {"horizon": 4},
         "as posed": {"horizon": 8, "v_min": None, "v_max": None},

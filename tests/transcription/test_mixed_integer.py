@@ -74,7 +74,7 @@ def sampled(problem, count, seed=0, size=1.0):
         u = (lower + upper) / 2 + size * (upper - lower) / 2 * rng.uniform(-1, 1, lower.shape)
         try:
             trajectory = lfo.simulate(problem, u, rng.uniform(start.lower, start.upper))
-        except lfo.NumericalError:
+        except lfo.errors.NumericalError:
             continue
         if (problem.state_tube.violation(trajectory.x) == 0).all():
             found += 1
@@ -207,7 +207,7 @@ def masked(horizon=4):
 
 def balled():
     """Return a problem whose controls are bounded by nothing but a ball."""
-    return random_problem(3, horizon=3, m=2, control_set=lfo.Ball(1.0))
+    return random_problem(3, horizon=3, m=2, control_set=lfo.sets.Ball(1.0))
 
 
 @pytest.mark.parametrize("problem", [masked(), balled()], ids=["mask", "ball"])
@@ -216,7 +216,7 @@ def test_cones_go_to_scip_and_daqp_refuses_them(problem):
     again = resolved(problem, solve_miqp(problem, "scip"))
     assert again.words == ""
     assert again.cost == pytest.approx(best, rel=1e-6)
-    with pytest.raises(lfo.UnsupportedError, match="'daqp' solves quadratic programs only"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'daqp' solves quadratic programs only"):
         solve_miqp(problem, "daqp")
 
 
@@ -235,7 +235,7 @@ def test_the_mask_is_felt_and_branch_and_bound_proves_it():
     [
         {"stage_rows": lfo.StageRows([[1.0, 0.5]], [[1.0]], [0.1], penalty=2.0)},
         {"cost": lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.1)},
-        {"cost": lfo.QuadraticCost(Q=0.2, R=0.1, q=[0.3, 0.0], r=[-0.2]) + lfo.L1Cost(u=0.3)},
+        {"cost": lfo.QuadraticCost(Q=0.2, R=0.1, q=[0.3, 0.0], r=[-0.2]) + lfo.costs.L1Cost(u=0.3)},
     ],
     ids=["soft rows", "singular", "L1"],
 )
@@ -303,19 +303,19 @@ def test_solvers_are_silent_and_repeat_themselves(backend, capfd):
 @pytest.mark.parametrize(("backend", "package"), [("scip", "pyscipopt"), ("daqp", "daqp")])
 def test_a_missing_package_is_named(monkeypatch, backend, package):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(lfo.MissingExtraError, match=rf"{package}.*pip install 'lin-freq-ocp\[{backend}\]'"):
+    with pytest.raises(lfo.errors.MissingExtraError, match=rf"{package}.*pip install 'lin-freq-ocp\[{backend}\]'"):
         solve_miqp(library.buck_affine(horizon=2), backend)
 
 
 def test_what_cannot_be_taken_is_refused():
     problem = library.buck_affine(horizon=3)
-    with pytest.raises(lfo.UnsupportedError, match=r"'gurobi'; expected 'scip' or 'daqp'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"'gurobi'; expected 'scip' or 'daqp'"):
         solve_miqp(problem, "gurobi")
-    with pytest.raises(lfo.UnsupportedError, match="LinearDynamics; expected PiecewiseAffine"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="LinearDynamics; expected PiecewiseAffine"):
         solve_miqp(library.pendulum(horizon=10), "daqp")
-    with pytest.raises(lfo.UnsupportedError, match="eigenvalue -1"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue -1"):
         solve_miqp(replace(problem, cost=lfo.QuadraticCost(R=-1.0)), "daqp")
-    with pytest.raises(lfo.UnsupportedError, match=r"u_0: no upper bound at t = 0, where several modes"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"u_0: no upper bound at t = 0, where several modes"):
         solve_miqp(random_problem(3, horizon=3, control_set=lfo.Box(-1, None), initial_state=lfo.Box(-4, 4)), "daqp")
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice
@@ -44,6 +43,8 @@ SMALLEST_SQUARE = 1e-12
 
 def arrivals(stages: Stages, lattices: list[Lattice]) -> list[Array]:
     """Return an estimate of what it costs at least to come to every cell of full lattices, (cells,) per time."""
+    from scipy.ndimage import minimum_filter  # slow to import
+
     spent = [np.full(len(lattice.cells), np.inf) for lattice in lattices]
     spent[0][:] = 0.0
     for t, (lattice, after) in enumerate(pairwise(lattices)):

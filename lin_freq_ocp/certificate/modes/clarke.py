@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import nnls
 
 from lin_freq_ocp.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
@@ -260,6 +259,8 @@ def nearest_weights(stage: SwitchingStage) -> Array:
     The nearest point of a polytope V alpha to 0: beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple
     of alpha, as the sum s enters that as s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s.
     """
+    from scipy.optimize import nnls  # slow to import
+
     columns = ((stage.slopes - stage.required) / stage.scale).T
     beta, _ = nnls(np.vstack([columns, np.ones(len(stage.modes))]), np.append(np.zeros(len(columns)), 1.0))
     return beta / beta.sum()
@@ -366,6 +367,8 @@ def _regular_residuals(stage: SwitchingStage) -> list[Array]:
 
 def _outside(vector: Array, generators: Array, scale: Array) -> Array:
     """Return what is left of a vector after the nearest nonnegative sum of generators, both divided by the scale."""
+    from scipy.optimize import nnls  # slow to import
+
     scaled, columns = vector / scale, generators / scale[:, None]
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 0] / norms[norms > 0]

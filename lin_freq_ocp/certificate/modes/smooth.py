@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
@@ -98,6 +97,8 @@ def _slopes(
 
 def nearest_in_ball(columns: Array, wanted: Array) -> Array:
     """Return xi with |xi| <= 1 for which columns @ xi is nearest to what is wanted; the shortest of those."""
+    from scipy.optimize import brentq  # slow to import
+
     xi = np.asarray(np.linalg.lstsq(columns, wanted, rcond=1e-12)[0], dtype=np.float64)
     if np.linalg.norm(xi) <= 1:
         return xi

@@ -40,10 +40,20 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     problem : OptimalControlProblem
         With a convex cost.
 
+    Returns
+    -------
+    cvxpy.Problem
+
     Raises
     ------
     UnsupportedError
         If the cost is not convex, or the dynamics have modes (take ``problem.with_modes(sequence)``).
+
+    Examples
+    --------
+    >>> model = lfo.to_cvxpy(lfo.library.double_integrator(horizon=60))
+    >>> model.var_dict["x"].shape
+    (61, 2)
     """
     import cvxpy as cp  # here, because it takes more than a second to import and only its users need it
 

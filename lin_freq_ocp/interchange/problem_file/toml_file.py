@@ -38,11 +38,21 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
     overrides : mapping, optional
         Values that take precedence over the file's, as nested tables: ``{"horizon": 100, "cost": {"R": 2.0}}``.
 
+    Returns
+    -------
+    OptimalControlProblem
+
     Raises
     ------
     ProblemError
         If it is no such file or describes no problem; the field is the file and the location in it,
         ``"cart.toml: dynamics.A"``.
+
+    Examples
+    --------
+    >>> lfo.write_problem(lfo.library.double_integrator(), "problem.toml")
+    >>> lfo.read_problem("problem.toml", {"horizon": 60}).horizon
+    60
     """
     path = Path(path)
     tables = read_tables(path)
@@ -78,10 +88,20 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
     path : path
         The file.
 
+    Returns
+    -------
+    None
+
     Raises
     ------
     ProblemError
         If it cannot be written there.
+
+    Examples
+    --------
+    >>> lfo.write_problem(lfo.library.double_integrator(), "problem.toml")
+    >>> lfo.read_problem("problem.toml").name
+    'double_integrator'
     """
     path = Path(path)
     for name, content in problem_files(problem, path.name).items():

@@ -42,10 +42,21 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     problem : OptimalControlProblem
         Its names, horizon and sampling time; "t" is checked to count steps, "time [s]" to count seconds.
 
+    Returns
+    -------
+    Trajectory
+
     Raises
     ------
     ProblemError
         If the table does not fit: the field names file, line and column.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> result.to_csv("run.csv")
+    >>> bool((lfo.read_csv("run.csv", result.problem).x == result.trajectory.x).all())
+    True
     """
     path = Path(path)
     text = read_text(path)

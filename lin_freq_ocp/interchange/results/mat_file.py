@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat, savemat
 
 from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.atomic import write_bytes
@@ -43,6 +42,8 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
         "state_names": _cells(problem.state_names),
         "control_names": _cells(problem.control_names),
     }
+    from scipy.io import savemat  # slow to import
+
     stream: Any = BytesIO()  # stubs of scipy know names of files only
     savemat(stream, variables)
     write_bytes(path, stream.getvalue())
@@ -62,11 +63,24 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     problem : OptimalControlProblem
         Its horizon, dimensions and sampling time.
 
+    Returns
+    -------
+    Trajectory
+
     Raises
     ------
     ProblemError
         If it is no such file, or a variable does not fit: the field names file and variable.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> result.to_mat("run.mat")
+    >>> bool((lfo.read_mat("run.mat", result.problem).x == result.trajectory.x).all())
+    True
     """
+    from scipy.io import loadmat  # slow to import
+
     path = Path(path)
     content = read_bytes(path)
     try:

@@ -75,10 +75,25 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
 def load_solution(path: str | PathLike[str]) -> SavedSolution:
     """Read a solution from an .npz that has at least x (T+1, n) and u (T, m).
 
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    SavedSolution
+
     Raises
     ------
     ProblemError
         If it is no such file, lacks x or u or some of the multipliers, or shapes do not match.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator()).save("run.npz")
+    >>> lfo.load("run.npz").trajectory.x.shape[1]
+    2
     """
     path = Path(path)
     with opened_npz(str(path), path) as archive:

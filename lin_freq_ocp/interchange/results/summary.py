@@ -8,16 +8,18 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.comparison.compare import ComparisonOutcome
 
 SCHEMA = 1
 

@@ -21,6 +21,16 @@ def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     Its time (T+1,) is in seconds (in steps, without sampling time); states and outputs both are x', (n, T+1); inputs
     are u', (m, T+1), NaN at time T, where there is no control.
 
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    trajectory : Trajectory
+        Of its horizon and dimensions.
+
+    Returns
+    -------
+    control.TimeResponseData
+
     Raises
     ------
     ProblemError
@@ -57,10 +67,20 @@ def from_time_response(response: Any, problem: OptimalControlProblem) -> Traject
     problem : OptimalControlProblem
         Its names, dimensions, horizon and sampling time.
 
+    Returns
+    -------
+    Trajectory
+
     Raises
     ------
     ProblemError
         If the response has other times or signals, or more than one trace.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> lfo.from_time_response(result.to_time_response(), result.problem).u.shape == result.trajectory.u.shape
+    True
     """
     import control  # here, because it takes seconds to import and only its users need it
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import nnls
 
 from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.analysis.stage_normals import CONTROL, STATE, Normal, stage_normals
@@ -100,6 +99,8 @@ def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: 
 
 def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
     """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    from scipy.optimize import nnls  # slow to import
+
     norms = np.linalg.norm(rays, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import NumericalError
@@ -19,6 +19,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
 
 POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}
 """Grid points of each state, and of each control, by how many there are of both: some 10^5 pairs."""
@@ -46,6 +49,8 @@ def grid_trajectories(
     deadline : float
         Of ``time.perf_counter``, after which there are no more.
     """
+    from scipy.interpolate import RegularGridInterpolator  # slow to import
+
     n, m = problem.state_dim, problem.control_dim
     tube = problem.control_tube
     if (n, m) not in POINTS or not np.isfinite([tube.lower, tube.upper]).all():

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
@@ -162,6 +161,8 @@ def _sides(system: System, trajectory: Trajectory) -> Array:
 
 def _fitted(system: System, v: Array, near: float) -> Array:
     """Return the unknowns with the multipliers of least squares."""
+    from scipy.optimize import lsq_linear  # slow to import
+
     F, J = system.equations(v * system.units)
     signals = np.concatenate([system.x.ravel(), system.u.ravel()])
     signals = signals[system.lower[signals] < system.upper[signals]]

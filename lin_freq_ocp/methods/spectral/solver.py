@@ -94,6 +94,17 @@ class SpectralSolver:
     ------
     UnsupportedError
         With the reason, if the problem is outside this class.
+
+    References
+    ----------
+    docs/spectral.md derives the method. Nocedal and Wright, "Numerical Optimization", 2006: active sets, and Mehrotra's
+    interior-point method, of which parts are used.
+
+    Examples
+    --------
+    >>> solver = lfo.SpectralSolver(lfo.library.pendulum())
+    >>> solver.solve().status
+    'optimal'
     """
 
     def __init__(self, problem: OptimalControlProblem):

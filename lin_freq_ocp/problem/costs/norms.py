@@ -127,7 +127,10 @@ class L1Cost(_NormCost):
 class LInfCost(_NormCost):
     """sum_{t<T} max_i x_i |x_t,i - x_ref,i| + max_j u_j |u_t,j - u_ref,j|, plus max_i terminal_i |x_T,i - x_ref,i|.
 
-    Parameters are those of ``L1Cost``.
+    Parameters
+    ----------
+    x, u, terminal, x_ref, u_ref
+        As for ``L1Cost``.
     """
 
     label = "Linf cost"

@@ -119,6 +119,11 @@ class QuadraticCost(Cost):
     ProblemError
         When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
 
+    Examples
+    --------
+    >>> lfo.QuadraticCost(Q=[1.0, 0.0], R=2.0)
+    QuadraticCost(...)
+
     Methods
     -------
     value(x, u)

@@ -40,6 +40,11 @@ class AffineMode:
     ProblemError
         If shapes do not match or entries are not numbers; of the field ``mode.A``, or ``dynamics.modes[i].A`` where the
         place is known.
+
+    Examples
+    --------
+    >>> lfo.AffineMode([[0.5]], [[1.0]], G=[[-1.0]], h=[0.0], name="right").name  # holds where x >= 0
+    'right'
     """
 
     linear: LinearDynamics

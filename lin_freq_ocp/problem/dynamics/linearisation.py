@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 
 from lin_freq_ocp.arrays import Array, brief, positive_number, real_array, times_vectors
 from lin_freq_ocp.errors import ProblemError
@@ -208,6 +207,8 @@ def _over_one_period(
         slope_phi = slope[:, :n] @ phi
         slope_phi[:, n:] += slope[:, n:]
         return np.concatenate([model(seconds, here), slope_phi.ravel()])
+
+    from scipy.integrate import solve_ivp  # slow to import
 
     start = np.concatenate([point[:n], np.eye(n, len(point)).ravel()])
     sizes = np.concatenate([size[:n], np.divide.outer(size[:n], size).ravel()])

@@ -38,6 +38,11 @@ class Box(ConvexSet):
     ProblemError
         If a bound is not a number, or a lower bound is above its upper bound.
 
+    Examples
+    --------
+    >>> bool(lfo.Box([None, -1], [None, 1]).contains([9.0, 0.5]))
+    True
+
     Methods
     -------
     contains(v)

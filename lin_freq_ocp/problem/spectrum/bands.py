@@ -160,6 +160,15 @@ def low_pass(
         Cut-off in rad/sample (0 .. pi) or in Hz (0 .. Nyquist); exactly one of them. A bin on it is kept.
     component : int or str, optional
         Index or name of the component; default all.
+
+    Returns
+    -------
+    Band
+
+    Examples
+    --------
+    >>> lfo.low_pass(cutoff_hz=5)
+    Band(...)
     """
     edge, unit = _edge("low_pass", "cutoff", cutoff, cutoff_hz)
     return Band("low_pass", (0.0, edge), unit, component)
@@ -168,7 +177,19 @@ def low_pass(
 def high_pass(
     cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
 ) -> Band:
-    """Keep the bins from the cut-off on and remove those below; see ``low_pass``."""
+    """Keep the bins from the cut-off on and remove those below; see ``low_pass``.
+
+    Parameters
+    ----------
+    cutoff, cutoff_hz : float
+        In rad/sample (0 .. pi) or in Hz; exactly one of them.
+    component : int or str, optional
+        Index or name of the component; default all.
+
+    Returns
+    -------
+    Band
+    """
     edge, unit = _edge("high_pass", "cutoff", cutoff, cutoff_hz)
     return Band("high_pass", (edge, np.inf), unit, component)
 
@@ -181,7 +202,21 @@ def band_pass(
     upper_hz: float | None = None,
     component: int | str | None = None,
 ) -> Band:
-    """Keep the bins from ``lower`` to ``upper`` (both kept) and remove the others; see ``low_pass``."""
+    """Keep the bins from ``lower`` to ``upper`` (both kept) and remove the others; see ``low_pass``.
+
+    Parameters
+    ----------
+    lower, upper : float
+        In rad/sample (0 .. pi).
+    lower_hz, upper_hz : float
+        The same in Hz.
+    component : int or str, optional
+        Index or name of the component; default all.
+
+    Returns
+    -------
+    Band
+    """
     low, unit = _edge("band_pass", "lower", lower, lower_hz)
     high, other = _edge("band_pass", "upper", upper, upper_hz)
     if unit != other:
@@ -201,7 +236,21 @@ def notch(
     width_hz: float | None = None,
     component: int | str | None = None,
 ) -> Band:
-    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others; see ``low_pass``."""
+    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others; see ``low_pass``.
+
+    Parameters
+    ----------
+    centre, width : float
+        In rad/sample (0 .. pi).
+    centre_hz, width_hz : float
+        The same in Hz.
+    component : int or str, optional
+        Index or name of the component; default all.
+
+    Returns
+    -------
+    Band
+    """
     middle, unit = _edge("notch", "centre", centre, centre_hz)
     span, other = _edge("notch", "width", width, width_hz)
     if unit != other:
@@ -212,7 +261,23 @@ def notch(
 
 
 def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Band:
-    """Remove the listed DFT bins, 0-based mod N; the conjugate bin N-k of each goes with it."""
+    """Remove the listed DFT bins, 0-based mod N; the conjugate bin N-k of each goes with it.
+
+    Parameters
+    ----------
+    bins : iterable of int
+    component : int or str, optional
+        Index or name of the component; default all.
+
+    Returns
+    -------
+    Band
+
+    Examples
+    --------
+    >>> lfo.stop_band(bins=[3, 4, 5], component=0)
+    Band(...)
+    """
     listed = list(bins) if isinstance(bins, Iterable) else [bins]
     if not listed or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in listed):
         raise ProblemError(

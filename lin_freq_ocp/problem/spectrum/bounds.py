@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import get_window
 
 from lin_freq_ocp.arrays import (
     Array,
@@ -186,6 +185,11 @@ class MagnitudeBound(_SpectrumBound):
         If a value is not of this kind.
     UnsupportedError
         For ``at_least``: signals above a mask are no convex set.
+
+    Examples
+    --------
+    >>> lfo.MagnitudeBound(0.5, band=lfo.low_pass(1.0))  # at the bins that the low pass would remove
+    MagnitudeBound(...)
     """
 
     limit: Array
@@ -388,6 +392,8 @@ def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
+    from scipy.signal import get_window  # slow to import
+
     try:
         return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
     except ValueError:

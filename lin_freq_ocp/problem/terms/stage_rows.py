@@ -41,6 +41,12 @@ class StageRows:
     -----
     Until a problem completes it, a matrix that was not given has no columns.
 
+    Examples
+    --------
+    >>> rows = lfo.StageRows(C=[[1.0, 0.0]], D=[[1.0]], e=[2.0])
+    >>> rows.name
+    'stage rows'
+
     Methods
     -------
     values(x, u)

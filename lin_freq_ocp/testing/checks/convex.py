@@ -66,7 +66,7 @@ def check(seed: int) -> Outcome:
     )
 
 
-def oracle_is_infeasible(problem: lfo.OptimalControlProblem, result: lfo.Result, oracle: cp.Problem) -> bool:
+def oracle_is_infeasible(problem: lfo.OptimalControlProblem, result: lfo.results.Result, oracle: cp.Problem) -> bool:
     """Whether CVXPY's cost is below ours because its point violates constraints: residuals times our multipliers.
 
     Of our own trajectory the same products must be worth less than the difference.

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.conflict import PRACTICAL
-from lin_freq_ocp.explain.blocks import ENDS, Block, blocks, widened, without
+from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, widened, without
 from lin_freq_ocp.testing.random_infeasible import random_infeasible
 
 LESS = 0.95

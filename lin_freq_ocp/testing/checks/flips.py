@@ -45,20 +45,20 @@ class Outcome:
         return not self.wrong
 
 
-def sequence_optimum(problem: lfo.OptimalControlProblem, sequence: np.ndarray) -> lfo.Result | None:
+def sequence_optimum(problem: lfo.OptimalControlProblem, sequence: np.ndarray) -> lfo.results.Result | None:
     """Return the optimum of a mode sequence; None if it has none."""
     result = lfo.solve(problem.with_modes(sequence), throw=False)
     proven = result.certificate is not None and result.certificate.pmp == "satisfied"
     return result if "optimal" in result.status and proven else None
 
 
-def signals_of(result: lfo.Result) -> lfo.Trajectory:
+def signals_of(result: lfo.results.Result) -> lfo.Trajectory:
     """Return the trajectory of a problem that was solved."""
     assert result.trajectory is not None
     return result.trajectory
 
 
-def change_of_cost(result: lfo.Result, other: lfo.Result) -> float:
+def change_of_cost(result: lfo.results.Result, other: lfo.results.Result) -> float:
     """Return the relative change of the cost from one optimum to another; inf if the other one was not found."""
     if "optimal" not in other.status or other.cost is None or result.cost is None:
         return np.inf
@@ -95,7 +95,9 @@ def check(seed: int) -> Outcome:
     return Outcome(seed, kind, len(facts.times), counts, tuple(wrong))
 
 
-def followed(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result) -> Iterator[tuple[str, str]]:
+def followed(
+    problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.results.Result
+) -> Iterator[tuple[str, str]]:
     """Follow flips to the end; yield what certify says there of the trajectory alone, and words if that is wrong."""
     for _ in range(MOST_STEPS):
         trajectory = signals_of(result)
@@ -133,7 +135,7 @@ def followed(problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: l
 
 
 def tried(
-    problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.Result, facts: SwitchingFacts
+    problem: lfo.OptimalControlProblem, sequence: np.ndarray, result: lfo.results.Result, facts: SwitchingFacts
 ) -> Iterator[tuple[str, str]]:
     """Yield what each flip turned out to be, and words if that is not what was said."""
     trajectory = signals_of(result)

@@ -75,7 +75,7 @@ def check(seed: int) -> Outcome:
     return Outcome(seed, features, result.status, difference, gap, worst, tuple(wrong), tuple(tried))
 
 
-def _spoiled(problem: lfo.OptimalControlProblem, result: lfo.Result) -> list[tuple[str, bool]]:
+def _spoiled(problem: lfo.OptimalControlProblem, result: lfo.results.Result) -> list[tuple[str, bool]]:
     """Return what was spoiled in the judge's input, and whether the judge accepted it all the same."""
     multipliers, trajectory = result.multipliers, result.trajectory
     assert multipliers is not None
@@ -98,27 +98,29 @@ def _spoiled(problem: lfo.OptimalControlProblem, result: lfo.Result) -> list[tup
         if tighter is not None and any(np.abs(multipliers.stage[one]).max() > 1e-2 for one in of_set):
             try:
                 changed = replace(problem, **{field_name: tighter})
-            except lfo.ProblemError:  # the fixed initial state is outside: noticed earlier
+            except lfo.errors.ProblemError:  # the fixed initial state is outside: noticed earlier
                 continue
             tried.append((f"tighter {field_name}", _accepted(changed, trajectory, multipliers)))
     return tried
 
 
-def _accepted(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory, multipliers: lfo.Multipliers) -> bool:
+def _accepted(
+    problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory, multipliers: lfo.results.Multipliers
+) -> bool:
     return lfo.certify(problem, trajectory, multipliers).pmp == "satisfied"
 
 
-def _changed(multipliers: lfo.Multipliers, **changed: Any) -> lfo.Multipliers:
+def _changed(multipliers: lfo.results.Multipliers, **changed: Any) -> lfo.results.Multipliers:
     names = ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage")
-    return lfo.Multipliers(**{**{name: getattr(multipliers, name) for name in names}, **changed})
+    return lfo.results.Multipliers(**{**{name: getattr(multipliers, name) for name in names}, **changed})
 
 
 def _tighter(one: Any) -> Any:
     """Return a set with smaller limits, where that is plain."""
-    if isinstance(one, lfo.Ball):
-        return lfo.Ball(TIGHTER * one.radius, one.centre)
-    if isinstance(one, lfo.Ellipsoid):
-        return lfo.Ellipsoid(one.W, TIGHTER * one.radius, one.centre)
-    if isinstance(one, lfo.Polyhedron):
-        return lfo.Polyhedron(one.F, one.g - (1 - TIGHTER) * np.abs(one.g))
+    if isinstance(one, lfo.sets.Ball):
+        return lfo.sets.Ball(TIGHTER * one.radius, one.centre)
+    if isinstance(one, lfo.sets.Ellipsoid):
+        return lfo.sets.Ellipsoid(one.W, TIGHTER * one.radius, one.centre)
+    if isinstance(one, lfo.sets.Polyhedron):
+        return lfo.sets.Polyhedron(one.F, one.g - (1 - TIGHTER) * np.abs(one.g))
     return None

@@ -25,7 +25,7 @@ PROBLEMS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
 
 
 def noisy(
-    problem: lfo.OptimalControlProblem, result: lfo.Result, level: float, rng: np.random.Generator
+    problem: lfo.OptimalControlProblem, result: lfo.results.Result, level: float, rng: np.random.Generator
 ) -> lfo.Trajectory:
     """Return the optimum's trajectory with noise, within the bounds."""
     assert result.trajectory is not None
@@ -36,7 +36,9 @@ def noisy(
     return lfo.Trajectory(*(np.clip(one, tube.lower, tube.upper) for one, tube in zip((x, u), tubes, strict=True)))
 
 
-def run(problem: lfo.OptimalControlProblem, result: lfo.Result, level: float, seed: int) -> tuple[NewtonRun, bool]:
+def run(
+    problem: lfo.OptimalControlProblem, result: lfo.results.Result, level: float, seed: int
+) -> tuple[NewtonRun, bool]:
     """Return one run from a noisy start, and whether it returned to the optimum."""
     start = noisy(problem, result, level, np.random.default_rng(seed))
     sequence = problem.smooth_pieces.sequence_of(start.x, start.u)

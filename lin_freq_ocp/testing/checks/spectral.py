@@ -103,7 +103,7 @@ class Outcome:
     verdict: Verdict
     why: str = ""
     difference: float | None = None
-    certificate: lfo.Certificate | None = None
+    certificate: lfo.results.Certificate | None = None
     rounds: int | None = None
     far: bool = False
 
@@ -140,7 +140,7 @@ def check(seed: int) -> Outcome:
             result = lfo.solve(problem, method="spectral", throw=False, time_limit=SOLVER_SECONDS)
             rounds = lfo.SpectralSolver(problem).solve().rounds if result.status in ANSWERS else None
     except Exception as error:  # whatever it is, it must not end a run over many problems
-        verdict = Verdict.REFUSED if isinstance(error, lfo.UnsupportedError) else Verdict.BROKEN
+        verdict = Verdict.REFUSED if isinstance(error, lfo.errors.UnsupportedError) else Verdict.BROKEN
         return Outcome(seed, type(error).__name__, reference.words, verdict, str(error))
     far = reference.point is not None and is_far(problem, reference.point.trajectory)
     if result.status in ANSWERS and reference.point is not None:
@@ -154,7 +154,7 @@ def check(seed: int) -> Outcome:
 def satisfies(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory) -> bool:
     """Whether a trajectory satisfies every constraint to WITNESS_RESIDUAL."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    nothing = lfo.Multipliers(
+    nothing = lfo.results.Multipliers(
         1.0,
         np.zeros((T, n)),
         np.zeros((T + 1, n)),
@@ -219,7 +219,7 @@ def compare_statuses(ours: str, reference: str, feasible: bool) -> Verdict:
 
 
 def compare_costs(
-    problem: lfo.OptimalControlProblem, result: lfo.Result, point: Candidate
+    problem: lfo.OptimalControlProblem, result: lfo.results.Result, point: Candidate
 ) -> tuple[Verdict, str, float]:
     """Return the verdict on two solutions, its reason, and the relative difference of their costs."""
     certificate, trajectory, multipliers = result.certificate, result.trajectory, result.multipliers
@@ -248,7 +248,7 @@ def compare_costs(
 
 
 def cost_errors(
-    problem: lfo.OptimalControlProblem, at: lfo.Trajectory, multipliers: lfo.Multipliers, other: lfo.Trajectory
+    problem: lfo.OptimalControlProblem, at: lfo.Trajectory, multipliers: lfo.results.Multipliers, other: lfo.Trajectory
 ) -> dict[str, float]:
     """Return by how much the cost of a point can be wrong, to first order: each residual times its multiplier.
 

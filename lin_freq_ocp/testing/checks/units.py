@@ -58,7 +58,7 @@ class Outcome:
 
 
 @cache
-def solved(seed: int) -> lfo.Result:
+def solved(seed: int) -> lfo.results.Result:
     """Return the answer to a problem as drawn."""
     return lfo.solve(problem(drawn(seed)), throw=False)
 
@@ -83,18 +83,18 @@ def check(seed: int, kind_of_change: str | None = None) -> Outcome:
     return Outcome(seed, data.kind, kind_of_change, verdict(first), verdict(second), difference, spoiled)
 
 
-def verdict(result: lfo.Result) -> Verdict:
+def verdict(result: lfo.results.Result) -> Verdict:
     """Return what a result says."""
     return Verdict(result.status, *_said(result.certificate))
 
 
-def _said(certificate: lfo.Certificate | None) -> tuple[str | None, bool | None, str | None]:
+def _said(certificate: lfo.results.Certificate | None) -> tuple[str | None, bool | None, str | None]:
     if certificate is None:
         return None, None, None
     return certificate.pmp, certificate.globally_optimal, certificate.bound.kind if certificate.bound else None
 
 
-def _changed(rng: np.random.Generator, data: Drawn, first: lfo.Result, what: str) -> tuple[Drawn, Change]:
+def _changed(rng: np.random.Generator, data: Drawn, first: lfo.results.Result, what: str) -> tuple[Drawn, Change]:
     """Return the numbers and the words of the second problem."""
     n, m = data.n, data.m
     if what == "cost":
@@ -137,7 +137,7 @@ def _in_order_of(data: Drawn, other: Drawn, x: np.ndarray) -> np.ndarray:
 
 def _spoiled(
     rng: np.random.Generator,
-    first: lfo.Result,
+    first: lfo.results.Result,
     data: Drawn,
     other: Drawn,
     change: Change,
@@ -152,7 +152,7 @@ def _spoiled(
     for one, controls in ((first.problem, u), (again, change.u * u + change.u_origin)):
         try:
             certificate = lfo.certify(one, controls)
-        except lfo.NumericalError as error:
+        except lfo.errors.NumericalError as error:
             found.append(Verdict(type(error).__name__, None, None, None))
             continue
         found.append(Verdict("certified", certificate.pmp, certificate.globally_optimal, None))

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import linprog
 
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
@@ -222,6 +221,8 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
 
 def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array:
     """Return the minimiser of a linear program that has one."""
+    from scipy.optimize import linprog  # slow to import
+
     answer: Any = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
     if answer.status != 0:
         raise NumericalError(f"A linear program about the domains of modes ended as: {answer.message}")
@@ -253,6 +254,8 @@ def _with_implied_bounds(
 
 def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Array) -> tuple[Array, Array]:
     """Return bounds (n+m,), those that are missing from the rows where these have any."""
+    from scipy.optimize import linprog  # slow to import
+
     low, high = lower.copy(), upper.copy()
     scaled, right = _normalised(rows * units, limits)
     bounds = np.column_stack([lower, upper]) / units[:, None]

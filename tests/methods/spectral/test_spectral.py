@@ -51,7 +51,9 @@ def relative_violation(problem: lfo.OptimalControlProblem, trajectory: lfo.Traje
     return worst
 
 
-def assert_accurate(problem: lfo.OptimalControlProblem, answer: lfo.SpectralSolution, gap: float = 1e-8) -> float:
+def assert_accurate(
+    problem: lfo.OptimalControlProblem, answer: lfo.solvers.SpectralSolution, gap: float = 1e-8
+) -> float:
     """Check the figures that the method promises; return the cost."""
     assert answer.status == "optimal", answer.words
     measured = residuals(problem, answer.trajectory)
@@ -115,7 +117,7 @@ def pair(request):
     return lfo.solve(problem, method="spectral"), lfo.solve(problem, method="convex", tolerance=1e-12)
 
 
-def fields_of(multipliers: lfo.Multipliers) -> dict[str, np.ndarray]:
+def fields_of(multipliers: lfo.results.Multipliers) -> dict[str, np.ndarray]:
     fields = {name: getattr(multipliers, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
     return fields | {f"stage {name}": rows for name, rows in multipliers.stage.items()}
 
@@ -141,7 +143,7 @@ def test_every_multiplier_counts(pair):
             spoilt = fields | {name: factor * value}
             stage = {key[6:]: rows for key, rows in spoilt.items() if key.startswith("stage ")}
             plain = {key: rows for key, rows in spoilt.items() if not key.startswith("stage ")}
-            judged = lfo.certify(result.problem, result.trajectory, lfo.Multipliers(1.0, **plain, stage=stage))
+            judged = lfo.certify(result.problem, result.trajectory, lfo.results.Multipliers(1.0, **plain, stage=stage))
             assert judged.pmp == "violated", (name, factor)
     on_rows = [fields["nu"], fields["mu"][1:-1], *(rows for name, rows in fields.items() if name.startswith("stage "))]
     assert max(np.abs(rows).max() for rows in on_rows) > 1e-2
@@ -202,7 +204,7 @@ def test_a_time_limit_leaves_honest_residuals(stopped):
 
 
 def test_with_a_time_limit_an_error_is_raised(stopped):
-    with pytest.raises(lfo.LimitError, match="time limit"):
+    with pytest.raises(lfo.errors.LimitError, match="time limit"):
         lfo.solve(stopped[0], method="spectral", time_limit=1e-9)
 
 

@@ -29,7 +29,7 @@ from helpers.spectral_plants import (
 )
 
 
-def assert_optimal(problem: lfo.OptimalControlProblem) -> lfo.Result:
+def assert_optimal(problem: lfo.OptimalControlProblem) -> lfo.results.Result:
     """Solve by both methods and compare; return the Fourier-domain method's result."""
     result = lfo.solve(problem, method="spectral")
     reference = lfo.solve(problem, method="convex", tolerance=1e-11)

@@ -44,7 +44,7 @@ LONG_CASES: dict[str, dict[str, Any]] = {
     "values fixed now and then": {"control_set": fixed_at(slice(3, None, 8), 0.3, 0.3)},
     "state bounds": {"state_set": lfo.Box(-1.0, 1.0)},
     "state bounds now and then": {
-        "state_set": [lfo.Everything() if t % 8 != 5 else lfo.Box(-1.0, 1.0) for t in range(LONG + 1)]
+        "state_set": [lfo.sets.Everything() if t % 8 != 5 else lfo.Box(-1.0, 1.0) for t in range(LONG + 1)]
     },
     "joint rows": {"stage_rows": lfo.StageRows([[0.1, 0, 0]], [[1.0, -1.0]], [0.3])},
     "joint rows at most times": {
@@ -72,7 +72,7 @@ def test_long_horizons_with_a_guessed_first_working_set(name):
             "horizon": LONG,
             "cost": lfo.QuadraticCost(Q=0.3, R=1.0, x_ref=target),
             "control_set": None,
-            "control_spectrum": [lfo.low_pass(2.0, component=0), lfo.high_pass(0.05, component=1)],
+            "control_spectrum": [lfo.low_pass(2.0, component=0), lfo.spectrum.high_pass(0.05, component=1)],
         }
         | LONG_CASES[name]
     )

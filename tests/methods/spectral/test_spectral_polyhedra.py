@@ -9,9 +9,9 @@ import lin_freq_ocp as lfo
 
 T = 40
 PLANT = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], offset=[0.0, 0.01], sampling_time=0.1)
-SLOW = lfo.Polyhedron([[0.3, 1.0], [0.0, -1.0]], [0.55, 0.5])
-NEAR = lfo.Polyhedron([[1, 0], [-1, 0.2], [0, 1], [0.1, -1]], [1.05, -0.95, 0.05, 0.2])
-WEAK = lfo.Polyhedron([[1.0], [-2.0]], [0.3, 0.62])
+SLOW = lfo.sets.Polyhedron([[0.3, 1.0], [0.0, -1.0]], [0.55, 0.5])
+NEAR = lfo.sets.Polyhedron([[1, 0], [-1, 0.2], [0, 1], [0.1, -1]], [1.05, -0.95, 0.05, 0.2])
+WEAK = lfo.sets.Polyhedron([[1.0], [-2.0]], [0.3, 0.62])
 
 
 def problem(**sets) -> lfo.OptimalControlProblem:
@@ -24,7 +24,10 @@ CASES = {
     "controls": {"control_set": WEAK},
     "end": {"terminal_state": NEAR},
     "end with a box": {"terminal_state": NEAR & lfo.Box([None, -0.01], [None, 0.01])},
-    "states and end": {"state_set": lfo.Polyhedron([[0.3, 1.0], [0.5, 0.1]], [0.7, 0.485]), "terminal_state": NEAR},
+    "states and end": {
+        "state_set": lfo.sets.Polyhedron([[0.3, 1.0], [0.5, 0.1]], [0.7, 0.485]),
+        "terminal_state": NEAR,
+    },
     "all, with a band": {
         "state_set": lfo.Box([None, -1], [None, 0.6]) & SLOW,
         "control_set": WEAK,
@@ -32,8 +35,8 @@ CASES = {
         "control_spectrum": lfo.low_pass(1.5),
         "stage_rows": lfo.StageRows([[0.0, 1.0]], [[0.1]], [0.5]),
     },
-    "start": {"initial_state": lfo.Polyhedron([[1, 1], [-1, 0], [0, -1]], [-0.1, 0.4, 0.3]), "state_set": SLOW},
-    "one set per time": {"control_set": [WEAK] * 10 + [lfo.Polyhedron([[1.0], [-2.0]], [0.35, 0.61])] * (T - 10)},
+    "start": {"initial_state": lfo.sets.Polyhedron([[1, 1], [-1, 0], [0, -1]], [-0.1, 0.4, 0.3]), "state_set": SLOW},
+    "one set per time": {"control_set": [WEAK] * 10 + [lfo.sets.Polyhedron([[1.0], [-2.0]], [0.35, 0.61])] * (T - 10)},
 }
 
 
@@ -63,14 +66,14 @@ def test_most_of_the_cases_have_unique_multipliers_to_compare():
 
 def test_auto_takes_the_fourier_domain_method_for_polyhedra_and_not_for_balls():
     assert lfo.solve(problem(state_set=SLOW)).method == "spectral"
-    assert lfo.solve(problem(state_set=lfo.Ball(1.2))).method == "convex"
-    with pytest.raises(lfo.UnsupportedError, match="state set"):
-        lfo.solve(problem(state_set=lfo.Ball(1.2)), method="spectral")
+    assert lfo.solve(problem(state_set=lfo.sets.Ball(1.2))).method == "convex"
+    with pytest.raises(lfo.errors.UnsupportedError, match="state set"):
+        lfo.solve(problem(state_set=lfo.sets.Ball(1.2)), method="spectral")
 
 
 def test_a_set_that_cannot_be_reached_is_proven_infeasible():
-    far = lfo.Polyhedron([[-1, 0]], [-40])
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    far = lfo.sets.Polyhedron([[-1, 0]], [-40])
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(problem(terminal_state=far, control_set=WEAK), method="spectral")
     assert "terminal state" in {one.block for one in caught.value.result.conflict}
 
@@ -78,6 +81,6 @@ def test_a_set_that_cannot_be_reached_is_proven_infeasible():
 def test_a_row_that_nothing_can_change_is_left_to_the_sparse_program():
     still = lfo.LinearDynamics([[1, 0.0], [0, 0.0]], [[1.0], [0.0]])
     given = lfo.OptimalControlProblem(
-        still, 5, lfo.QuadraticCost(R=1), initial_state=[0, 1], terminal_state=lfo.Polyhedron([[0, 1]], [-1])
+        still, 5, lfo.QuadraticCost(R=1), initial_state=[0, 1], terminal_state=lfo.sets.Polyhedron([[0, 1]], [-1])
     )
     assert lfo.solve(given, throw=False).status == "infeasible"

@@ -112,7 +112,7 @@ def test_exceptions_and_refusals_fail_without_ending_the_run(monkeypatch):
 
     monkeypatch.setattr(spectral, "reference_answer", lambda *_: Reference("unsure", "none"))
     for error, verdict in (
-        (lfo.UnsupportedError("time-varying"), Verdict.REFUSED),
+        (lfo.errors.UnsupportedError("time-varying"), Verdict.REFUSED),
         (ZeroDivisionError("1 / 0"), Verdict.BROKEN),
     ):
         monkeypatch.setattr(spectral.lfo, "solve", raising(error))

@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
-FREE = lfo.Everything()
+FREE = lfo.sets.Everything()
 
 
 def repeated(matrix: Any) -> np.ndarray:
@@ -44,9 +44,9 @@ REFUSED = {
 def test_a_refusal_says_why(name):
     changes, words = REFUSED[name]
     problem = problem_of(**changes)
-    with pytest.raises(lfo.UnsupportedError, match=words):
+    with pytest.raises(lfo.errors.UnsupportedError, match=words):
         lfo.SpectralSolver(problem)
-    with pytest.raises(lfo.UnsupportedError, match=words):
+    with pytest.raises(lfo.errors.UnsupportedError, match=words):
         lfo.solve(problem, method="spectral")
 
 
@@ -59,7 +59,7 @@ def test_what_is_refused_goes_to_the_sparse_program():
 
 def test_a_control_without_cost_is_not_refused_where_every_bin_of_it_is_stopped():
     cost = lfo.QuadraticCost(R=np.diag([1.0, 0.0]))
-    with pytest.warns(lfo.BandWarning, match="removes every bin"):
+    with pytest.warns(lfo.errors.BandWarning, match="removes every bin"):
         problem = problem_of(
             cost=cost, terminal_state=None, control_spectrum=lfo.stop_band(bins=range(13), component=1)
         )
@@ -70,11 +70,11 @@ def test_too_many_state_band_rows_are_refused_and_just_enough_are_not():
     def wide(bins: int) -> lfo.OptimalControlProblem:
         return problem_of(horizon=2400, state_spectrum=lfo.stop_band(bins=range(100, 100 + bins), component=0))
 
-    with pytest.raises(lfo.UnsupportedError, match="2002 dense rows; the Fourier-domain method takes 2000"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="2002 dense rows; the Fourier-domain method takes 2000"):
         lfo.SpectralSolver(wide(1001))
 
 
-def dual_balance(result: lfo.Result, u: np.ndarray) -> tuple[float, float]:
+def dual_balance(result: lfo.results.Result, u: np.ndarray) -> tuple[float, float]:
     """Return what the ray's weighted constraints add up to on the trajectory of u, and the most that they allow.
 
     On every trajectory that obeys the dynamics the sum is the same; where it exceeds what sets allow, none is feasible.
@@ -168,7 +168,7 @@ INFEASIBLE: dict[str, tuple[dict[str, Any], list[str]]] = {  # changes, and what
 def test_infeasible_problems_are_proven_so_in_words(name):
     changes, blocks = INFEASIBLE[name]
     problem = problem_of(**changes)
-    with pytest.raises(lfo.InfeasibleError) as caught:
+    with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(problem, method="spectral")
     result = caught.value.result
     named = {one.block for one in result.conflict}
@@ -193,7 +193,7 @@ def test_a_ray_is_found_within_few_rounds(name):
 
 @pytest.mark.parametrize(("end", "status"), [(None, "optimal"), ([0.3], "infeasible")])
 def test_a_control_without_any_bin(end, status):
-    with pytest.warns(lfo.BandWarning, match="removes every bin"):
+    with pytest.warns(lfo.errors.BandWarning, match="removes every bin"):
         problem = lfo.OptimalControlProblem(
             lfo.LinearDynamics([[0.8]], [[1.0]]),
             6,
@@ -210,7 +210,7 @@ def test_a_ray_proves_nothing_of_a_relaxed_problem_nor_with_its_sign_changed():
     ray = lfo.SpectralSolver(problem).solve().ray
     fields = {name: getattr(ray, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
     assert prove_infeasible(problem, ray) is not None
-    assert prove_infeasible(problem, lfo.Multipliers(0.0, **{k: -v for k, v in fields.items()})) is None
+    assert prove_infeasible(problem, lfo.results.Multipliers(0.0, **{k: -v for k, v in fields.items()})) is None
     assert prove_infeasible(replace(problem, control_set=lfo.Box(-9.0, 9.0)), ray) is None
 
 
@@ -246,7 +246,7 @@ def test_a_cost_without_lower_bound_is_not_called_optimal(name):
     result = lfo.solve(problem, method="spectral", throw=False)
     assert result.status == "unbounded"
     assert result.lower_bound is None or not result.certificate.globally_optimal
-    with pytest.raises(lfo.UnboundedError, match="no lower bound"):
+    with pytest.raises(lfo.errors.UnboundedError, match="no lower bound"):
         lfo.solve(problem, method="spectral")
     held = replace(problem, state_set=lfo.Box(-10.0, 10.0))
     assert lfo.solve(held, method="spectral").certificate.globally_optimal

@@ -32,14 +32,14 @@ def with_cost(problem: lfo.OptimalControlProblem, **terms: Any) -> lfo.OptimalCo
     return replace(problem, cost=lfo.QuadraticCost(**(old | terms)))
 
 
-def cost_of(solution: lfo.SpectralSolution) -> float:
+def cost_of(solution: lfo.solvers.SpectralSolution) -> float:
     return solution.problem.cost.value(solution.trajectory.x, solution.trajectory.u)
 
 
 MOVED = {  # name: arguments of solve
     "start": {"initial_state": 1.1 * START},
     "end": {"terminal_state": 0.5 * END},
-    "both ends, as points": {"initial_state": lfo.Point(-START), "terminal_state": lfo.Point(0.5 * END)},
+    "both ends, as points": {"initial_state": lfo.sets.Point(-START), "terminal_state": lfo.sets.Point(0.5 * END)},
     "a reference": {"references": {"x_ref": REFERENCE["x_ref"]}},
     "both references": {"references": REFERENCE},
     "a constant reference": {"references": {"x_ref": [0.3, -0.2, 0.1]}},
@@ -47,7 +47,9 @@ MOVED = {  # name: arguments of solve
     "control bounds per time": {"bounds": {"control_set": moving(T, 2, 0.38, 3)}},
     "no control bounds": {"bounds": {"control_set": None}, "references": {"x_ref": [5.0, 0, 0]}},
     "state bounds": {"bounds": {"state_set": lfo.Box([-1.15, -0.6, -0.27], [1.1, 0.7, 0.5])}},
-    "bounds at some times only": {"bounds": {"state_set": [lfo.Everything()] * (T - 2) + [lfo.Box(-1.0, 1.0)] * 3}},
+    "bounds at some times only": {
+        "bounds": {"state_set": [lfo.sets.Everything()] * (T - 2) + [lfo.Box(-1.0, 1.0)] * 3}
+    },
     "everything": {
         "initial_state": 0.8 * START,
         "terminal_state": 0.8 * END,
@@ -223,7 +225,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_data_that_do_not_fit_are_refused_by_name(solver, name):
     arguments, field = REFUSED[name]
-    with pytest.raises(lfo.ProblemError) as caught:
+    with pytest.raises(lfo.errors.ProblemError) as caught:
         solver.solve(**arguments)
     assert str(caught.value).startswith(field)
     assert str(caught.value).removeprefix(field)[0] in ":["
@@ -242,11 +244,11 @@ def test_an_end_outside_the_state_set_is_infeasible_with_a_ray(solver, given):
 
 def test_a_free_end_cannot_be_fixed_afterwards():
     solver = lfo.SpectralSolver(base_problem(terminal_state=None))
-    with pytest.raises(lfo.ProblemError, match="terminal_state: got other fixed components"):
+    with pytest.raises(lfo.errors.ProblemError, match="terminal_state: got other fixed components"):
         solver.solve(terminal_state=END)
 
 
 def test_values_that_were_fixed_cannot_be_freed_afterwards():
     solver = lfo.SpectralSolver(base_problem(control_set=lfo.Box([-0.7, 0.0], [0.6, 0.0]), terminal_state=None))
-    with pytest.raises(lfo.ProblemError, match="bounds: got other values fixed"):
+    with pytest.raises(lfo.errors.ProblemError, match="bounds: got other values fixed"):
         solver.solve(bounds={"control_set": TIGHT})

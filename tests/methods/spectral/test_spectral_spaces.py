@@ -199,7 +199,7 @@ def test_directions_without_cost_are_border_directions():
 
 
 def test_a_cost_that_does_not_see_an_allowed_direction_is_refused():
-    with pytest.raises(lfo.UnsupportedError, match="give every control a cost"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="give every control a cost"):
         BinSpaces(lti_of(np.diag([0.5, 0.3]), 24, R=np.diag([1.0, 0.0])))
     BinSpaces(lti_of(np.diag([0.5, 0.3]), 24, ([], range(13)), R=np.diag([1.0, 0.0])))
 

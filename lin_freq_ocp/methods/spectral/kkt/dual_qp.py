@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
-from scipy.optimize import nnls
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
@@ -106,6 +105,8 @@ def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
 
 def active_set(A: Array, b: Array) -> Array | None:
     """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate."""
+    from scipy.optimize import nnls  # slow to import
+
     regular = A + RIDGE * np.eye(len(b))
     factor, failed = dpotrf(regular, lower=1)
     if failed:

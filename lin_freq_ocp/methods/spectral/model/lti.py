@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import matrix_balance
-from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.analysis.measures import FAR_BEYOND, given_sizes, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
@@ -162,6 +161,8 @@ def _state_sizes(problem: OptimalControlProblem) -> Array:
     What |x| <= T |A| |x| says of a state about which nothing is stated grows with T, once per state of a chain, also
     where states only swing against each other. Measured so, A would be all but defective.
     """
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
     A, sizes = problem.linear.A, stated_sizes(problem)[0]
     given = given_sizes(problem)[: len(A)] > 0
     count, group = connected_components(A != 0, connection="strong")

@@ -11,8 +11,8 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.explain.blocks import Block, blocks, without
-from lin_freq_ocp.explain.relaxation import least_cure
+from lin_freq_ocp.explanation.blocks import Block, blocks, without
+from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.explanation import Cure, Explanation
@@ -48,6 +48,12 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     UnsupportedError
         If the problem has a solution, or none of the methods could prove that it has none; or if its dynamics have
         modes.
+
+    Examples
+    --------
+    >>> explanation = lfo.explain(lfo.library.double_integrator(cutoff_hz=0.3))
+    >>> print(explanation.cures[0])
+    initial state: ...
     """
     require_problem(problem)
     if problem.dynamics.affine and problem.dynamics.mode_names:

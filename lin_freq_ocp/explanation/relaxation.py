@@ -14,8 +14,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.explain.blocks import ENDS, Block, kept_stopped, widened
-from lin_freq_ocp.explain.wider import hard_only
+from lin_freq_ocp.explanation.blocks import ENDS, Block, kept_stopped, widened
+from lin_freq_ocp.explanation.wider import hard_only
 from lin_freq_ocp.problem.augmented import FurtherStates, extended
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.explain.blocks import ENDS, blocks, widened, without
+from lin_freq_ocp.explanation.blocks import ENDS, blocks, widened, without
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -39,7 +39,7 @@ SPECTRUM = np.abs(np.fft.rfft(LEAST.control[:, 0])) ** 2
 BOUND, START, END = "control bound on u_0", *ENDS
 INFEASIBLE = {  # name: changes, family
     "an energy bound": (
-        {"control_spectrum": lfo.EnergyBound(0.5 * float(SPECTRUM.sum()), bins=BINS)},
+        {"control_spectrum": lfo.spectrum.EnergyBound(0.5 * float(SPECTRUM.sum()), bins=BINS)},
         {START, END, "energy bound on u_0"},
     ),
     "a mask and a bound": (
@@ -54,25 +54,25 @@ INFEASIBLE = {  # name: changes, family
         {START, END, "mask on x_1"},
     ),
     "a mask on an output": (
-        {"output_spectrum": lfo.OutputSpectrum(SPEED, None, lfo.MagnitudeBound(6.0, bins=BINS))},
+        {"output_spectrum": lfo.spectrum.OutputSpectrum(SPEED, None, lfo.MagnitudeBound(6.0, bins=BINS))},
         {START, END, "mask on y_0"},
     ),
-    "a ball": ({"control_set": lfo.Ball(0.7 * NEEDED)}, {START, END, "control set"}),
+    "a ball": ({"control_set": lfo.sets.Ball(0.7 * NEEDED)}, {START, END, "control set"}),
     "a polyhedron": (
-        {"control_set": lfo.Polyhedron([[1.0], [-1.0]], [0.7 * NEEDED, 0.8 * NEEDED])},
+        {"control_set": lfo.sets.Polyhedron([[1.0], [-1.0]], [0.7 * NEEDED, 0.8 * NEEDED])},
         {START, END, "control set"},
     ),
-    "an ellipsoid of states": ({"state_set": lfo.Ellipsoid(SPEED, 0.3)}, {START, END, "state set"}),
+    "an ellipsoid of states": ({"state_set": lfo.sets.Ellipsoid(SPEED, 0.3)}, {START, END, "state set"}),
     "a terminal ball": (
-        {"control_set": lfo.Box(-0.7 * NEEDED, 0.7 * NEEDED), "terminal_state": lfo.Ball(0.1, [1.0, 0.0])},
+        {"control_set": lfo.Box(-0.7 * NEEDED, 0.7 * NEEDED), "terminal_state": lfo.sets.Ball(0.1, [1.0, 0.0])},
         {START, END, BOUND},
     ),
     "one of several that do not matter": (
         {
-            "control_set": lfo.Ball(3 * NEEDED),
-            "state_set": lfo.Ellipsoid(SPEED, 0.3),
+            "control_set": lfo.sets.Ball(3 * NEEDED),
+            "state_set": lfo.sets.Ellipsoid(SPEED, 0.3),
             "control_spectrum": lfo.MagnitudeBound(50.0, bins=BINS),
-            "output_spectrum": lfo.OutputSpectrum(None, [[1.0]], lfo.MagnitudeBound(50.0, bins=BINS)),
+            "output_spectrum": lfo.spectrum.OutputSpectrum(None, [[1.0]], lfo.MagnitudeBound(50.0, bins=BINS)),
         },
         {START, END, "state set"},
     ),
@@ -92,7 +92,7 @@ EVERY_OTHER = list(INFEASIBLE)[::2]
 
 
 @cache
-def explained(name: str) -> tuple[lfo.OptimalControlProblem, lfo.Result, lfo.Explanation]:
+def explained(name: str) -> tuple[lfo.OptimalControlProblem, lfo.results.Result, lfo.results.Explanation]:
     problem = carriage(**INFEASIBLE[name][0])
     return problem, lfo.solve(problem, throw=False), lfo.explain(problem)
 
@@ -148,9 +148,9 @@ def test_limits_are_told_as_they_were_given():
     words = {cure.block: cure.words for cure in energy.cures}["energy bound on u_0"]
     before, after = (float(one) for one in words.removeprefix("limit ").split(" -> "))
     assert before == pytest.approx(0.5 * SPECTRUM.sum(), rel=1e-5)
-    cured = carriage(control_spectrum=lfo.EnergyBound(1.001 * after, bins=BINS))
+    cured = carriage(control_spectrum=lfo.spectrum.EnergyBound(1.001 * after, bins=BINS))
     assert feasible(cured)
-    assert not feasible(carriage(control_spectrum=lfo.EnergyBound(0.95 * after, bins=BINS)))
+    assert not feasible(carriage(control_spectrum=lfo.spectrum.EnergyBound(0.95 * after, bins=BINS)))
     _, _, mask = explained("a mask and a bound")
     words = {cure.block: cure.words for cure in mask.cures}["mask on u_0"]
     assert words.startswith("limit 1 -> 1.3")
@@ -174,9 +174,11 @@ def test_prices_of_soft_constraints_are_no_part_of_a_cure():
     bounded = lfo.Box(-0.7 * NEEDED, 0.7 * NEEDED)
     plain = {cure.block: cure.amount for cure in lfo.explain(carriage(control_set=bounded)).cures}
     soft = carriage(
-        control_set=bounded & lfo.Soft(lfo.Ball(0.1 * NEEDED), 20.0),
+        control_set=bounded & lfo.sets.Soft(lfo.sets.Ball(0.1 * NEEDED), 20.0),
         control_spectrum=lfo.MagnitudeBound(0.1, bins=BINS, penalty=20.0),
-        output_spectrum=lfo.OutputSpectrum(SPEED, None, lfo.EnergyBound(0.1, bins=BINS, penalty=20.0)),
+        output_spectrum=lfo.spectrum.OutputSpectrum(
+            SPEED, None, lfo.spectrum.EnergyBound(0.1, bins=BINS, penalty=20.0)
+        ),
         stage_rows=lfo.StageRows(SPEED, None, [0.1], penalty=20.0),
     )
     assert {cure.block: cure.amount for cure in lfo.explain(soft).cures} == pytest.approx(plain, rel=1e-3)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.explain.wider import with_bounds, with_wider_term
+from lin_freq_ocp.explanation.wider import with_bounds, with_wider_term
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.explain import explanation as explanation_module
-from lin_freq_ocp.explain.blocks import blocks, widened, without
-from lin_freq_ocp.explain.relaxation import least_cure
+from lin_freq_ocp.explanation import explanation as explanation_module
+from lin_freq_ocp.explanation.blocks import blocks, widened, without
+from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.solving.solve import solve_judged
 
 H, T = 0.1, 20
@@ -85,7 +85,7 @@ def feasible(problem: lfo.OptimalControlProblem) -> bool:
 
 
 @pytest.fixture(params=list(INFEASIBLE)[::2])
-def case(request) -> tuple[lfo.OptimalControlProblem, lfo.Explanation, list[str], dict[str, float]]:
+def case(request) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation, list[str], dict[str, float]]:
     changes, family, amounts = INFEASIBLE[request.param]
     problem = carriage(**changes)
     return problem, lfo.explain(problem), family, amounts
@@ -171,7 +171,7 @@ def test_time_varying_dynamics_and_state_bands_are_explained_too():
 
 
 def test_a_problem_with_a_solution_is_not_explained():
-    with pytest.raises(lfo.UnsupportedError, match="not proven infeasible, it ended as 'optimal'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="not proven infeasible, it ended as 'optimal'"):
         lfo.explain(carriage(control_set=None))
 
 
@@ -204,7 +204,9 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
 
 
 def test_the_error_names_the_least_change():
-    with pytest.raises(lfo.InfeasibleError, match=r"Least change that helps: .*\[-0\.7, 0\.7\] -> \[-1") as caught:
+    with pytest.raises(
+        lfo.errors.InfeasibleError, match=r"Least change that helps: .*\[-0\.7, 0\.7\] -> \[-1"
+    ) as caught:
         lfo.solve(carriage())
     assert caught.value.result.explanation.irreducible
 

@@ -1,82 +1,23 @@
-"""What the commands share: exit statuses, consoles, options, and the problem that their arguments describe."""
+"""The problem that the arguments of a command describe: a library problem or a file, and its settings."""
 
 from __future__ import annotations
 
 import inspect
-import os
-import sys
 import tomllib
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
-from click.shell_completion import CompletionItem
-from rich.console import Console, ConsoleDimensions
-from rich.markup import escape
+from typing import Any
 
 from lin_freq_ocp import library
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line, suggestion
+from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.locations import naming
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
 from lin_freq_ocp.interchange.problem_file.toml_file import read_problem
-from lin_freq_ocp.interchange.results.summary import to_json
-from lin_freq_ocp.interchange.runs.run_file import described
-from lin_freq_ocp.methods.modes.search import SearchProgress
-from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.starting import INTERRUPTED
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
-
-PAGE = ConsoleDimensions(width=200, height=100)
-"""Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
-
-
-class PatientConsole(Console):
-    """A console whose reader may leave early, as ``head`` does: what is left goes nowhere, and the status stays."""
-
-    def on_broken_pipe(self) -> None:
-        """Send the rest to nowhere."""
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-out, err = PatientConsole(), Console(stderr=True)
-
-
-def complete_problem(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Return what a shell offers for a problem: the library's names with what they show, and files."""
-    names = [name for name in library.PROBLEMS if name.startswith(incomplete)]
-    shown = [CompletionItem(name, help=first_words(library.PROBLEMS[name])) for name in names]
-    return [CompletionItem(incomplete, type="file"), *shown]
-
-
-def first_words(function: Callable[..., Any]) -> str:
-    """Return the first line of a docstring."""
-    return (inspect.getdoc(function) or "").partition("\n")[0]
-
-
-problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
-settings_option = click.option(
-    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
-)
-backend_option = click.option(
-    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
-)
-METHOD_HELP = "auto; spectral or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
-method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
-tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
-time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
@@ -154,6 +95,7 @@ class ProblemFile:
 
 FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)
 """What --set and --grid can change in a problem file, at the top; within tables, keys are written with dots."""
+
 
 SPECTRA = ("control_spectrum", *CUTOFFS)
 """Keys that all set the frequency constraints of the controls."""
@@ -255,49 +197,6 @@ def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
             into[key] = value
 
 
-def written(status: int, *writes: Callable[[], object]) -> int:
-    """Write files once the answer is printed; one that fails is complained of, and the status is that of bad input."""
-    for write in writes:
-        try:
-            write()
-        except (LinFreqOCPError, OSError) as error:
-            complain(error)
-            status = BAD_INPUT
-    return status
-
-
-def error_status(error: BaseException) -> int:
-    """Return the exit status of an error that has no result: whose fault it is."""
-    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
-        return INTERRUPTED
-    if isinstance(error, MemoryError):
-        return NOT_PROVEN
-    return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
-
-
-def error_words(error: Exception) -> str:
-    """Return what is said of an error; of one that nobody foresaw, that it is a fault of ours, and what to send."""
-    if isinstance(error, MemoryError):
-        return f"not enough memory for a problem of this size ({error})."
-    if error_status(error) != FAULT:
-        return str(error)
-    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
-    place = next(iter(described(error)["places"][::-1]), "no place")
-    return (
-        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {place}). "
-        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
-    )
-
-
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error: compiled code makes errors of its own of it."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
-
-
 def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested tables that can be changed without changing the given ones."""
     return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in table.items()}
@@ -306,57 +205,3 @@ def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
 def _nested(key: str, value: Any) -> dict[str, Any]:
     first, _, rest = key.partition(".")
     return {first: _nested(rest, value) if rest else value}
-
-
-def complain(error: Exception | str) -> None:
-    """Say on stderr what is wrong."""
-    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
-
-
-def progress(what: str) -> AbstractContextManager[Any]:
-    """Show what is being done, on a terminal."""
-    return err.status(escape(what)) if err.is_terminal else nullcontext()
-
-
-@contextmanager
-def search_progress(what: str) -> Generator[Callable[[SearchProgress | SmoothProgress], None] | None]:
-    """Show what is being done, on a terminal, and yield what shows how far a search is."""
-    if not err.is_terminal:
-        yield None
-        return
-    with err.status(escape(what)) as status:
-        yield lambda reached: status.update(escape(f"{what}: {reached}"))
-
-
-def say(text: str) -> None:
-    """Print a line on stdout, or on nothing, where the reader has left: click would make that the status 1."""
-    try:
-        click.echo(text)
-    except BrokenPipeError:
-        out.on_broken_pipe()
-
-
-def print_json(summary: Mapping[str, Any]) -> None:
-    """Print one JSON object on stdout."""
-    say(to_json(summary))
-
-
-def fit_console() -> None:
-    """Take the width that COLUMNS says; without it, a file or a pipe has room for whole tables."""
-    columns = os.environ.get("COLUMNS", "")
-    if columns.isdigit() and int(columns):
-        out.width = int(columns)
-    elif not out.is_terminal:
-        out.size = PAGE
-
-
-def print_table(table: Table, spare: Sequence[str] = ()) -> None:
-    """Print a table on stdout, as wide as there is room; ``spare`` columns go first."""
-    from lin_freq_ocp.report.narrow import fitted
-
-    out.print(fitted(table, out.width, spare))
-
-
-def print_lines(text: str) -> None:
-    """Print lines on stdout, broken on a terminal only."""
-    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)

@@ -1,0 +1,70 @@
+"""The command lin-freq-ocp compare: filtering afterwards against solving with the constraint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.cli.answers import exit_status, print_conflict
+from lin_freq_ocp.cli.console import print_json, print_lines, print_table, progress, say, written
+from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option, time_limit_option
+from lin_freq_ocp.cli.problems import build, require_folder
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary
+
+
+@click.command("compare")
+@problem_argument
+@settings_option
+@click.option("--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped; default all.")
+@click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report and its figures here.")
+@backend_option
+@time_limit_option
+@json_option
+def compare_command(
+    problem: str,
+    settings: tuple[str, ...],
+    filters: str | None,
+    folder: Path | None,
+    backend: str,
+    time_limit: float | None,
+    as_json: bool,
+) -> int:
+    """Compare filtering a classical optimal control with solving under the frequency constraint."""
+    description = build(problem, settings)
+    if folder is not None:
+        require_folder(folder)
+    names = None if filters is None else [name.strip() for name in filters.split(",")]
+    try:
+        with progress(f"comparing {description.name or problem}"):
+            comparison = compare(description, names, backend, time_limit)
+    except SolveError as error:
+        if not as_json or error.result is None:
+            raise
+        print_json(failed_comparison_summary(error.result))
+        return exit_status(error.result)
+    if as_json:
+        print_json(comparison_summary(comparison))
+    else:
+        _print_comparison(comparison)
+    status = exit_status(comparison.constrained)
+    if folder is None or comparison.constrained.interrupted:
+        return status
+    return written(status, lambda: _save_report(comparison, folder, as_json))
+
+
+def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
+    with progress("drawing the report"):
+        page = comparison.save(folder)
+    if not quiet:
+        say(f"report: {page}")
+
+
+def _print_comparison(comparison: Comparison) -> None:
+    from lin_freq_ocp.report.tables import comparison_table
+
+    print_lines(str(comparison.constrained))
+    print_conflict(comparison.constrained)
+    print_table(comparison_table(comparison))

@@ -1,0 +1,6 @@
+"""Costs: quadratic, L1 and L-infinity."""
+
+from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+
+__all__ = ["CostSum", "L1Cost", "LInfCost", "QuadraticCost"]

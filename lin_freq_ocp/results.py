@@ -1,0 +1,27 @@
+"""What the public functions return: solutions, verdicts, comparisons, sweeps and explanations."""
+
+from lin_freq_ocp.analysis.sensitivities import Sensitivities
+from lin_freq_ocp.api.compare import Comparison
+from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.runs import SavedRun
+from lin_freq_ocp.api.sweep import Sweep
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.interchange.results.solution_file import SavedSolution
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.explanation import Cure, Explanation
+from lin_freq_ocp.status import Status
+
+__all__ = [
+    "Certificate",
+    "Comparison",
+    "Cure",
+    "Explanation",
+    "Multipliers",
+    "Result",
+    "SavedRun",
+    "SavedSolution",
+    "Sensitivities",
+    "Status",
+    "Sweep",
+    "Trajectory",
+]

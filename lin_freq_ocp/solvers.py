@@ -1,0 +1,17 @@
+"""The methods of ``solve``: objects that hold their own options."""
+
+from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
+from lin_freq_ocp.solving.linear import Convex, Spectral
+from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
+from lin_freq_ocp.solving.smooth import Nonsmooth
+
+__all__ = [
+    "BranchAndBound",
+    "Convex",
+    "Enumeration",
+    "MixedInteger",
+    "Nonsmooth",
+    "Spectral",
+    "SpectralSolution",
+    "SpectralSolver",
+]

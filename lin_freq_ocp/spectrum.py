@@ -1,0 +1,17 @@
+"""Frequency constraints: bands that are removed, masks, energy bounds, and bounds on outputs."""
+
+from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+
+__all__ = [
+    "EnergyBound",
+    "LinearConstraint",
+    "MagnitudeBound",
+    "OutputSpectrum",
+    "band_pass",
+    "high_pass",
+    "low_pass",
+    "notch",
+    "stop_band",
+]

@@ -1,0 +1,56 @@
+"""Docstrings of the public names: sections of numpydoc, and examples that are run."""
+
+import doctest
+import inspect
+from itertools import pairwise
+
+import pytest
+
+import lin_freq_ocp as lfo
+
+SPACES = [name for name in lfo.NAMESPACES if name != "library"]
+TOP = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
+PUBLIC = {name: getattr(lfo, name) for name in TOP} | {
+    f"{space}.{name}": getattr(getattr(lfo, space), name)
+    for space in SPACES
+    for name in getattr(lfo, space).__all__
+    if name not in TOP
+}
+FUNCTIONS = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)}
+CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
+ERRORS = {name for name, value in CLASSES.items() if issubclass(value, (Exception, lfo.results.Status))}
+LITERATURE = ("certify", "solve", "SpectralSolver")
+"""What rests on the paper or on literature."""
+
+
+def sections(value):
+    lines = inspect.getdoc(value).splitlines()
+    return [line for line, rule in pairwise(lines) if rule and rule == "-" * len(line)]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_say_what_they_take_return_and_raise(name):
+    value = FUNCTIONS[name]
+    returns = "Yields" if inspect.isgeneratorfunction(value) else "Returns"
+    needed = ["Parameters", returns] if inspect.signature(value).parameters else [returns]
+    assert set(sections(value)) >= set(needed)
+
+
+@pytest.mark.parametrize("name", sorted(CLASSES.keys() - ERRORS - {"sets.Everything"}))
+def test_classes_say_what_they_hold(name):
+    assert {"Parameters", "Attributes", "Methods"} & set(sections(CLASSES[name]))
+
+
+@pytest.mark.parametrize("name", LITERATURE)
+def test_what_rests_on_literature_cites_it(name):
+    assert "References" in sections(PUBLIC[name])
+
+
+@pytest.mark.parametrize("name", TOP)
+def test_names_at_the_top_have_an_example_that_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    value = PUBLIC[name]
+    found = doctest.DocTestFinder(recurse=False).find(value, name, globs={"lfo": lfo})
+    results = [doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(one) for one in found]
+    assert sum(one.failed for one in results) == 0
+    assert sum(one.attempted for one in results) > 0

@@ -1,0 +1,67 @@
+"""The public names: few at the top, all in namespaces, and nothing is imported before it is used."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import lin_freq_ocp as lfo
+
+SLOW = ("scipy.signal", "scipy.stats", "scipy.integrate", "matplotlib", "cvxpy", "control", "pandas")
+COMMAND_LINE = ("click", "rich", "jinja2")
+
+STAGES = {
+    "import lin_freq_ocp": (*SLOW, *COMMAND_LINE, "numpy", "scipy"),
+    "import lin_freq_ocp.solving.solve": (*SLOW, *COMMAND_LINE),
+    "import lin_freq_ocp as lfo; lfo.solve(lfo.library.pendulum())": (*SLOW, *COMMAND_LINE),
+    "import lin_freq_ocp.cli.app": SLOW,
+}
+"""What is not loaded after each statement; one process runs all of them."""
+
+
+def test_nothing_is_imported_before_it_is_used():
+    check = "import sys\n" + "".join(
+        f"{statement}\nassert not (found := sys.modules.keys() & {set(names)}), ({statement!r}, found)\n"
+        for statement, names in STAGES.items()
+    )
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_names_at_the_top_are_few_and_all_exist():
+    assert len(lfo.__all__) == len(set(lfo.__all__)) <= 45
+    assert set(lfo.__all__) == set(lfo.NAMESPACES) | {name for name in lfo.__all__ if callable(getattr(lfo, name))}
+    assert set(dir(lfo)) >= set(lfo.__all__)
+
+
+def test_type_checkers_see_the_names_that_are_imported():
+    """The imports for type checkers and the table of modules are two lists of the same."""
+    tree = ast.parse(Path(lfo.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.name: node.module for node in block.body for alias in node.names}
+    assert seen.keys() == set(lfo.__all__)
+    for name, module in seen.items():
+        if module != "lin_freq_ocp":
+            assert getattr(import_module(module), name) is getattr(lfo, name)
+
+
+@pytest.mark.parametrize("space", lfo.NAMESPACES)
+def test_namespaces_have_what_they_list(space):
+    module = getattr(lfo, space)
+    assert all(hasattr(module, name) for name in getattr(module, "__all__", ["pendulum"]))
+
+
+@pytest.mark.parametrize(
+    ("name", "now"), [("Ball", "sets.Ball"), ("ProblemError", "errors.ProblemError"), ("pendulum", "library.pendulum")]
+)
+def test_a_name_that_moved_says_where_it_is(name, now):
+    with pytest.raises(AttributeError, match=f"it is lin_freq_ocp.{now}$"):
+        getattr(lfo, name)
+
+
+def test_a_name_that_does_not_exist_is_no_attribute():
+    with pytest.raises(AttributeError, match=r"^module 'lin_freq_ocp' has no attribute 'Bull'$"):
+        lfo.Bull  # noqa: B018
