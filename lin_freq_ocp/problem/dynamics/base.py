@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -31,9 +30,12 @@ Selections = Mapping[Formula, Array]
 """The derivatives of norms at zero, (T, components), as for ``formulas.jets``."""
 
 
-@dataclass(frozen=True, eq=False, init=False)
 class Dynamics(ABC):
-    """x_{t+1} = f_t(x_t, u_t) with named signals."""
+    """x_{t+1} = f_t(x_t, u_t) with named signals.
+
+    A class of dynamics is a dataclass whose fields are what its constructor takes, so that ``dataclasses.replace``
+    makes the same with other values.
+    """
 
     state_dim: int
     control_dim: int

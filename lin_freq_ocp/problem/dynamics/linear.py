@@ -62,6 +62,9 @@ class LinearDynamics(StandardDynamics):
     A: Array
     B: Array
     offset: Array
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
 
     def __init__(
         self,

@@ -66,6 +66,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
     """
 
     modes: tuple[AffineMode, ...]
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
 
     def __init__(
         self,

@@ -140,6 +140,11 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     """
 
     modes: tuple[SmoothMode, ...]
+    state_dim: int
+    control_dim: int
+    sampling_time: float | None
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
 
     def __init__(
         self,
