@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.testing.checks import linear
+from lin_freq_ocp.testing.checks.units import solved
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
@@ -201,3 +202,19 @@ def test_a_rough_point_is_polished_to_rounding():
     better = polished(program, *rough)
     assert program.residuals(*better).worst < 1e-11
     assert (np.abs(problem.control_set.upper - exact.trajectory.u) < 1e-9).any()
+
+
+def test_unbounded_needs_a_verified_direction(monkeypatch):
+    free = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 3, lfo.QuadraticCost(r=[1.0]), initial_state=[0.0]
+    )
+    assert lfo.solve(free, method="convex", throw=False).status == "unbounded"
+    monkeypatch.setattr(import_module("lin_freq_ocp.solving.judging"), "unbounded_direction", lambda *given: None)
+    refused = lfo.solve(free, method="convex", throw=False)
+    assert refused.status == "numerical_error"
+    assert not refused.dual
+
+
+def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again():
+    result = solved(469)
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
