@@ -1,112 +1,114 @@
-"""The constraints of a problem as named blocks, each of which can be taken away or made wider."""
+"""The constraints of a problem as named blocks, each of which can be dropped or relaxed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.explanation.wider import with_bounds, with_wider_term
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
+from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
-from lin_freq_ocp.problem.spectrum.base import listed
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, listed
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 ENDS = ("initial state", "terminal state")
+SETS = ("state_set", "control_set", "initial_state", "terminal_state")  # the fields of a problem that hold sets
+
+GivenSet = (
+    ConvexSet | Sequence[ConvexSet | None] | None
+)  # as a field of a problem holds it: None, for all times, or each
 
 
 @dataclass(frozen=True)
 class Block:
-    """One block of constraints.
+    """One block of constraints; ``name`` as in a Conflict."""
 
-    Attributes
-    ----------
-    kind : str
-        "initial state", "terminal state", "state bound", "control bound", "row", "state stop band",
-        "control stop band" or "term".
-    name : str
-        As it stands in a Conflict.
-    index : int
-        The component, the row of its family, or the index of a term in its field.
-    family : str
-        Of a row: the name of its stage rows; of a term: the problem's field it was given in.
-    """
-
-    kind: str
+    kind: str  # in ENDS, "state bound", "control bound", "row", "state stop band", "control stop band" or "term"
     name: str
-    index: int = 0
-    family: str = ""
+    index: int = 0  # the component, the row of its family, or the index of a term in its field
+    family: str = ""  # of a row: the name of its stage rows; of a term: the problem's field that it was given in
 
 
 def blocks(problem: OptimalControlProblem) -> list[Block]:
     """Return all blocks that constrain anything, apart from the dynamics."""
+
+    def components(kind: str, constrained: Mask, names: Sequence[str]) -> list[Block]:
+        return [Block(kind, f"{kind} on {names[i]}", i) for i in map(int, np.flatnonzero(constrained))]
+
     boxes = zip(ENDS, (problem.initial_box, problem.terminal_box), strict=True)
-    rows = [rows for rows in problem.stage_rows if rows.penalty is None]
-    return [
-        *(Block(kind, kind) for kind, end in boxes if _bounded(end).any()),
-        *_components("state bound", _bounded(problem.state_boxes), problem.state_names),
-        *_components("control bound", _bounded(problem.control_tube), problem.control_names),
-        *(Block("row", f"row {i} of {one.name}", i, one.name) for one in rows for i in range(one.rows)),
-        *_components("state stop band", np.any(problem.state_stop, axis=0), problem.state_names),
-        *_components("control stop band", np.any(problem.control_stop, axis=0), problem.control_names),
-        *_terms(problem),
-    ]
-
-
-def _components(kind: str, there: Mask, names: Sequence[str]) -> list[Block]:
-    return [Block(kind, f"{kind} on {names[i]}", i) for i in map(int, np.flatnonzero(there))]
-
-
-def _terms(problem: OptimalControlProblem) -> Iterator[Block]:
-    """Yield what can be taken away or made wider beyond bounds, rows and bands: one block for each entry of a field."""
-    names: dict[tuple[str, int], list[str]] = {}
+    terms: dict[tuple[str, int], list[str]] = {}  # one block for each entry of a field
     for term in problem.terms:
         if term.hard and term.source is not None:
-            names.setdefault(term.source, []).append(term.name)
-    for (field, index), together in names.items():
-        yield Block("term", ", ".join(together), index, field)
+            terms.setdefault(term.source, []).append(term.name)
+    return [
+        *(Block(kind, kind) for kind, end in boxes if _bounded(end).any()),
+        *components("state bound", _bounded(problem.state_boxes), problem.state_names),
+        *components("control bound", _bounded(problem.control_tube), problem.control_names),
+        *(
+            Block("row", f"row {i} of {rows.name}", i, rows.name)
+            for rows in problem.stage_rows
+            if rows.penalty is None
+            for i in range(rows.rows)
+        ),
+        *components("state stop band", np.any(problem.state_stop, axis=0), problem.state_names),
+        *components("control stop band", np.any(problem.control_stop, axis=0), problem.control_names),
+        *(Block("term", ", ".join(names), index, field) for (field, index), names in terms.items()),
+    ]
 
 
 def _bounded(box: Box) -> Mask:
     """Return which components have a bound at some time."""
-    finite = np.isfinite(box.lower) | np.isfinite(box.upper)
-    return np.asarray(np.atleast_2d(finite).any(0))
+    return np.asarray(np.atleast_2d(np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
 
 
 def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
     """Return the problem without these blocks; terms first, the last index first, because removal shifts indices."""
     for block in sorted(dropped, key=lambda block: (block.kind != "term", -block.index)):
-        problem = widened(problem, block, np.inf)
+        problem = relaxed(problem, block, np.inf)
     return problem
 
 
-def widened(problem: OptimalControlProblem, block: Block, amount: float | Array) -> OptimalControlProblem:
-    """Return the problem with a block moved outwards by an amount, or taken away if it is infinite.
+def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array) -> OptimalControlProblem:
+    """Return the problem with a block moved outwards by an amount, or dropped if it is infinite.
 
     Ends take an amount per state; stop bands the number of their outermost bins that are passed.
     """
     if block.kind in ENDS:
         field = block.kind.replace(" ", "_")
         end, given = (problem.initial_box, problem.terminal_box)[ENDS.index(block.kind)], getattr(problem, field)
-        return replace(problem, **{field: with_bounds(given, Box(end.lower - amount, end.upper + amount))})
+        return replace(problem, **{field: _with_bounds(given, Box(end.lower - amount, end.upper + amount))})
     if block.kind == "row":
-        return replace(problem, stage_rows=[_moved(rows, block, amount) for rows in problem.stage_rows])
+        return replace(problem, stage_rows=[_relaxed_row(rows, block, amount) for rows in problem.stage_rows])
     if block.kind.endswith("stop band"):
         return _narrowed(problem, block, amount)
     if block.kind == "term":
-        return with_wider_term(problem, block.family, block.index, float(np.max(amount)))
+        return _relaxed_term(problem, block, float(np.max(amount)))
     field = "state_set" if block.kind == "state bound" else "control_set"
     tube = problem.state_boxes if block.kind == "state bound" else problem.control_tube
     lower, upper = tube.lower.copy(), tube.upper.copy()
     lower[:, block.index] -= amount
     upper[:, block.index] += amount
-    return replace(problem, **{field: with_bounds(getattr(problem, field), Box(lower, upper))})
+    return replace(problem, **{field: _with_bounds(getattr(problem, field), Box(lower, upper))})
 
 
-def _moved(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
+def _with_bounds(given: GivenSet, bounds: Box) -> GivenSet:
+    """Return a set, or one per time, with other bounds and the same other members."""
+    if isinstance(given, Sequence):
+        boxes = [bounds.at(t) if bounds.lower.ndim > 1 else bounds for t in range(len(given))]
+        return [_intersection(box, one.members if one else ()) for one, box in zip(given, boxes, strict=True)]
+    return _intersection(bounds, given.members if given else ())
+
+
+def _intersection(bounds: Box, members: Sequence[ConvexSet]) -> ConvexSet:
+    return Intersection([bounds, *members]) if members else bounds
+
+
+def _relaxed_row(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
     if rows.name != block.family:
         return rows
     limits = rows.e.copy()
@@ -115,7 +117,7 @@ def _moved(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
 
 
 def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
-    """Return the problem with the stopped bins of one component that lie within ``bins`` of passed ones passed, too."""
+    """Return the problem where the stopped bins of one component within ``bins`` of passed bins are passed, too."""
     field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
     stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
     stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
@@ -124,10 +126,71 @@ def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array)
 
 
 def kept_stopped(stopped: Mask, bins: float) -> Mask:
-    """Return which stopped bins lie farther than ``bins`` from every passed one; all bins, if none is passed."""
+    """Return which stopped bins lie farther than ``bins`` from every passed one; bin 0 counts as one if none is."""
     if not np.isfinite(bins):
         return np.zeros_like(stopped)
     k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
     if not len(passed):
-        return stopped & (k >= bins)  # nothing is passed: begin at the lowest bins
+        return stopped & (k >= bins)
     return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
+
+
+def _relaxed_term(problem: OptimalControlProblem, block: Block, amount: float) -> OptimalControlProblem:
+    """Return the problem with one entry of a field relaxed by an amount, or dropped if it is infinite."""
+    field, given = block.family, getattr(problem, block.family)
+    if field in SETS:
+        dimension = problem.control_dim if field == "control_set" else problem.state_dim
+        if isinstance(given, Sequence):
+            return replace(problem, **{field: [one and _relaxed_set(one, amount, dimension) for one in given]})
+        return replace(problem, **{field: _relaxed_set(given, amount, dimension)})
+    entries = list(listed(given))
+    entry = (_relaxed_outputs if field == "output_spectrum" else _relaxed_bound)(entries[block.index], amount)
+    entries[block.index : block.index + 1] = [] if entry is None else [entry]
+    return replace(problem, **{field: entries or None})
+
+
+def _relaxed_set(given: ConvexSet, amount: float, dimension: int) -> ConvexSet:
+    """Return a set whose limits beyond its bounds are higher by an amount; without hard limits if it is infinite."""
+    if np.isinf(amount):
+        return _intersection(box_of(given), [member for member in given.members if member.soft])
+    return _intersection(box_of(given), [member.widened(amount, dimension) for member in given.members])
+
+
+def _relaxed_bound(given: FrequencyConstraint, amount: float) -> FrequencyConstraint | None:
+    return None if np.isinf(amount) else given.widened(amount)
+
+
+def _relaxed_outputs(outputs: OutputSpectrum, amount: float) -> OutputSpectrum | None:
+    relaxed_bounds = [_relaxed_bound(one, amount) for one in outputs.constraints]
+    kept = [one for one in relaxed_bounds if one is not None]
+    return OutputSpectrum(outputs.C, outputs.D, kept, outputs.output_names) if kept else None
+
+
+def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
+
+    def hard_bounds(given: object) -> list[FrequencyConstraint]:
+        return [one for one in listed(given) if getattr(one, "penalty", None) is None]
+
+    def hard_set(given: GivenSet) -> GivenSet:
+        if isinstance(given, Sequence):
+            return [one and _intersection(box_of(one), _hard(one)) for one in given]
+        return given and _intersection(box_of(given), _hard(given))
+
+    outputs = [
+        OutputSpectrum(one.C, one.D, kept, one.output_names)
+        for one in listed(problem.output_spectrum)
+        if (kept := hard_bounds(one.constraints))
+    ]
+    return replace(
+        problem,
+        **{field: hard_set(getattr(problem, field)) for field in SETS},
+        state_spectrum=hard_bounds(problem.state_spectrum) or None,
+        control_spectrum=hard_bounds(problem.control_spectrum) or None,
+        stage_rows=[one for one in problem.stage_rows if one.penalty is None],
+        output_spectrum=outputs or None,
+    )
+
+
+def _hard(given: ConvexSet) -> list[ConvexSet]:
+    return [member for member in given.members if not member.soft]

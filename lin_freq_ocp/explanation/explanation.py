@@ -1,9 +1,8 @@
-"""Which constraints cannot hold together, none of them to spare, and the least change of each one that helps."""
+"""An irreducible family of constraints that cannot hold together, and the least relaxation of each that cures it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +20,9 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 
+# Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
-"""Whether a problem has a solution, by the words that say so."""
-
-LEAST_TIME = 1e-3
-"""Seconds left to a solver when the time is over: it then says so."""
+LEAST_TIME = 1e-3  # seconds left to a solver when the time is over: it then ends with its limit
 
 
 def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> Explanation:
@@ -73,7 +70,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
 
 
 class _Search:
-    """Solves variants of one problem; ``sure`` until a solver was not, or the time was over."""
+    """Solves variants of one problem; ``sure`` until one stays undecided or the time is over."""
 
     def __init__(self, problem: OptimalControlProblem, end: float):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
@@ -81,7 +78,7 @@ class _Search:
         self.blocks = blocks(problem)
 
     def solved(self, problem: OptimalControlProblem) -> Outcome:
-        """Return how a variant ends; its cost is a plain one, or none, as only feasibility matters."""
+        """Return how a variant ends, with a simple cost or none: only feasibility matters."""
         result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._left())
         if result.interrupted:
             self.end = -np.inf
@@ -99,19 +96,18 @@ class _Search:
         return DECIDED.get(self.solved(problem).status)
 
     def family(self, result: Outcome) -> list[Block]:
-        """Return blocks none of which can be spared: each is taken away in turn, for good if the others still clash."""
+        """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
         named = {one.block: one.share for one in result.conflict or ()}
         some = [block for block in self.blocks if block.name in named]
-        family = some if self._clash(some) else list(self.blocks)
+        family = some if self._infeasible(some) else list(self.blocks)
         for block in sorted(family, key=lambda block: named.get(block.name, 0.0)):
             rest = [one for one in family if one is not block]
-            if self._clash(rest):
+            if self._infeasible(rest):
                 family = rest
         return family
 
-    def _clash(self, kept: Iterable[Block]) -> bool:
+    def _infeasible(self, kept: list[Block]) -> bool:
         """Whether these blocks alone are known to have no solution."""
-        kept = list(kept)
         if time.perf_counter() > self.end:
             self.sure = False
             return False

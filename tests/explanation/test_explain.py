@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.explanation import explanation as explanation_module
-from lin_freq_ocp.explanation.blocks import blocks, widened, without
+from lin_freq_ocp.explanation.blocks import blocks, relaxed, without
 from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.solving.solve import solve_judged
 
@@ -114,11 +114,11 @@ def test_a_cure_helps_and_less_does_not(case):
             if isinstance(problem.state_set, lfo.Box) and problem.state_set.upper[-1] == 9.0:
                 units = np.array([1.0, 9.0])
         if "stop band" in name:
-            assert feasible(widened(problem, block, cure.amount))
-            assert not feasible(widened(problem, block, cure.amount - 1))
+            assert feasible(relaxed(problem, block, cure.amount))
+            assert not feasible(relaxed(problem, block, cure.amount - 1))
         elif block.kind not in ENDS:
-            assert feasible(widened(problem, block, 1.001 * cure.amount * units))
-            assert not feasible(widened(problem, block, 0.98 * cure.amount * units))
+            assert feasible(relaxed(problem, block, 1.001 * cure.amount * units))
+            assert not feasible(relaxed(problem, block, 0.98 * cure.amount * units))
     for name, amount in amounts.items():
         assert cures[name].amount == pytest.approx(amount, rel=1e-3)
 

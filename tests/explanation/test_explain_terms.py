@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.explanation.blocks import ENDS, blocks, widened, without
+from lin_freq_ocp.explanation.blocks import ENDS, blocks, relaxed, without
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -128,8 +128,8 @@ def test_a_cure_cures_and_less_does_not(name):
         if block.kind in ENDS:
             continue  # in the sizes of the states; tried below
         amount = cures[block.name].amount
-        assert feasible(widened(problem, block, 1.001 * amount)), block.name
-        assert not feasible(widened(problem, block, 0.95 * amount)), block.name
+        assert feasible(relaxed(problem, block, 1.001 * amount)), block.name
+        assert not feasible(relaxed(problem, block, 0.95 * amount)), block.name
 
 
 @pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball", "a polyhedron"])
