@@ -39,21 +39,13 @@ from threadpoolctl import threadpool_limits
 import lin_freq_ocp as lfo
 
 GROWTH = {"ours": 1.2}
+# Exponents by which times are expected to grow with the horizon; a stop band in the time domain is dense rows
 CUBIC = 3.0
-"""Exponents by which times are expected to grow with the horizon; a stop band in the time domain is dense rows."""
-
-SAFETY = 1.5
-"""Who may need this many times less than expected is still run."""
-
+SAFETY = 1.5  # who may need this many times less than expected is still run
+# No contender but ours starts unseen above this horizon: dense rows need memory that grows with its square
 LARGEST_DENSE = 3000
-"""No contender but ours starts unseen above this horizon: dense rows need memory that grows with its square."""
-
-REPEAT_SECONDS = 4.0
-"""A contender whose runs at one horizon took this long together is not repeated any more."""
-
-EXPONENT_FROM, EXPONENT_TO = 10_000, 1_000_000
-"""Horizons between which the growth of our time is stated."""
-
+REPEAT_SECONDS = 4.0  # A contender whose runs at one horizon took this long together is not repeated any more
+EXPONENT_FROM, EXPONENT_TO = 10_000, 1_000_000  # horizons between which the growth of our time is stated
 COLUMNS = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint")
 WIDTH = 165
 

@@ -14,11 +14,9 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 
-FINE_SECONDS = 2.4
-"""Duration of the pendulum of the family "fine", whatever its horizon."""
-
+FINE_SECONDS = 2.4  # duration of the pendulum of the family "fine", whatever its horizon
+# Standard deviations of the pendulum's new initial states: position [m], angle [rad], and their rates
 MOVES = (2e-3, 4e-3, 2e-2, 4e-2)
-"""Standard deviations of the pendulum's new initial states: position [m], angle [rad], and their rates."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +118,8 @@ FAMILIES = {
     "state-arcs": Family("double integrator, speed limit active for long", state_arcs, (200,), (200, 400, 800, 4000)),
 }
 
+# Families solved again and again from new initial states
 RESOLVED = {"resolve": "pendulum", "resolve-slow": "pendulum-slow"}
-"""Families solved again and again from new initial states."""
-
 RESOLVE_SIZES = (240,)
 
 

@@ -22,11 +22,9 @@ from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 
 CLAIMS = {Claim.SOLVED: "optimal", Claim.INFEASIBLE: "infeasible", Claim.LIMIT: "limit"}
+# Words of backends and of CVXPY in those of this project; anything else is a failure
 STATUSES = {"optimal": "optimal", "optimal_inaccurate": "optimal", "infeasible": "infeasible", "user_limit": "limit"}
-"""Words of backends and of CVXPY in those of this project; anything else is a failure."""
-
-UNLIMITED = ("piqp",)
-"""Solvers that cannot stop at a time limit."""
+UNLIMITED = ("piqp",)  # solvers that cannot stop at a time limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,9 +237,9 @@ class CvxpyResolver:
         return self._model.solve(limit)
 
 
+# Contender -> what it makes of the first problem, outside the time measured. "clarabel" starts from scratch.
 RESOLVERS: dict[str, Callable[[lfo.OptimalControlProblem], Contender]] = {
     "ours": OurResolver,
     "cvxpy+clarabel": CvxpyResolver,
     "clarabel": lambda problem: direct("clarabel"),
 }
-"""Contender -> what it makes of the first problem, outside the time measured. "clarabel" starts from scratch."""

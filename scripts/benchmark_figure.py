@@ -16,11 +16,8 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.report.figures.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, new_figure, style_axes
 
 COLORS = dict(zip(CONTENDERS, (COMPONENTS[0], COMPONENTS[1], CLASSICAL, COMPONENTS[2], COMPONENTS[3]), strict=True))
-LABEL_STEP = 11.0
-"""Points between the labels of two lines that end close together."""
-
-WIDE = 100
-"""From this ratio of the largest to the smallest horizon on, powers of ten are enough to read the axis."""
+LABEL_STEP = 11.0  # points between the labels of two lines that end close together
+WIDE = 100  # from this ratio of the largest to the smallest horizon on, powers of ten are enough to read the axis
 
 
 def draw(rows: Sequence[Row], path: Path) -> bool:

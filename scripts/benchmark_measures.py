@@ -14,8 +14,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 
-PROVEN_GAP = 1e-8
-"""Relative gap up to which the reference cost of a case counts as proven."""
+PROVEN_GAP = 1e-8  # relative gap up to which the reference cost of a case counts as proven
 
 
 @dataclass(frozen=True)

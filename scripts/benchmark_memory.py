@@ -18,8 +18,7 @@ from benchmark_cases import FAMILIES, small
 from benchmark_contenders import CONTENDERS
 from threadpoolctl import threadpool_limits
 
-START_SECONDS = 30.0
-"""Time for imports and the first small problem, beyond the limit of the solver."""
+START_SECONDS = 30.0  # time for imports and the first small problem, beyond the limit of the solver
 
 
 def peak() -> float:

@@ -18,11 +18,15 @@ many nodes the search has with it; ``--long`` adds horizons of 30.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # for helpers.checks, which the tests run, too
 
 import cvxpy as cp
 import numpy as np
@@ -33,18 +37,18 @@ from threadpoolctl import threadpool_limits
 from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
+from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
 from lin_freq_ocp.methods.modes.node import relaxed
 from lin_freq_ocp.methods.modes.search import SearchLimits
-from lin_freq_ocp.testing.claimed import resolved
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
 
+# Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit
 ALLOWED = 3.0
-"""Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit."""
 
 
 def _case(name: str, horizon: int) -> Callable[[], lfo.OptimalControlProblem]:
@@ -54,12 +58,11 @@ def _case(name: str, horizon: int) -> Callable[[], lfo.OptimalControlProblem]:
 
 SYSTEMS = {"pendulum": "pendulum_with_wall", "rotation": "switched_rotation", "buck": "buck_affine"}
 
+# All with a terminal cost and the bins max(2, ceil(T/3)) .. T//2 of the control removed.
 CASES = {
     f"{short}-{horizon}": _case(SYSTEMS[short], horizon)
     for short, horizon in (("pendulum", 20), ("rotation", 20), ("buck", 15), ("buck", 20))
 }
-"""All with a terminal cost and the bins max(2, ceil(T/3)) .. T//2 of the control removed."""
-
 LONG = {f"{short}-30": _case(name, 30) for short, name in SYSTEMS.items()}
 
 
@@ -82,8 +85,7 @@ class Answer:
     bound: float | None = None
 
 
-Contender = Callable[[lfo.OptimalControlProblem, float, float], Answer]
-"""(problem, seconds, relative gap) -> Answer."""
+Contender = Callable[[lfo.OptimalControlProblem, float, float], Answer]  # (problem, seconds, relative gap) -> Answer
 
 
 def cvxpy_scip(problem: lfo.OptimalControlProblem, limit: float, gap: float) -> Answer:
@@ -167,13 +169,13 @@ def ours(method: str) -> Contender:
     return solve
 
 
+# The first is what the others' times are divided by. A new method is one line here.
 CONTENDERS: dict[str, Contender] = {
     "branch_and_bound": ours("branch_and_bound"),
     "cvxpy+scip": cvxpy_scip,
     "big-M+scip": monolithic("scip"),
     "big-M+daqp": monolithic("daqp"),
 }
-"""The first is what the others' times are divided by. A new method is one line here."""
 
 
 @dataclass(frozen=True)

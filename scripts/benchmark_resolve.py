@@ -12,9 +12,7 @@ from benchmark_cases import FAMILIES, RESOLVED, moved
 from benchmark_contenders import RESOLVERS, Answer
 from benchmark_measures import Row, measured, timed
 
-NONZERO = 1e-9
-"""A multiplier above this fraction of the largest belongs to an active bound."""
-
+NONZERO = 1e-9  # A multiplier above this fraction of the largest belongs to an active bound
 WORST = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint", "iterations")
 
 

@@ -19,18 +19,11 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
 from lin_freq_ocp.report.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
 
-HORIZON, SAMPLING_TIME = 60, 0.1
-"""31 bins, four eigenvalues well apart, and few samples at a bound."""
-
-CONTROL, STATE = COMPONENTS[0], COMPONENTS[1]
-"""Colours of the force and of the position; lines and markers differ too."""
-
-POSITION, FORCE = 0, 4
-"""Components of y = (x, u)."""
-
+HORIZON, SAMPLING_TIME = 60, 0.1  # 31 bins, four eigenvalues well apart, and few samples at a bound
+CONTROL, STATE = COMPONENTS[0], COMPONENTS[1]  # colours of the force and of the position; lines and markers differ too
+POSITION, FORCE = 0, 4  # components of y = (x, u)
 HEIGHT = 7.9
-SIZE = 10.5
-"""Inches; points of the words in the panels."""
+SIZE = 10.5  # inches; points of the words in the panels
 
 
 def main(path: Path) -> None:

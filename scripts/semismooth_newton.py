@@ -10,7 +10,10 @@ size relative to theirs, cut at the bounds; multipliers are those of least squar
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # for helpers.checks, which the tests run, too
 
 import numpy as np
 from rich.console import Console
@@ -18,10 +21,9 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.checks.newton import PROBLEMS, run
+from helpers.checks.newton import PROBLEMS, run
 
-LEVELS = (1e-3, 1e-2, 2e-2)
-"""Noise, relative to the largest value of each state and control."""
+LEVELS = (1e-3, 1e-2, 2e-2)  # noise, relative to the largest value of each state and control
 
 
 def rates(starts: int, seed: int) -> Table:

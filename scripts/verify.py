@@ -34,6 +34,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # for helpers.checks, which the tests run, too
 
 import verify_explain
 import verify_flips
@@ -49,22 +52,17 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.checks.convex import Outcome, check
+from helpers.checks.convex import Outcome, check
 from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 
+# How many random problems each part solves unless told otherwise
 PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200, "units": 2000}
-"""How many random problems each part solves unless told otherwise."""
-
-WIDTH = 132
-"""Columns of the tables, also where they are written into a file."""
-
+WIDTH = 132  # columns of the tables, also where they are written into a file
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
 
+# Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
-"""Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems."""
-
-MASKED = 1e-6
-"""Relative error of the cost of the reference problem with a mask, which is known to no more."""
+MASKED = 1e-6  # relative error of the cost of the reference problem with a mask, which is known to no more
 
 
 def summary(outcomes: list[Outcome]) -> Table:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lin_freq_ocp.testing.checks.explain import check
+from helpers.checks.explain import check
 from lin_freq_ocp.testing.random_infeasible import KINDS
 
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lin_freq_ocp.testing.checks.flips import check
+from helpers.checks.flips import check
 from lin_freq_ocp.testing.random_kinks import KINDS
 
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lin_freq_ocp.testing.checks.mixed import check
+from helpers.checks.mixed import check
 
 
 def verify(console: Console, seeds: range) -> bool:

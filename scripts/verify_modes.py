@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lin_freq_ocp.testing.checks.modes import INSTANCES, check
+from helpers.checks.modes import INSTANCES, check
 
 
 def verify(console: Console) -> bool:

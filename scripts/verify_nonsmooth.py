@@ -15,24 +15,14 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 
-COST, CONDITION = 1e-7, 1e-8
-"""Relative difference of costs, and the worst condition of the certificate."""
-
-GAP, SECONDS = 1e-4, 60.0
-"""Relative gap to prove, and the time for that together with the search."""
-
+COST, CONDITION = 1e-7, 1e-8  # relative difference of costs, and the worst condition of the certificate
+GAP, SECONDS = 1e-4, 60.0  # relative gap to prove, and the time for that together with the search
+# Other gaps: what is left of this one is the duality gap of its frequency constraint
 TOLERANCES = {"buck, T = 20, bins 7 to 10": 1e-3}
-"""Other gaps: what is left of this one is the duality gap of its frequency constraint."""
-
-ROUNDING = 1e-9
-"""Of the cost: a bound may be above the optimum by this, as the cost is that of a point."""
-
+ROUNDING = 1e-9  # of the cost: a bound may be above the optimum by this, as the cost is that of a point
+# SCIP is asked for problems of so many steps at most, and given so long for each
 OPINION_HORIZON, OPINION_SECONDS = 8, 60.0
-"""SCIP is asked for problems of so many steps at most, and given so long for each."""
-
-CLAIMED = 1e-5
-"""Relative difference of a claimed cost, whose trajectory violates its rows by up to 1e-6."""
-
+CLAIMED = 1e-5  # relative difference of a claimed cost, whose trajectory violates its rows by up to 1e-6
 FREE: dict[str, Any] = {"terminal_state": None}
 
 OPTIMA: dict[str, tuple[str, dict[str, Any], float]] = {

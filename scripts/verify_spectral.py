@@ -20,11 +20,10 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from lin_freq_ocp.testing.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check
+from helpers.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check
 from lin_freq_ocp.testing.random_lti import KINDS, kind_of
 
-AGREEING = 0.99
-"""Share of the problems solved by both that must agree."""
+AGREEING = 0.99  # share of the problems solved by both that must agree
 
 
 def _one_thread() -> None:

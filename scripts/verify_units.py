@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lin_freq_ocp.testing.checks.units import CHANGES, check
+from helpers.checks.units import CHANGES, check
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:

@@ -16,28 +16,12 @@ from scipy.optimize import lsq_linear
 import lin_freq_ocp as lfo
 from lin_freq_ocp.arrays import Array, Indices
 
-TOLERANCE = 1e-10
-"""Asked of Clarabel."""
-
-
-AGREEMENT = 1e-6
-"""Difference of the two costs, relative to what the terms of the cost add up to."""
-
-
-NONE = 1e6
-"""Bounds from here on are left out if the answer is far within them: they stand for none."""
-
-
-NOISE = 1e-9
-"""Difference of two costs, in good units, that Clarabel's tolerance can make."""
-
-
-ACTIVE = 1e-7
-"""Distance from a limit, in good units, at which it may carry a multiplier."""
-
-
-NEAR = 1e4
-"""An answer below this is far within bounds of NONE."""
+TOLERANCE = 1e-10  # asked of Clarabel
+AGREEMENT = 1e-6  # difference of the two costs, relative to what the terms of the cost add up to
+NONE = 1e6  # bounds from here on are left out if the answer is far within them: they stand for none
+NOISE = 1e-9  # difference of two costs, in good units, that Clarabel's tolerance can make
+ACTIVE = 1e-7  # distance from a limit, in good units, at which it may carry a multiplier
+NEAR = 1e4  # an answer below this is far within bounds of NONE
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 
-LONGEST, LARGEST = 50, 4
-"""Largest horizon and number of states."""
-
-
+LONGEST, LARGEST = 50, 4  # largest horizon and number of states
 KINDS = ("too weak", "too far", "too narrow", "too slow")
 
 

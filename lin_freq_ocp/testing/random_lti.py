@@ -20,17 +20,11 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 
+# Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible
 SPOILT = 0.18
-"""Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible."""
-
-HARMLESS_GROWTH = 1e3
-"""Open-loop growth over the horizon from which the end of the horizon must not be left to itself."""
-
-FAR = 100.0
-"""Multiple of a moderate trajectory that linear costs may ask for: integrators follow them a long way."""
-
-FREE, BOXED, FIXED = 0, 1, 2
-"""What an end of the horizon says of one state component."""
+HARMLESS_GROWTH = 1e3  # open-loop growth over the horizon from which the end of the horizon must not be left to itself
+FAR = 100.0  # multiple of a moderate trajectory that linear costs may ask for: integrators follow them a long way
+FREE, BOXED, FIXED = 0, 1, 2  # what an end of the horizon says of one state component
 
 
 def kind_of(seed: int) -> str:

@@ -14,9 +14,8 @@ from lin_freq_ocp.arrays import Array
 INSTANCES: dict[str, dict[str, Any]] = {
     one["name"]: one for one in json.loads(Path(__file__).with_name("reference.json").read_text())["instances"]
 }
+# Those that boxes and stop bands can state; dint200_soft has a mask, and is known to 1e-6 only
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]
-"""Those that boxes and stop bands can state; dint200_soft has a mask, and is known to 1e-6 only."""
-
 PENDULUM: dict[str, tuple[dict[str, Any], float]] = {  # keyword arguments, optimal cost
     "paper, constrained": ({}, 3199.18631986),
     "paper, classical": ({"cutoff": None}, 2852.70530277),

@@ -12,15 +12,10 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 
+# An objective whose terms add up to less than this part of what they are at a typical point is measured by that
 NOTHING = 1e-3
-"""An objective whose terms add up to less than this part of what they are at a typical point is measured by that."""
-
-
-ROUNDING = 1e-13
-"""An objective below this part of what it is where all variables are 1 is zero."""
-
-CONIC_ROUNDING = 1e-6
-"""The same with cones, where a point is as an interior-point method leaves it."""
+ROUNDING = 1e-13  # an objective below this part of what it is where all variables are 1 is zero
+CONIC_ROUNDING = 1e-6  # the same with cones, where a point is as an interior-point method leaves it
 
 
 class Block(Enum):

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.checks import convex, explain, flips, mixed, modes
 from lin_freq_ocp.certificate.modes.clarke import Flip
 from lin_freq_ocp.testing import random_mixed
-from lin_freq_ocp.testing.checks import convex, explain, flips, mixed, modes
 from lin_freq_ocp.testing.random_convex import random_problem
 
 

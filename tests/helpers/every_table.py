@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+# A problem with every table there is
 GOOD: dict[str, Any] = {
     "schema": 1,
     "name": "cart",
@@ -46,9 +47,7 @@ GOOD: dict[str, Any] = {
         "constraints": [{"kind": "band_pass", "lower_hz": 0.0, "upper_hz": 4.0, "component": "y"}],
     },
 }
-"""A problem with every table there is."""
-
-
+# The same with piecewise-affine dynamics
 PIECEWISE: dict[str, Any] = GOOD | {
     "dynamics": {
         **{"sampling_time": 0.1, "state_names": ["position [m]", "speed [m/s]"], "control_names": ["force [N]"]},
@@ -64,7 +63,6 @@ PIECEWISE: dict[str, Any] = GOOD | {
         ],
     }
 }
-"""The same with piecewise-affine dynamics."""
 
 
 def changed(tables: dict[str, Any], place: str, value: Any) -> dict[str, Any]:

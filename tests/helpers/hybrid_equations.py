@@ -62,8 +62,7 @@ STEPS = {
     "cart_pole_with_walls": cart_pole_with_walls,
     "ball_and_paddle": ball_and_paddle,
 }
-ALWAYS = {"max_min_network": {"load_first": False}}
-"""What makes the map the same at all times."""
+ALWAYS = {"max_min_network": {"load_first": False}}  # what makes the map the same at all times
 
 
 def single_step(name: str) -> lfo.OptimalControlProblem:

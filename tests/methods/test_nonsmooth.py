@@ -11,6 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
+from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
 from helpers.schemas import RESULT
 from lin_freq_ocp import library
@@ -19,7 +20,6 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.nonsmooth.newton import newton, starting_point
 from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum
 from lin_freq_ocp.methods.nonsmooth.system import System
-from lin_freq_ocp.testing.checks import newton as newton_check
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers import random_units
+from helpers.checks import units
 from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
-from lin_freq_ocp.testing import random_units
-from lin_freq_ocp.testing.checks import units
 
 SEEDS = {change: [3, 4, 8] for change in units.CHANGES}
 

@@ -26,11 +26,8 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
-SHARE_OF_GAP = 0.5
-"""Leaves are closed at this part of the gap; the rest is for what a node's solver leaves open."""
-
-ROUNDING_EVERY = 5
-"""Nodes between two attempts to round a relaxed point to a sequence."""
+SHARE_OF_GAP = 0.5  # leaves are closed at this part of the gap; the rest is for what a node's solver leaves open
+ROUNDING_EVERY = 5  # nodes between two attempts to round a relaxed point to a sequence
 
 
 @dataclass

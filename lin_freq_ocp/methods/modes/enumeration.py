@@ -16,8 +16,7 @@ from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, Searc
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
-MOST_SEQUENCES = 10_000
-"""More would take minutes; branch and bound needs a small part of them."""
+MOST_SEQUENCES = 10_000  # more would take minutes; branch and bound needs a small part of them
 
 
 def enumerate_sequences(

@@ -42,15 +42,12 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
 
+# Fits of weights, each with the slopes of the adjoint of the last one: where eta is known at borders, as one step
+# before a free end, the first is exact
 ROUNDS = 12
-"""Fits of weights, each with the slopes of the adjoint of the last one: where eta is known at borders, as one step
-before a free end, the first is exact."""
-
-SAME_ADJOINT = 1e-9
-"""Change of eta, relative to its largest entry, below which a further round would change nothing."""
-
+SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, below which a further round would change nothing
+# Two maps whose derivatives differ by less, relative to their largest entry, have no kink between them
 SMALLEST_KINK = 1e-9
-"""Two maps whose derivatives differ by less, relative to their largest entry, have no kink between them."""
 
 
 def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:

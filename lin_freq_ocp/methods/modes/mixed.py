@@ -12,13 +12,11 @@ from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.mixed_integer import MixedInteger, big_m_program
 
+# Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in
+# the row, and as much in each binary times a coefficient of at most 1
 POINT_TOLERANCE = 1e-5
-"""Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in
-the row, and as much in each binary times a coefficient of at most 1."""
-
-
+# Seconds that a solver is given when setting up has used them all: it says that the limit was reached
 LEAST_TIME = 1e-3
-"""Seconds that a solver is given when setting up has used them all: it says that the limit was reached."""
 
 
 def solve_miqp(

@@ -15,13 +15,10 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 from lin_freq_ocp.transcription.program import Program
 
+# Residuals and gap asked of a node's relaxation: a hundredth of the gap that is to be proven; if that fails, a looser
+# one, whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
-"""Residuals and gap asked of a node's relaxation: a hundredth of the gap that is to be proven; if that fails, a looser
-one, whose bound is weaker but checked all the same."""
-
-FINE = (1e-11, 1e-9)
-"""The same for leaves whose proof turned out too weak."""
-
+FINE = (1e-11, 1e-9)  # the same for leaves whose proof turned out too weak
 DECIDED = (Claim.SOLVED, Claim.INFEASIBLE)
 
 

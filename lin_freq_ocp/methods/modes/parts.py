@@ -21,12 +21,11 @@ from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+# What a future raises whose worker died, was cancelled, or was cut off (executors on networks)
 LOST = (BrokenExecutor, CancelledError, ConnectionError)
-"""What a future raises whose worker died, was cancelled, or was cut off (executors on networks)."""
-
+# Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they
+# cannot tell each other, a better sequence, costs little
 PARTS = 32
-"""Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they
-cannot tell each other, a better sequence, costs little."""
 
 
 def search_in_parts(

@@ -13,12 +13,8 @@ from lin_freq_ocp.methods.modes.node import FINE, Duals, relaxed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
-GAP = 1e-6
-"""Relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for."""
-
-
-SEARCH_SHARE = 0.85
-"""Of the time: what was found is solved once more, and the leaves are checked, in the rest."""
+GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for
+SEARCH_SHARE = 0.85  # of the time: what was found is solved once more, and the leaves are checked, in the rest
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
+# What is left over, relative to the largest terms, up to which weights fit and normals are left as they are: the judge
+# allows 1e-6, and solvers leave 1e-9
 GOOD_FIT = 1e-8
-"""What is left over, relative to the largest terms, up to which weights fit and normals are left as they are: the judge
-allows 1e-6, and solvers leave 1e-9."""
 
 
 def weighted(

@@ -23,18 +23,13 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator
 
+# Grid points of each state, and of each control, by how many there are of both: some 10^5 pairs
 POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}
-"""Grid points of each state, and of each control, by how many there are of both: some 10^5 pairs."""
-
-FINER = 4
-"""Times as many control points where the trajectory is followed."""
-
-SAMPLES = 64
-"""Random control sequences whose trajectories tell how far states without bounds go."""
-
+FINER = 4  # times as many control points where the trajectory is followed
+SAMPLES = 64  # random control sequences whose trajectories tell how far states without bounds go
+# Of the distance to the terminal set, relative to the spread of stage costs over the range of a state: no control of
+# the grid meets the set, so that a high price decides by how nearly, and a low one by the cost. Each is worth a try.
 END_PRICES = (2.0, 10.0, 50.0)
-"""Of the distance to the terminal set, relative to the spread of stage costs over the range of a state: no control of
-the grid meets the set, so that a high price decides by how nearly, and a low one by the cost. Each is worth a try."""
 
 
 def grid_trajectories(

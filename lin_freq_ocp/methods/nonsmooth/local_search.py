@@ -20,11 +20,9 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+# Constant controls to start from, as parts of the way from the lower bound to the upper one
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
-"""Constant controls to start from, as parts of the way from the lower bound to the upper one."""
-
-BETTER = 1e-9
-"""A sequence is better from this part of the cost."""
+BETTER = 1e-9  # A sequence is better from this part of the cost
 
 
 @dataclass(frozen=True)

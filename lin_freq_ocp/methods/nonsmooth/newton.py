@@ -18,25 +18,16 @@ from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
 
-NEAR_KINK = 1e-3
-"""A border of modes, or the zero of a norm, this near in natural units gets a selection of its own."""
-
-CONVERGED = 1e-12
-"""|Phi| of equations of order 1 at which nothing is left to gain."""
-
+NEAR_KINK = 1e-3  # A border of modes, or the zero of a norm, this near in natural units gets a selection of its own
+CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
+# Of the decrease that the slope promises, what a step must reach; the shortest step that is tried with one damping
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14
-"""Of the decrease that the slope promises, what a step must reach; the shortest step that is tried with one damping."""
-
+# Weight at which multipliers of bounds are kept small where multipliers are fitted: others explain what they can
 SMALL_NORMALS = 1e-2
-"""Weight at which multipliers of bounds are kept small where multipliers are fitted: others explain what they can."""
-
-SINGULAR = 1e-13
-"""Reciprocal condition number of the linearised equations below which a step is damped."""
-
+SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
+# Of the damping term, relative to |J|^2 |Phi|, one after the other until a step is found: it vanishes with the
+# residual, so that convergence stays fast
 DAMPINGS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
-"""Of the damping term, relative to |J|^2 |Phi|, one after the other until a step is found: it vanishes with the
-residual, so that convergence stays fast."""
-
 MOST_STEPS = 40
 
 

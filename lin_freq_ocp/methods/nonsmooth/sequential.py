@@ -26,28 +26,18 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import natural_scaling
 from lin_freq_ocp.transcription.program import Program, Scaling
 
+# Of violations, in a cost whose slopes are of order 10: above the multipliers it leaves none; the next is taken if some
+# are left
 PRICES = (1e2, 1e4, 1e6)
-"""Of violations, in a cost whose slopes are of order 10: above the multipliers it leaves none; the next is taken if
-some are left."""
-
+# Of the trust region, in natural units, in which trajectories are of order 1
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 1.0, 1e3, 1e-9
-"""Of the trust region, in natural units, in which trajectories are of order 1."""
-
+# Shares of the predicted improvement from which a step is taken, and from which the trust region grows
 ACCEPTED, GOOD = 1e-4, 0.7
-"""Shares of the predicted improvement from which a step is taken, and from which the trust region grows."""
-
-CONVERGED = 1e-9
-"""Steps in natural units below which the last program is the answer; its solver is as accurate."""
-
-VIOLATION = 1e-8
-"""Violations of order-1 rows up to which a point is feasible."""
-
+CONVERGED = 1e-9  # steps in natural units below which the last program is the answer; its solver is as accurate
+VIOLATION = 1e-8  # violations of order-1 rows up to which a point is feasible
+# Of the slacks of costs and soft constraints, where the nearest trajectory within the sets is looked for
 SLACK_PRICE = 1e-3
-"""Of the slacks of costs and soft constraints, where the nearest trajectory within the sets is looked for."""
-
-ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""Predicted improvements below this part of the merit are rounding."""
-
+ROUNDING = 16 * float(np.finfo(np.float64).eps)  # predicted improvements below this part of the merit are rounding
 MOST_STEPS = 60
 QP_TOLERANCE = 1e-10
 

@@ -7,20 +7,14 @@ from dataclasses import dataclass
 from lin_freq_ocp.memory import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+# Of a dense row at the peak: its value, places while it is put in, and the scaled copies that solvers are given
 BYTES_PER_ENTRY = 100.0
-"""Of a dense row at the peak: its value, places while it is put in, and the scaled copies that solvers are given."""
-
-BYTES_OF_FACTOR = 12.0
-"""Per entry of a solver's factor: a value and an index."""
-
+BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
+# To make, scale and order dense rows, measured with Clarabel; a solver's set-up does not stop before it is done
 SECONDS_PER_ENTRY = 7.5e-7
-"""To make, scale and order dense rows, measured with Clarabel; a solver's set-up does not stop before it is done."""
-
+# Of one factorisation, measured with Clarabel: d dense rows and V variables are d^2 V products
 SECONDS_PER_PRODUCT = 4e-10
-"""Of one factorisation, measured with Clarabel: d dense rows and V variables are d^2 V products."""
-
-LEAST_FACTORISATIONS = 5.0
-"""Fewer lead no interior-point method to an answer."""
+LEAST_FACTORISATIONS = 5.0  # fewer lead no interior-point method to an answer
 
 
 @dataclass(frozen=True)

@@ -22,31 +22,22 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
 
+# Added to the Hessian, relative to its mean diagonal: directions without cost get the smallest trajectory
 HESSIAN_REGULARISATION = 1e-6
-"""Added to the Hessian, relative to its mean diagonal: directions without cost get the smallest trajectory."""
-
+# Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory
 ROW_REGULARISATION = 1e-10
-"""Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory."""
-
+# A component whose typical magnitude, relative to what the data state of it, is below this does not move
 NEGLIGIBLE = 1e-6
-"""A component whose typical magnitude, relative to what the data state of it, is below this does not move."""
-
-ROUNDING = 1e-12
-"""What is smaller than this part of its unit until then is rounding."""
-
+ROUNDING = 1e-12  # what is smaller than this part of its unit until then is rounding
+# A component that is smaller than this part of what would change another one by its size, spread over the horizon, does
+# not move: that part is its unit
 UNNOTICED = 1e-3
-"""A component that is smaller than this part of what would change another one by its size, spread over the horizon,
-does not move: that part is its unit."""
-
+# With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
+# than this part of what the data state of it, or larger by as much; a second solve corrects it
 TERM_SHARE = 0.1
-"""With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
-than this part of what the data state of it, or larger by as much; a second solve corrects it."""
-
+# Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve
 REVISED = 100.0
-"""Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve."""
-
-COST_LEVEL = 10.0
-"""Steepest slope of the scaled cost: the other slopes are smaller, and solvers need to see them all."""
+COST_LEVEL = 10.0  # steepest slope of the scaled cost: the other slopes are smaller, and solvers need to see them all
 
 
 def natural_scaling(transcription: LinearTranscription) -> Scaling:

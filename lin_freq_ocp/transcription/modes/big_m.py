@@ -26,22 +26,16 @@ from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 
+# Rows of a domain, in half widths, are relaxed by this much, ten times what a linear program or a mixed-integer solver
+# lets pass; a domain that is empty even so belongs to a mode that cannot hold
 RELAXATION = 1e-6
-"""Rows of a domain, in half widths, are relaxed by this much, ten times what a linear program or a mixed-integer solver
-lets pass; a domain that is empty even so belongs to a mode that cannot hold."""
-
+# Part of its range over the box by which every figure is enlarged, for the tolerances (1e-7) of the linear program
 OUTWARD = 1e-6
-"""Part of its range over the box by which every figure is enlarged, for the tolerances (1e-7) of the linear program."""
-
+# An interval (that of a fixed state is a point) is thought this wide, relative to the natural size of its component:
+# rows are measured in half widths. Nobody can say to less than 1e-6 on which side of a border a point is.
 LEAST_HALF_WIDTH = 1e-9
-"""An interval (that of a fixed state is a point) is thought this wide, relative to the natural size of its component:
-rows are measured in half widths. Nobody can say to less than 1e-6 on which side of a border a point is."""
-
-ROUNDING = 1e-12
-"""Part of the largest terms of a figure that is rounding of their sum."""
-
-Rows = tuple[Array, Array]
-"""Coefficients (rows, n+m) and limits (rows,): rows y <= limits."""
+ROUNDING = 1e-12  # part of the largest terms of a figure that is rounding of their sum
+Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows y <= limits
 
 
 @dataclass(frozen=True, eq=False)

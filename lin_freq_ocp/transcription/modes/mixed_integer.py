@@ -26,8 +26,7 @@ from lin_freq_ocp.transcription.linear.units import common_scaling
 from lin_freq_ocp.transcription.modes.big_m import Excesses, excesses, require_time
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
 
-Row = tuple[Indices, Array, float, float]
-"""Columns, their coefficients, lower and upper limit."""
+Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,12 +33,10 @@ from lin_freq_ocp.transcription.modes.rows import ModeColumns, mode_rows
 from lin_freq_ocp.transcription.modes.stages import hessian_roots, mode_stages
 from lin_freq_ocp.transcription.program import Block, Program
 
+# Of the cost in common units, so that its slopes are of order 1: bounds are asked for to a part of the cost, and a
+# larger cost takes more iterations
 COST_SHARE = 0.1
-"""Of the cost in common units, so that its slopes are of order 1: bounds are asked for to a part of the cost, and a
-larger cost takes more iterations."""
-
-FIXED = 1e-9
-"""A box narrower than this, in natural units, is an equation: interior-point methods need an interior."""
+FIXED = 1e-9  # A box narrower than this, in natural units, is an equation: interior-point methods need an interior
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-FLAT = 1e-12
-"""Eigenvalues of a stage's Hessian below this part of its largest one are zero."""
+FLAT = 1e-12  # eigenvalues of a stage's Hessian below this part of its largest one are zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks import spectral
+from helpers.checks.spectral import Reference, Verdict
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.testing.checks import spectral
-from lin_freq_ocp.testing.checks.spectral import Reference, Verdict
 from lin_freq_ocp.testing.random_lti import with_witness
 
 BOUNDED = 4

@@ -21,12 +21,8 @@ from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.testing.random_kinks import random_problem
 
-VISIBLE = 1e-9
-"""Relative change of a cost that solvers which stop at 1e-10 show."""
-
-
-MOST_STEPS = 20
-"""Flips that are followed, one after the other."""
+VISIBLE = 1e-9  # relative change of a cost that solvers which stop at 1e-10 show
+MOST_STEPS = 20  # flips that are followed, one after the other
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,9 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
-AGREEMENT = 1e-6
-"""Difference of the two costs, relative to max(1, |J|)."""
-
-
-TIGHTER = 0.98
-"""Factor on a limit that must make the judge refuse the optimum."""
-
-
-NOTHING = 1e-6
-"""Multipliers that are all smaller than this, relative to the cost, are none."""
+AGREEMENT = 1e-6  # difference of the two costs, relative to max(1, |J|)
+TIGHTER = 0.98  # factor on a limit that must make the judge refuse the optimum
+NOTHING = 1e-6  # multipliers that are all smaller than this, relative to the cost, are none
 
 
 @dataclass(frozen=True)

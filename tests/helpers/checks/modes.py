@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import lin_freq_ocp as lfo
+from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
-from lin_freq_ocp.testing.claimed import resolved
 
-AGREEMENT = 1e-6
-"""Relative difference of two costs, and relative gap."""
-
-
+AGREEMENT = 1e-6  # relative difference of two costs, and relative gap
 NEAR = {"initial_state": (1, 1), "terminal_cost": False}
 
 
+# System, arguments, and the known optimal cost, if there is one (reference: docs/hybrid_systems.md)
 INSTANCES = {
     "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
     "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
@@ -31,7 +29,6 @@ INSTANCES = {
     "absolute value, T = 8": ("absolute_value", {"horizon": 8}, -2.8),
     "network, T = 4, freq": ("max_min_network", {"horizon": 4, "control_spectrum": "freq"}, None),
 }
-"""System, arguments, and the known optimal cost, if there is one (reference: docs/hybrid_systems.md)."""
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.checks.spectral import EXPLAINING, cost_errors
+from helpers.checks.spectral import EXPLAINING, cost_errors
 from lin_freq_ocp.testing.random_convex import random_problem
 
-COST_AGREEMENT = 1e-6
-"""Relative difference of two costs from solvers that stop at 1e-8 or better."""
+COST_AGREEMENT = 1e-6  # relative difference of two costs from solvers that stop at 1e-8 or better
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,7 @@ from lin_freq_ocp.methods.nonsmooth.newton import NewtonRun, newton
 SAME_COST = 1e-8
 
 
-NEAR = 3.0
-"""Kinks within so many times the noise get a selection."""
-
-
+NEAR = 3.0  # kinks within so many times the noise get a selection
 PROBLEMS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
     "norm, x_0 = (1, 1), T = 10": lambda: lfo.library.norm_dynamics((1.0, 1.0), 10),
     "buck, T = 8": lambda: lfo.library.buck_converter(8),

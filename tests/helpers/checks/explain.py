@@ -18,8 +18,7 @@ from lin_freq_ocp.certificate.conflict import PRACTICAL
 from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, relaxed, without
 from lin_freq_ocp.testing.random_infeasible import random_infeasible
 
-LESS = 0.95
-"""Part of a cure that must not help."""
+LESS = 0.95  # part of a cure that must not help
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,10 @@ from functools import cache
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.random_units import Change, Drawn, drawn, problem, reordered, with_harmless_state
+from helpers.random_units import Change, Drawn, drawn, problem, reordered, with_harmless_state
 
-COST_AGREEMENT = 1e-7
-"""Difference of two costs, relative to what the terms of the cost add up to."""
-
-
-ACTIVE = 1e-3
-"""Part of the range of a component within which a bound counts as active, and stays where it is."""
-
-
+COST_AGREEMENT = 1e-7  # difference of two costs, relative to what the terms of the cost add up to
+ACTIVE = 1e-3  # part of the range of a component within which a bound counts as active, and stays where it is
 CHANGES = ("cost", "units", "time", "bounds", "origin", "order", "harmless state")
 
 

@@ -9,8 +9,8 @@ from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+# Part of the cost by which a claim may differ: the solver meets rows of order 1 to 1e-6, and several add up
 CLAIMED = 1e-5
-"""Part of the cost by which a claim may differ: the solver meets rows of order 1 to 1e-6, and several add up."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,32 +25,15 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.testing.random_lti import kind_of, with_witness
 
-REFERENCE_TOLERANCE = 1e-11
-"""What is asked of both reference solvers."""
-
-
+REFERENCE_TOLERANCE = 1e-11  # what is asked of both reference solvers
+# Statuses of answers: without any bound on a free end, no bound on the cost is rigorous
 ANSWERS = ("optimal", "locally_optimal")
-"""Statuses of answers: without any bound on a free end, no bound on the cost is rigorous."""
-
-
-AGREEMENT = 1e-8
-"""Difference of two costs, relative to max(1, |J|), up to which they agree."""
-
-
-EXPLAINING = 0.5
-"""Share of a difference that the reference's errors must be worth to explain it."""
-
-
+AGREEMENT = 1e-8  # difference of two costs, relative to max(1, |J|), up to which they agree
+EXPLAINING = 0.5  # share of a difference that the reference's errors must be worth to explain it
+# Relative residual up to which a witness counts: of very unstable dynamics none is known to more digits
 WITNESS_RESIDUAL = 1e-9
-"""Relative residual up to which a witness counts: of very unstable dynamics none is known to more digits."""
-
-
-FAR = 1e4
-"""Multiple of the sizes in the data beyond which an optimum is ill-posed: free ends almost without cost."""
-
-
-SOLVER_SECONDS, PROBLEM_SECONDS = 20.0, 60.0
-"""Time for each solver, and for both solves here together."""
+FAR = 1e4  # multiple of the sizes in the data beyond which an optimum is ill-posed: free ends almost without cost
+SOLVER_SECONDS, PROBLEM_SECONDS = 20.0, 60.0  # time for each solver, and for both solves here together
 
 
 class Verdict(StrEnum):
