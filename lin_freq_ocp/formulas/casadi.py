@@ -17,10 +17,10 @@ from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 
+# Operations of CasADi whose derivatives say nothing of their kinks or jumps.
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
-"""Operations of CasADi whose derivatives say nothing of their kinks or jumps."""
-
+# Operations of CasADi that formulas have; constants among them are folded by CasADi.
 OPERATIONS: dict[str, Callable[..., Any]] = {
     "ASSIGN": lambda a: a,
     "ADD": lambda a, b: a + b,
@@ -45,7 +45,6 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "FMAX": lambda a, b: extreme(MAXIMUM, (a, b), None),
     "FMIN": lambda a, b: extreme(MINIMUM, (a, b), None),
 }
-"""Operations of CasADi that formulas have; constants among them are folded by CasADi."""
 
 
 def from_casadi(
@@ -110,13 +109,7 @@ def from_casadi(
 
 
 def _translate(casadi: Any, made: Any, found: DifferentiableFunction, smooth: bool) -> None:
-    """Let a function make formulas where these have all its operations.
-
-    Raises
-    ------
-    ProblemError
-        If they have not, and it has kinks.
-    """
+    """Let a function make formulas where these have all its operations."""
     program = made if made.is_a("SXFunction") else _expanded(made)
     codes = {program.instruction_id(k) for k in range(program.n_instructions())}
     kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]

@@ -12,20 +12,11 @@ from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import OPERATIONS, SUM, VARIABLE, Notation
 from lin_freq_ocp.formulas.text import formula_from_text, function_names, known_signals
 
-LONGEST_TEXT = 1000
-"""Characters of a formula that is written in full, even if parts of it repeat."""
-
-SHORTEST_NAMED = 12
-"""A shared part of fewer characters is repeated, as a name would save nothing."""
-
-DEEPEST = 20
-"""Brackets within brackets of one text: parsers take some hundred."""
-
-MOST_TERMS = 50
-"""Terms of a sum in one text: parsers nest them."""
-
-EXACT = Notation(repr)
-"""Numbers to the last bit."""
+LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
+SHORTEST_NAMED = 12  # A shared part of fewer characters is repeated, as a name would save nothing
+DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
+MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
+EXACT = Notation(repr)  # numbers to the last bit
 
 
 def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
@@ -37,11 +28,6 @@ def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str,
         What errors call the table.
     given : mapping from str to str or number
     dimensions : (n, m)
-
-    Raises
-    ------
-    ProblemError
-        If it is no such mapping, or a name is a signal's or a function's.
     """
     if not isinstance(given, Mapping):
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')

@@ -14,20 +14,15 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, brief
 from lin_freq_ocp.errors import ProblemError
 
+# Of central differences, relative to the size of an argument. Of neighbours that agree best the smaller is taken: so
+# that no scale of the function need be known.
 STEPS = 10.0 ** -np.arange(1, 11)
-"""Of central differences, relative to the size of an argument. Of neighbours that agree best the smaller is taken: so
-that no scale of the function need be known."""
-
+# Relative error of a derivative that is no slip: tables and iterations in a function cost digits, and a wrong sign,
+# index or factor is seen from far.
 TOLERANCE = 1e-6
-"""Relative error of a derivative that is no slip: tables and iterations in a function cost digits, and a wrong sign,
-index or factor is seen from far."""
-
+# Times what neighbouring differences differ by, and rounding errors: what the best of them may be wrong by.
 DOUBT = 10.0
-"""Times what neighbouring differences differ by, and rounding errors: what the best of them may be wrong by."""
-
-ROUNDING = 4 * float(np.finfo(np.float64).eps)
-"""Error of values, relative to their largest."""
-
+ROUNDING = 4 * float(np.finfo(np.float64).eps)  # error of values, relative to their largest
 NAMES = {"jacobian": "derivative", "hessian": "second derivative"}
 
 

@@ -15,9 +15,9 @@ from lin_freq_ocp.formulas.derivative_check import Derivative, require_derivativ
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
 
+# Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
+# the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian.
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
-"""Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
-the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian."""
 
 
 class _Recent:
@@ -160,11 +160,6 @@ class DifferentiableFunction:
         ----------
         x, u : sequences, or one formula or number
             What stands for its n states and its m controls, in the function's own count, not the problem's.
-
-        Raises
-        ------
-        ProblemError
-            If these are neither formulas nor numbers, or what the function returns has another shape.
         """
         given = [_listed(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
         arguments, states = [*given[0], *given[1]], len(given[0])
@@ -320,8 +315,7 @@ class DifferentiableFunction:
         return array.astype(np.float64).reshape(shape)
 
 
-_UNDEFINED = float("nan")
-"""Stands for values where the function is not defined."""
+_UNDEFINED = float("nan")  # stands for values where the function is not defined
 
 
 def _without_output(shape: tuple[int, ...], vectorized: bool) -> tuple[int, ...]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from lin_freq_ocp.formulas.intervals import Interval, add, inverse, meet, multiply, power, root, scale
 
+# Value (boxes,), gradient (boxes, k) and Hessian (boxes, k, k), None where it is zero.
 IntervalJet = tuple[Interval, Interval, Interval | None]
-"""Value (boxes,), gradient (boxes, k) and Hessian (boxes, k, k), None where it is zero."""
 
 
 def combination(

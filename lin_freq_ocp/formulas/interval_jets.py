@@ -18,8 +18,8 @@ from lin_freq_ocp.formulas.intervals import Interval, outward
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import OPERATIONS
 
+# Sums of a few products of numbers that are not negative are widened by this part.
 OUTWARD_SUM = 64 * float(np.finfo(np.float64).eps)
-"""Sums of a few products of numbers that are not negative are widened by this part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +42,6 @@ def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curve
     """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
 
     Without ``curved`` the Hessians are left out: they are zero for all formulas.
-
-    Raises
-    ------
-    UnsupportedError
-        If they have functions without enclosures over boxes.
     """
     boxes, k = lower.shape
     found: dict[Formula, IntervalJet] = {}

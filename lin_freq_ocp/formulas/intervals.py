@@ -13,18 +13,15 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Mask
 
 Interval = tuple[Array, Array]
+# Enclosures of a function of one variable and of its first and second derivative.
 WithDerivatives = tuple[Interval, Interval, Interval]
-"""Enclosures of a function of one variable and of its first and second derivative."""
-
+# Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
+# elementary functions of the mathematical library by a few.
 OUTWARD = 8 * float(np.finfo(np.float64).eps)
-"""Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
-elementary functions of the mathematical library by a few."""
-
+# Results are widened by this, too, as those near zero have no relative accuracy.
 SMALLEST = float(np.finfo(np.float64).tiny)
-"""Results are widened by this, too, as those near zero have no relative accuracy."""
-
+# Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within.
 TURN = 1e-9
-"""Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within."""
 
 
 def outward(lower: Array, upper: Array) -> Interval:

@@ -8,8 +8,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 
+# Value (points,), gradient (points, k) and Hessian (points, k, k) by the k components of (x, u).
 Jet = tuple[Array, Array, Array]
-"""Value (points,), gradient (points, k) and Hessian (points, k, k) by the k components of (x, u)."""
 
 
 def constant(value: float, points: int, k: int) -> Jet:

@@ -31,14 +31,10 @@ from lin_freq_ocp.formulas.operations import (
     scalar_functions,
 )
 
-LARGEST_POWER = 16
-"""A larger exponent is more often a slip than meant; products of powers still make it."""
-
-LONGEST_SHOWN = 300
-"""Characters of a part of a formula that people are shown; a longer one is cut to three dots."""
-
+LARGEST_POWER = 16  # A larger exponent is more often a slip than meant; products of powers still make it
+LONGEST_SHOWN = 300  # characters of a part of a formula that people are shown; a longer one is cut to three dots
+# Advice for a Python function that no formula can be made of.
 FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
-"""Advice for a Python function that no formula can be made of."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -355,6 +355,7 @@ def _arctan(a: Array, _: Array) -> tuple[Array, Array]:
     return slope, -2 * (a * slope) * slope
 
 
+# All operations by the kind of their nodes.
 OPERATIONS: dict[str, Operation] = {
     VARIABLE: _Variable(),
     SUM: _Sum(),
@@ -373,7 +374,6 @@ OPERATIONS: dict[str, Operation] = {
     "tanh": ScalarFunction(np.tanh, _tanh, intervals.hyperbolic_tangent),
     "arctan": ScalarFunction(np.arctan, _arctan, intervals.arc_tangent),
 }
-"""All operations by the kind of their nodes."""
 
 
 def scalar_functions() -> dict[str, ScalarFunction]:

@@ -27,9 +27,8 @@ from lin_freq_ocp.formulas.nodes import (
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, Notation, scalar_functions
 
-LONGEST = 100_000
-"""Characters of one formula."""
-
+LONGEST = 100_000  # characters of one formula
+# Of numbers alone.
 ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -37,7 +36,6 @@ ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-"""Of numbers alone."""
 
 
 def function_names() -> tuple[str, ...]:
@@ -65,11 +63,6 @@ def formula_from_text(
     dimensions : (n, m)
     known : mapping from str to Formula, optional
         Formulas by name; default: the signals.
-
-    Raises
-    ------
-    ProblemError
-        If it says anything else.
     """
     if len(text) > LONGEST:
         raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST}")
@@ -187,13 +180,7 @@ class _Reader:
 
 
 def source_of(one: Formula, field: str = "formula") -> str:
-    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit.
-
-    Raises
-    ------
-    ProblemError
-        If it has functions that are no formulas.
-    """
+    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit."""
     for node in in_order([one]):
         require_formula(node, field)
     return written(one, Notation(repr))
@@ -211,13 +198,7 @@ def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
 
 
 def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
-    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas.
-
-    Raises
-    ------
-    ProblemError
-        If they are none, or have other signals, or if the function cannot be called with formulas.
-    """
+    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(given):
         given = _traced(field, given, dimensions)
     if isinstance(given, (Formula, str)):

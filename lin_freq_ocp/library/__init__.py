@@ -32,6 +32,7 @@ from lin_freq_ocp.library.piecewise.pendulum_with_wall import pendulum_with_wall
 from lin_freq_ocp.library.piecewise.switched_rotation import switched_rotation as switched_rotation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+# Problems with linear dynamics by their names, simple ones first.
 LINEAR: dict[str, Callable[..., OptimalControlProblem]] = {
     "pendulum": pendulum,
     "double_integrator": double_integrator,
@@ -45,8 +46,7 @@ LINEAR: dict[str, Callable[..., OptimalControlProblem]] = {
     "quarter_car": quarter_car,
     "scanner": scanner,
 }
-"""Problems with linear dynamics by their names, simple ones first."""
-
+# Problems with piecewise-affine dynamics, simple ones first; see docs/hybrid_systems.md.
 PIECEWISE_AFFINE: dict[str, Callable[..., OptimalControlProblem]] = {
     "absolute_value": absolute_value,
     "max_min_network": max_min_network,
@@ -57,16 +57,13 @@ PIECEWISE_AFFINE: dict[str, Callable[..., OptimalControlProblem]] = {
     "cart_pole_with_walls": cart_pole_with_walls,
     "ball_and_paddle": ball_and_paddle,
 }
-"""Problems with piecewise-affine dynamics, simple ones first; see docs/hybrid_systems.md."""
-
+# Problems with piecewise-smooth dynamics: Examples 2 and 3 of the paper.
 PIECEWISE_SMOOTH: dict[str, Callable[..., OptimalControlProblem]] = {
     "norm_dynamics": norm_dynamics,
     "buck_converter": buck_converter,
 }
-"""Problems with piecewise-smooth dynamics: Examples 2 and 3 of the paper."""
-
+# Every problem by its name; the first line of each docstring says what it shows.
 PROBLEMS: dict[str, Callable[..., OptimalControlProblem]] = LINEAR | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
-"""Every problem by its name; the first line of each docstring says what it shows."""
 
 
 def by_name(name: str) -> Callable[..., OptimalControlProblem]:

@@ -19,8 +19,7 @@ from lin_freq_ocp.problem.spectrum.bands import low_pass
 
 GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2, of the Earth
 EARTH_RADIUS, SPHERE_OF_INFLUENCE = 6.371e6, 9.24e8  # m
-INTEGRATION_TOLERANCE = 1e-12
-"""Relative and absolute tolerance of the integration along the orbit."""
+INTEGRATION_TOLERANCE = 1e-12  # relative and absolute tolerance of the integration along the orbit
 
 
 def elliptic_rendezvous(

@@ -19,7 +19,6 @@ INERTIA = 350.0  # kg m^2, about the roll axis, panels included
 COUPLING = (6.45637, -1.25819)  # sqrt(kg) m, of each mode with the roll axis
 FREQUENCIES = (0.7681, 1.1038)  # rad/s, of each mode with the hub held still
 DAMPING_RATIOS = (0.005607, 0.00862)
-
 MASS = np.array([[INERTIA, *COUPLING], [COUPLING[0], 1, 0], [COUPLING[1], 0, 1]])
 STIFFNESS = np.diag(np.square([0, *FREQUENCIES]))
 DAMPING = 2 * np.diag(np.multiply([0, *DAMPING_RATIOS], [0, *FREQUENCIES]))

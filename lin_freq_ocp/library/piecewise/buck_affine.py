@@ -39,8 +39,8 @@ from lin_freq_ocp.problem.sets.box import Box
 RESISTANCE, INDUCTANCE, CURRENT_REFERENCE = 2.0, 1e-3, 1.0  # ohm, H, A
 POLE = CURRENT_REFERENCE * RESISTANCE  # V: r, where the second mode has its pole
 TARGET_CURRENT, CURRENT_WEIGHT = 0.75, 20.0  # A, V^2/A^2
+# s and 1 as affine functions: rows of coefficients of (i, v, 1).
 VOLTAGE_ABOVE_POLE, ONE = np.array([0.0, 1.0, -POLE]), np.array([0.0, 0.0, 1.0])
-"""s and 1 as affine functions: rows of coefficients of (i, v, 1)."""
 
 
 def buck_affine(

@@ -17,8 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 CART_MASS, POLE_MASS, LENGTH, GRAVITY = 1.0, 1.0, 1.0, 10.0  # kg, kg, m, m/s^2
 WALL, STIFFNESS, DAMPING = 0.5, 100.0, 30.0  # m from the middle, N/m, N s/m
 STATE_WEIGHT, CONTROL_WEIGHT = 0.5, 0.05
-TIP = np.array([1.0, -LENGTH])
-"""The tip of the pole is at q - l theta: what it is to the right of the middle."""
+TIP = np.array([1.0, -LENGTH])  # the tip of the pole is at q - l theta: what it is to the right of the middle
 
 
 def cart_pole_with_walls(

@@ -13,11 +13,9 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 
+# The text that stands for the stop band of the reference values: bins max(2, ceil(T/3)) .. T//2 of all controls.
 REFERENCE_BAND = "freq"
-"""The text that stands for the stop band of the reference values: bins max(2, ceil(T/3)) .. T//2 of all controls."""
-
-SHORTEST_BAND_HORIZON = 4
-"""The smallest T for which the band of the references has a bin."""
+SHORTEST_BAND_HORIZON = 4  # the smallest T for which the band of the references has a bin
 
 
 def control_band(given: Any, horizon: int) -> Any:

@@ -14,11 +14,8 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
-REGION = "mode region"
-"""The name under which the region rows of a fixed mode sequence, and their multipliers, stand."""
-
-MODE = "mode"
-"""What an error calls the mode that it is about, until somebody knows its place."""
+REGION = "mode region"  # the name under which the region rows of a fixed mode sequence, and their multipliers, stand
+MODE = "mode"  # what an error calls the mode that it is about, until somebody knows its place
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -22,12 +22,8 @@ from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 
 Entry = TypeVar("Entry")
-
-Step = Callable[[int, Array, Array], Array]
-"""From t, x_t (n,) and u_t (m,) to x_{t+1} (n,)."""
-
-Selections = Mapping[Formula, Array]
-"""The derivatives of norms at zero, (T, components), as for ``formulas.jets``."""
+Step = Callable[[int, Array, Array], Array]  # from t, x_t (n,) and u_t (m,) to x_{t+1} (n,)
+Selections = Mapping[Formula, Array]  # the derivatives of norms at zero, (T, components), as for ``formulas.jets``
 
 
 class Dynamics(ABC):
@@ -150,13 +146,7 @@ class StandardDynamics(Dynamics):
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
-    """Return the entry for the class of dynamics, for a base class, or for its standard form.
-
-    Raises
-    ------
-    UnsupportedError
-        If there is none.
-    """
+    """Return the entry for the class of dynamics, for a base class, or for its standard form."""
     for kind in (*type(dynamics).__mro__, *type(dynamics.standard_form).__mro__):
         if kind in table:
             return table[kind]

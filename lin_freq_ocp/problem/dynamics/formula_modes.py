@@ -16,8 +16,7 @@ from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATI
 from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
 from lin_freq_ocp.problem.dynamics.labels import unique_names
 
-MOST_MODES = 64
-"""Choices of the arguments of maxima and minima that are told apart."""
+MOST_MODES = 64  # choices of the arguments of maxima and minima that are told apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +83,6 @@ def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[
     Left out are choices whose affine switching functions leave no interior, or whose other ones are above zero
     everywhere, as intervals tell: pieces are closed, so that the rest covers everything. Of arguments that are the same
     function the first one is taken.
-
-    Raises
-    ------
-    ProblemError
-        If there are more than ``most``.
     """
     given = tuple(formulas)
     pieces = [FormulaPiece(given, np.zeros((0, sum(given[0].dimensions) + 1)))] if given else []

@@ -15,9 +15,7 @@ from lin_freq_ocp.geometry.polyhedra import THICKNESS, has_interior
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, placed_at
 from lin_freq_ocp.problem.dynamics.labels import unique_names
 
-SIGNS = {"+": -1.0, "-": 1.0}
-"""What G x + H u - d is multiplied by for a row that must not be above zero."""
-
+SIGNS = {"+": -1.0, "-": 1.0}  # what G x + H u - d is multiplied by for a row that must not be above zero
 ANY = "*"
 
 

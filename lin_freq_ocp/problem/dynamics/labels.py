@@ -13,13 +13,7 @@ from lin_freq_ocp.phrases import first_few
 def signal_labels(
     n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
 ) -> dict[str, Any]:
-    """Return the fields of ``Dynamics`` for n states and m controls, checked.
-
-    Raises
-    ------
-    ProblemError
-        If the sampling time is no number above zero, or names are not as many as components, or repeated.
-    """
+    """Return the fields of ``Dynamics`` for n states and m controls, checked."""
     return {
         "state_dim": n,
         "control_dim": m,
@@ -30,26 +24,14 @@ def signal_labels(
 
 
 def printable(field: str, name: Any) -> str:
-    """Return a name, or "" for none.
-
-    Raises
-    ------
-    ProblemError
-        If it is no text of printable characters: others would make one thing look like another, or end a line.
-    """
+    """Return a name, or "" for none."""
     if not isinstance(name, str) or not name.isprintable():
         raise ProblemError(field, brief(name), "a name of printable characters")
     return name
 
 
 def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of modes, "mode i" where none is given.
-
-    Raises
-    ------
-    ProblemError
-        If two are the same, or one is no text of printable characters.
-    """
+    """Return the names of modes, "mode i" where none is given."""
     found: dict[str, None] = {}
     for i, name in enumerate(given):
         printable(f"dynamics.modes[{i}].name", name)

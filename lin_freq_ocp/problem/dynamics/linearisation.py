@@ -11,29 +11,20 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, brief, positive_number, real_array, times_vectors
 from lin_freq_ocp.errors import ProblemError
 
+# Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal.
 RELATIVE_STEP = 2.0**-10
-"""Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal."""
-
+# With steps so much smaller, no derivative may change by more, relative to the largest effect on the same state.
 SMALLER, SMOOTH = 1 / 64, 1e-2
-"""With steps so much smaller, no derivative may change by more, relative to the largest effect on the same state."""
-
+# Derivatives behind and ahead of a kink differ as much with smaller steps; where |v|^1.5 has its least, whose
+# derivative is continuous, the difference falls with the root of the step: to 1/8.
 LASTING = 0.5
-"""Derivatives behind and ahead of a kink differ as much with smaller steps; where |v|^1.5 has its least, whose
-derivative is continuous, the difference falls with the root of the step: to 1/8."""
-
-NO_EFFECT = 1e-9
-"""Effects below this, relative to the larger of 1 and the slope of the state, are rounding errors."""
-
+NO_EFFECT = 1e-9  # effects below this, relative to the larger of 1 and the slope of the state, are rounding errors
+# Local error of state and derivatives in the integration over one period, relative to their sizes.
 INTEGRATION_TOLERANCE = 1e-12
-"""Local error of state and derivatives in the integration over one period, relative to their sizes."""
-
+# Of the derivatives, over one period; an explicit method needs more only if the model is stiff.
 MOST_EVALUATIONS = 20_000
-"""Of the derivatives, over one period; an explicit method needs more only if the model is stiff."""
-
 INTEGRATORS = ("DOP853", "Radau")
-
-Model = Callable[[float, Array], Array]
-"""From the time in seconds and (x, u) to dx/dt, or to the next x."""
+Model = Callable[[float, Array], Array]  # from the time in seconds and (x, u) to dx/dt, or to the next x
 
 
 def linearisation(
@@ -76,13 +67,7 @@ def linearisation(
 
 
 def clock(field: str, system: Any, sampling_time: float | None) -> tuple[bool, float | None]:
-    """Return whether a python-control model is continuous, and the seconds per step; None if it is unknown.
-
-    Raises
-    ------
-    ProblemError
-        If a continuous model comes without sampling time, or a discrete one has another.
-    """
+    """Return whether a python-control model is continuous, and the seconds per step; None if it is unknown."""
     if system.dt is None:
         raise ProblemError(f"{field}.dt", "None (unspecified)", "0 (continuous) or a sampling time", f"Set {field}.dt.")
     if system.dt == 0 and not isinstance(system.dt, bool):
@@ -152,14 +137,7 @@ def _one_sided(shifted: Array, value: Array, steps: Array) -> Array:
 
 
 def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value: Array, t: int) -> Array:
-    """Return the derivatives at a point of the trajectory.
-
-    Raises
-    ------
-    ProblemError
-        If they are others with smaller steps, or if those behind and ahead of the point differ, with the larger steps
-        and with the smaller ones: a kink is near or at the point, or a size is too large.
-    """
+    """Return the derivatives at a point of the trajectory."""
     steps = [RELATIVE_STEP * size, SMALLER * RELATIVE_STEP * size]
     shifted = [_shifted(model, seconds, point, step) for step in steps]
     slope, closer = (_slope(around, step) for around, step in zip(shifted, steps, strict=True))

@@ -19,12 +19,10 @@ from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.formula_modes import FormulaPiece, affine_row, formula_pieces
 from lin_freq_ocp.problem.dynamics.labels import unique_names
 
+# Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
+# them takes longer.
 MOST_PIECES = 256
-"""Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
-them takes longer."""
-
-LONGEST_TEXT = 40
-"""Characters of an affine function in the name of a mode."""
+LONGEST_TEXT = 40  # characters of an affine function in the name of a mode
 
 
 def modes_of(
@@ -90,13 +88,7 @@ class _Piece:
 
 
 def _affine(piece: FormulaPiece, labels: Sequence[str]) -> _Piece:
-    """Return a piece whose map and region are affine.
-
-    Raises
-    ------
-    ProblemError
-        If they are not.
-    """
+    """Return a piece whose map and region are affine."""
     others = dict.fromkeys((*piece.region, *piece.arguments.values()), "f")
     fields = {one: f"f[{i}]" for i, one in enumerate(piece.formulas)}
     fields = fields | {one: field for one, field in others.items() if one not in fields}

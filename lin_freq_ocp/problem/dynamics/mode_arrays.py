@@ -8,20 +8,17 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 
+# A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
+# 1e-8 or so, and the judge forgives 1e-6.
 BORDER_TOLERANCE = 1e-6
-"""A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
-1e-8 or so, and the judge forgives 1e-6."""
-
+# Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms:
+# those of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g
+# h'| times the terms for each of the two, and |g h'| <= |F_1| + |F_2|.
 SAME_IMAGE = 4 * BORDER_TOLERANCE
-"""Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms: those
-of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g h'| times
-the terms for each of the two, and |g h'| <= |F_1| + |F_2|."""
-
+# No component is measured more finely than this fraction of what the problem says of its size, as by the judge.
 LEAST_SIZE = 1e-4
-"""No component is measured more finely than this fraction of what the problem says of its size, as by the judge."""
-
+# A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows.
 REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows."""
 
 
 @dataclass(frozen=True, eq=False)

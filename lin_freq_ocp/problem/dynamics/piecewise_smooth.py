@@ -24,11 +24,9 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 
+# The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
 ZERO_NORM = 1e-9
-"""The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1."""
-
-OUTSIDE = 1e3
-"""A mode that is not defined at a point has a region there that the point is this far from."""
+OUTSIDE = 1e3  # A mode that is not defined at a point has a region there that the point is this far from
 
 
 @dataclass(frozen=True, eq=False)

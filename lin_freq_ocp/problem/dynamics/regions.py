@@ -27,19 +27,14 @@ from lin_freq_ocp.geometry.polyhedra import (
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
 
+# Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
+# linearised are right to 1e-9 or so, and what the judge forgives, BORDER_TOLERANCE, is ten times as much.
 CONTINUITY_TOLERANCE = 1e-7
-"""Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
-linearised are right to 1e-9 or so, and what the judge forgives, BORDER_TOLERANCE, is ten times as much."""
-
-NARROW = 1e-9
-"""A component whose bounds are closer than this, relative to their size, is fixed between them."""
-
+NARROW = 1e-9  # A component whose bounds are closer than this, relative to their size, is fixed between them
+# Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
+# shorter may be rounding, and THICKNESS times this is still a hundred times above it.
 LEAST_UNIT = 1e-6
-"""Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
-shorter may be rounding, and THICKNESS times this is still a hundred times above it."""
-
-PLACE_LENGTH = 200
-"""Characters of a point (x, u) in a message."""
+PLACE_LENGTH = 200  # characters of a point (x, u) in a message
 
 
 @dataclass(frozen=True, eq=False)
