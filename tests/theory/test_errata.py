@@ -88,7 +88,7 @@ def test_lipschitz_without_one_sided_derivatives():
     assert quotients.max() > 0.99
 
 
-pendulum_module = import_module("lin_freq_ocp.library.linear.pendulum")  # the package's name is the function
+pendulum_module = import_module("lin_freq_ocp.library.paper")
 
 PRINTED_A = {
     (0, 1): -4.823e-5,

@@ -11,7 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.library.bounds import symmetric
+from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -24,15 +24,13 @@ and N is max(0, -m gap/h).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi
 from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number
-from lin_freq_ocp.library.bounds import symmetric
-from lin_freq_ocp.library.piecewise.hybrid import control_band, flag, sum_of_squares
+from lin_freq_ocp.library.common import control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.convex import Polyhedron
@@ -125,42 +123,27 @@ def ball_and_paddle(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _FreeStep:
-    """What the velocities and (1) are after a step without contact: rows of coefficients of (x, u, 1)."""
-
-    positions: Array
-    velocities: Array
-    gap_paddle: Array
-    gap_ceiling: Array
-    slip_paddle: Array
-    slip_ceiling: Array
-
-    @classmethod
-    def of(cls, h: float) -> _FreeStep:
-        rows = np.eye(STATES + CONTROLS + 1)
-        positions, velocities, one = rows[:5], rows[5:10].copy(), rows[-1]
-        velocities[1] -= h * GRAVITY * one
-        velocities[3] += h * rows[10]
-        velocities[4] += h * rows[11]
-        after = positions + h * velocities
-        return cls(
-            positions=positions,
-            velocities=velocities,
-            gap_paddle=after[1] - after[4],
-            gap_ceiling=CLEARANCE * one - after[1],
-            slip_paddle=velocities[0] + RADIUS * velocities[2] - velocities[3],
-            slip_ceiling=velocities[0] - RADIUS * velocities[2],
-        )
-
-
 def _modes(h: float) -> list[AffineMode]:
-    free = _FreeStep.of(h)
-    above_paddle = -free.gap_paddle
-    modes = [_mode("free", free, h, free.velocities, [above_paddle, -free.gap_ceiling])]
+    rows = np.eye(STATES + CONTROLS + 1)  # coefficients of (x, u, 1)
+    positions, velocities, one = rows[:5], rows[5:10].copy(), rows[-1]
+    velocities[1] -= h * GRAVITY * one
+    velocities[3] += h * rows[10]
+    velocities[4] += h * rows[11]
+    after = positions + h * velocities
+    gap_paddle, gap_ceiling = after[1] - after[4], CLEARANCE * one - after[1]
+    slip_paddle = velocities[0] + RADIUS * velocities[2] - velocities[3]
+    slip_ceiling = velocities[0] - RADIUS * velocities[2]
+
+    def mode(name: str, velocities: Array, region: list[Array]) -> AffineMode:
+        """Return the step that ends with these velocities, where all rows of the region are <= 0."""
+        A, B, offset = np.split(np.vstack([positions + h * velocities, velocities]), [STATES, -1], axis=1)
+        G, H, constant = np.split(np.array(region), [STATES, -1], axis=1)
+        return AffineMode(A, B, offset[:, 0], G, H, -constant[:, 0], name)
+
+    modes = [mode("free", velocities, [-gap_paddle, -gap_ceiling])]
     for where, side, gap, slip, others in (
-        ("on paddle", 1.0, free.gap_paddle, free.slip_paddle, []),
-        ("at ceiling", -1.0, free.gap_ceiling, free.slip_ceiling, [above_paddle]),
+        ("on paddle", 1.0, gap_paddle, slip_paddle, []),
+        ("at ceiling", -1.0, gap_ceiling, slip_ceiling, [-gap_paddle]),
     ):
         normal, stick = -MASS / h * gap, -slip / BY_IMPULSE
         limit = FRICTION * normal
@@ -169,24 +152,10 @@ def _modes(h: float) -> list[AffineMode]:
             "slide right": (-limit, [stick + limit, gap]),
             "slide left": (limit, [limit - stick, gap]),
         }
-        for law, (tangential, rows) in laws.items():
-            velocities = free.velocities.copy()
-            velocities[0] += tangential / MASS
-            velocities[1] += side * normal / MASS
-            velocities[2] += side * RADIUS * tangential / INERTIA
-            modes.append(_mode(f"{law} {where}", free, h, velocities, [*rows, *others]))
+        for law, (tangential, region) in laws.items():
+            changed = velocities.copy()
+            changed[0] += tangential / MASS
+            changed[1] += side * normal / MASS
+            changed[2] += side * RADIUS * tangential / INERTIA
+            modes.append(mode(f"{law} {where}", changed, [*region, *others]))
     return modes
-
-
-def _mode(name: str, free: _FreeStep, h: float, velocities: Array, rows: list[Array]) -> AffineMode:
-    """Return the step that ends with these velocities, where all rows are <= 0."""
-    after, region = np.vstack([free.positions + h * velocities, velocities]), np.array(rows)
-    return AffineMode(
-        after[:, :STATES],
-        after[:, STATES:-1],
-        after[:, -1],
-        G=region[:, :STATES],
-        H=region[:, STATES:-1],
-        h=-region[:, -1],
-        name=name,
-    )

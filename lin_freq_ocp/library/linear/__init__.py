@@ -1,1 +1,0 @@
-"""Benchmarks with linear dynamics, each with its source."""

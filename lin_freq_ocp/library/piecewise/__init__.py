@@ -1,1 +1,0 @@
-"""Benchmarks with piecewise-affine and piecewise-smooth dynamics, each with its source."""
