@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.formulas.interval_jets import interval_jets
 from lin_freq_ocp.formulas.intervals import Interval
+from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import QUOTIENT
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

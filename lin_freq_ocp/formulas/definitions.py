@@ -8,27 +8,19 @@ from collections.abc import Mapping, Sequence
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, in_order
 from lin_freq_ocp.formulas.operations import OPERATIONS, SUM, VARIABLE, Notation
 from lin_freq_ocp.formulas.text import formula_from_text, function_names, known_signals
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
-SHORTEST_NAMED = 12  # A shared part of fewer characters is repeated, as a name would save nothing
+SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
 DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
 MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
 EXACT = Notation(repr)  # numbers to the last bit
 
 
 def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
-    """Return signals and named formulas, each of which may use those before it.
-
-    Parameters
-    ----------
-    field : str
-        What errors call the table.
-    given : mapping from str to str or number
-    dimensions : (n, m)
-    """
+    """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
     if not isinstance(given, Mapping):
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
@@ -54,20 +46,21 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
     """
     order = in_order(formulas)
     uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
-    shared = {one for one, count in uses.items() if count > 1} if _longest(formulas, order) > LONGEST_TEXT else set()
+    shared = {one for one, count in uses.items() if count > 1} if _longest(formulas) > LONGEST_TEXT else set()
     writer = _Writer(shared)
     for one in order:
         writer.add(one)
     return [writer.part(one)[0] for one in formulas], writer.definitions
 
 
-def _longest(formulas: Sequence[Formula], order: Sequence[Formula]) -> int:
-    """Return the characters of the longest formula as it stands, more or less."""
-    length: dict[Formula, int] = {}
-    for one in order:
+def _longest(formulas: Sequence[Formula]) -> int:
+    """Return the approximate number of characters of the longest formula as it stands."""
+
+    def length(one: Formula, arguments: list[int]) -> int:
         numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
-        length[one] = 4 + numbers + sum(length[argument] + 2 for argument in one.arguments)
-    return max((length[one] for one in formulas), default=0)
+        return 4 + numbers + sum(arguments) + 2 * len(arguments)
+
+    return max(evaluated(formulas, length), default=0)
 
 
 class _Writer:

@@ -20,30 +20,6 @@ from lin_freq_ocp.formulas.operations import EXTERNAL
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 
 
-class _Recent:
-    """What a function was at the points of the last call: of several modes, f and regions are often asked there."""
-
-    def __init__(self):
-        self._kept: dict[str, tuple[Array, Array, tuple[Array, ...]]] = {}
-
-    def __reduce__(self):
-        return _Recent, ()
-
-    def of(self, what: str, x: Array, u: Array) -> tuple[Array, ...] | None:
-        """Return what was kept for these points, if they are the last."""
-        points = self._kept.get(what)
-        if points is None or not (np.array_equal(points[0], x) and np.array_equal(points[1], u)):
-            return None
-        return points[2]
-
-    def keep(self, what: str, x: Array, u: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
-        """Keep arrays, read-only, and return them."""
-        for array in found:
-            array.flags.writeable = False
-        self._kept[what] = x.copy(), u.copy(), found
-        return found
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class DifferentiableFunction:
     """A smooth function of (x, u) by what computes it and its derivatives, for pieces that cannot be formulas.
@@ -106,7 +82,8 @@ class DifferentiableFunction:
     sizes: Array
     dimensions: tuple[int, int] | None = field(repr=False)
     translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
-    _recent: _Recent = field(repr=False, compare=False)
+    # What the function was at the points of the last call: several modes, f and regions, ask at the same points.
+    _recent: dict[str, tuple[Array, Array, tuple[Array, ...]]] = field(repr=False, compare=False)
 
     def __init__(
         self,
@@ -142,7 +119,7 @@ class DifferentiableFunction:
             sizes=scale,
             dimensions=None,
             translation=None,
-            _recent=_Recent(),
+            _recent={},
         )
         if check_at is not None:
             self.check_derivatives(check_at)
@@ -201,9 +178,9 @@ class DifferentiableFunction:
                 raise ProblemError(f"check_at[{i}]", brief(point), "a point (x, u)")
             x, u = (np.atleast_1d(real_array(f"check_at[{i}]", part)) for part in point)
             self._require(len(x), len(u))
-            pairs = [("call", "jacobian"), ("jacobian", "hessian")][: 1 if self.hessian is None else 2]
-            for lower, upper in pairs:
-                self._check(lower, upper, np.concatenate([x, u]), len(x))
+            self._check("call", "jacobian", np.concatenate([x, u]), len(x))
+            if self.hessian is not None:
+                self._check("jacobian", "hessian", np.concatenate([x, u]), len(x))
 
     def _require(self, states: int, controls: int) -> None:
         if self.dimensions not in (None, (states, controls)):
@@ -229,20 +206,28 @@ class DifferentiableFunction:
         ----------
         x : (points, n), u : (points, m)
         """
-        found = self._recent.of("values", x, u)
-        if found is None:
-            found = self._recent.keep("values", x, u, (self._evaluated("call", x, u),))
-        return found[0]
+        return self._kept("values", x, u, lambda: (self._evaluated("call", x, u),))[0]
 
     def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
-        found = self._recent.of("derivatives", x, u)
-        if found is None:
+
+        def found() -> tuple[Array, Array, Array]:
             values, slopes = self._evaluated("call", x, u), self._evaluated("jacobian", x, u)
             curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluated("hessian", x, u)
-            curvatures = np.where(np.isfinite(curvatures), curvatures, 0.0)
-            found = self._recent.keep("derivatives", x, u, (values, slopes, curvatures))
-        return found[0], found[1], found[2]
+            return values, slopes, np.where(np.isfinite(curvatures), curvatures, 0.0)
+
+        values, slopes, curvatures = self._kept("derivatives", x, u, found)
+        return values, slopes, curvatures
+
+    def _kept(self, what: str, x: Array, u: Array, compute: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+        """Return arrays, read-only: those of the last call if its points were the same."""
+        last = self._recent.get(what)
+        if last is None or not (np.array_equal(last[0], x) and np.array_equal(last[1], u)):
+            found = compute()
+            for array in found:
+                array.flags.writeable = False
+            last = self._recent[what] = x.copy(), u.copy(), found
+        return last[2]
 
     def _differences(self, x: Array, u: Array, slopes: Array) -> Array:
         """Return central differences of the Jacobian, one-sided ones where only those are defined."""

@@ -36,11 +36,6 @@ def add(a: Interval, b: Interval) -> Interval:
     return outward(a[0] + b[0], a[1] + b[1])
 
 
-def subtract(a: Interval, b: Interval) -> Interval:
-    """Return a - b."""
-    return outward(a[0] - b[1], a[1] - b[0])
-
-
 def scale(factor: float | Array, a: Interval) -> Interval:
     """Return factor * a for real numbers."""
     one, other = _times(factor, a[0]), _times(factor, a[1])
@@ -125,8 +120,8 @@ def hyperbolic_tangent(a: Interval) -> WithDerivatives:
     value = meet(outward(np.tanh(a[0]), np.tanh(a[1])), _one_around(a))
 
     def falling(v: Interval) -> Interval:
-        one = np.ones_like(v[0])
-        return meet(subtract((one, one), power(v, 2)), (0 * one, one))
+        square = power(v, 2)
+        return meet(outward(1 - square[1], 1 - square[0]), (np.zeros_like(v[0]), np.ones_like(v[0])))
 
     second = _with_extrema(lambda v: scale(-2.0, multiply(v, falling(v))), value, 4 / np.sqrt(27.0))
     return value, falling(value), second
@@ -150,11 +145,6 @@ def arc_tangent(a: Interval) -> WithDerivatives:
 def meet(a: Interval, b: Interval) -> Interval:
     """Return what lies in both; its lower bound is above its upper one if nothing does."""
     return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
-
-
-def magnitude(a: Interval) -> Array:
-    """Return the largest absolute value."""
-    return np.maximum(np.abs(a[0]), np.abs(a[1]))
 
 
 def _times(a: float | Array, b: Array) -> Array:

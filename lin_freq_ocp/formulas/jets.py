@@ -1,4 +1,9 @@
-"""Formulas at points: their values, and with them their first and second derivatives."""
+"""Formulas with first and second derivatives, at points and over boxes (natural interval extensions).
+
+Points of a box at which a formula is undefined (a logarithm of numbers below zero, a quotient by zero) are left out of
+the enclosure of its values; its derivatives are then unbounded. Over a box in which all arguments of a norm can be
+zero, its Hessian is unbounded, and its gradient contains all of Clarke's subdifferential.
+"""
 
 from __future__ import annotations
 
@@ -8,55 +13,78 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.formulas.jet_rules import Jet
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.intervals import Interval, outward
+from lin_freq_ocp.formulas.nodes import Formula, evaluated
 from lin_freq_ocp.formulas.operations import OPERATIONS, Points
+
+# Sums of a few products of numbers that are not negative are widened by this part.
+OUTWARD_SUM = 64 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, eq=False)
 class Jets:
-    """Formulas at points y = (x, u), with derivatives.
-
-    Attributes
-    ----------
-    values : (points, formulas)
-    slopes : (points, formulas, n + m)
-    curvatures : (points, formulas, n + m, n + m)
-    """
+    """Formulas at points y = (x, u): values (points, formulas), slopes (..., n + m), curvatures (..., n + m, n + m)."""
 
     values: Array
     slopes: Array
     curvatures: Array
 
 
-def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Array] | None = None) -> Jets:
-    """Return formulas without maxima and minima at points, with derivatives; what is undefined there is not a number.
+@dataclass(frozen=True, eq=False)
+class IntervalJets:
+    """Enclosures (lower, upper) of formulas over boxes of y = (x, u), each array as in ``Jets``."""
 
-    Parameters
-    ----------
-    y : (points, n + m)
-    selections : mapping from norms to (points, components), optional
-        Where the rows are numbers, they stand for the derivative of the norm by its arguments, and its curvature is 0.
-        At zero without a selection, the derivative is 0.
+    values: Interval
+    slopes: Interval
+    curvatures: Interval
+
+
+def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Array] | None = None) -> Jets:
+    """Return formulas without maxima and minima at points y (points, n + m); nan where they are undefined.
+
+    Where the selection of a norm, (points, components), is a number, it is the derivative of the norm by its arguments,
+    and its curvature is 0. At zero without a selection, the derivative is 0.
     """
     points, k = y.shape
-    at, found = Points(y, selections or {}), dict[Formula, Jet]()
+    at, shape = Points(y, selections or {}), (points, len(formulas))
     with np.errstate(all="ignore"):
-        for node in in_order(formulas):
-            arguments = [found[argument] for argument in node.arguments]
-            found[node] = OPERATIONS[node.kind].jet(node, arguments, at)
-    shape = (points, len(formulas))
+        found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
     values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.empty((*shape, k, k))
-    for i, formula in enumerate(formulas):
-        values[:, i], slopes[:, i], curvatures[:, i] = found[formula]
+    for i, jet in enumerate(found):
+        values[:, i], slopes[:, i], curvatures[:, i] = jet
     return Jets(values, slopes, curvatures)
 
 
 def values_of(formulas: Sequence[Formula], y: Array) -> Array:
     """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
-    at, found = Points(y, {}), dict[Formula, Array]()
+    at = Points(y, {})
     with np.errstate(all="ignore"):
-        for node in in_order(formulas):
-            arguments = [found[argument] for argument in node.arguments]
-            found[node] = OPERATIONS[node.kind].value(node, arguments, at)
-    return np.stack([found[formula] for formula in formulas], axis=1) if formulas else np.empty((len(y), 0))
+        found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].value(node, arguments, at))
+    return np.stack(found, axis=1) if found else np.empty((len(y), 0))
+
+
+def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True) -> IntervalJets:
+    """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
+
+    Without ``curved`` the Hessians are not computed: they are zeros. UnsupportedError: a function has no enclosures.
+    """
+    boxes, k = lower.shape
+    shape, box = (boxes, len(formulas)), (lower, upper)
+    with np.errstate(all="ignore"):
+        found = evaluated(
+            formulas, lambda node, arguments: OPERATIONS[node.kind].interval_jet(node, arguments, box, curved)
+        )
+    values, slopes, curvatures = np.empty((2, *shape)), np.empty((2, *shape, k)), np.zeros((2, *shape, k, k))
+    for i, (value, slope, curvature) in enumerate(found):
+        values[:, :, i], slopes[:, :, i] = value, slope
+        if curvature is not None:
+            curvatures[:, :, i] = curvature
+    return IntervalJets((values[0], values[1]), (slopes[0], slopes[1]), (curvatures[0], curvatures[1]))
+
+
+def mean_value(at_centre: Interval, slopes: Interval, radii: Array) -> Interval:
+    """Return the enclosure f(c) + [Df] [-r, r], (boxes, formulas), over boxes of radii r (boxes, n + m)."""
+    with np.errstate(invalid="ignore"):
+        steepest = np.maximum(np.abs(slopes[0]), np.abs(slopes[1])) * radii[:, None, :]
+    reach = np.where(radii[:, None, :] > 0, steepest, 0.0).sum(-1) * (1 + OUTWARD_SUM)
+    return outward(at_centre[0] - reach, at_centre[1] + reach)

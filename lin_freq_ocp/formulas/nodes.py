@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,20 +31,39 @@ from lin_freq_ocp.formulas.operations import (
     scalar_functions,
 )
 
-LARGEST_POWER = 16  # A larger exponent is more often a slip than meant; products of powers still make it
+LARGEST_POWER = 16  # a larger exponent is more often an error; products of powers still make it
 LONGEST_SHOWN = 300  # characters of a part of a formula that people are shown; a longer one is cut to three dots
 # Advice for a Python function that no formula can be made of.
 FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
 
 
+Value = TypeVar("Value")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Formula(Node):
-    """A node of a formula with operators; made by ``signals`` and operators.
+    """A node of an expression graph, made by ``signals`` and operators.
 
     Attributes
     ----------
-    dimensions, kind, arguments, data, names, function
-        As of ``Node``.
+    dimensions : (n, m)
+    kind : str
+        The name of its operation: "variable", "sum", "product", "quotient", "power", "norm", "maximum", "minimum",
+        "external", or that of a function of one variable.
+    arguments : tuple of Formula
+    data : tuple of float
+        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
+        external function the number of the output, and how many of the arguments are its x.
+    names : tuple of str
+        Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
+    function : DifferentiableFunction, optional
+        The external function that the node calls.
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(1, 1)
+    >>> abs(x[0]) * u[0]
+    Formula(max(x_0, -x_0) * (u_0))
     """
 
     arguments: tuple[Formula, ...] = ()
@@ -58,13 +77,13 @@ class Formula(Node):
         """Return a formula of the same signals."""
         return Formula(self.dimensions, kind, arguments, data)
 
-    def __add__(self, other: Any) -> Formula:
+    def __add__(self, other: Formula | float) -> Formula:
         if not isinstance(other, Formula):
             return _sum(self, {self: 1.0}, _number("+", other))
         _require_same(self, other)
         return _sum(self, {self: 2.0} if other is self else {self: 1.0, other: 1.0}, 0.0)
 
-    def __mul__(self, other: Any) -> Formula:
+    def __mul__(self, other: Formula | float) -> Formula:
         if not isinstance(other, Formula):
             return _sum(self, {self: _number("*", other)}, 0.0)
         _require_same(self, other)
@@ -75,7 +94,7 @@ class Formula(Node):
             return self**2
         return self.node(PRODUCT, (self, other))
 
-    def __truediv__(self, other: Any) -> Formula:
+    def __truediv__(self, other: Formula | float) -> Formula:
         if isinstance(other, Formula) and other.constant is None:
             _require_same(self, other)
             return self.node(QUOTIENT, (self, other))
@@ -84,10 +103,10 @@ class Formula(Node):
             raise ProblemError("formula", "a quotient by 0", "a number other than zero")
         return self * (1 / value)
 
-    def __rtruediv__(self, other: Any) -> Formula:
+    def __rtruediv__(self, other: Formula | float) -> Formula:
         return self.node(QUOTIENT, (_sum(self, {}, _number("/", other)), self))
 
-    def __pow__(self, exponent: Any) -> Formula:
+    def __pow__(self, exponent: float) -> Formula:
         if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
             expected = f"a whole number from 2 to {LARGEST_POWER}"
             raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
@@ -96,16 +115,16 @@ class Formula(Node):
     def __neg__(self) -> Formula:
         return self * -1.0
 
-    def __sub__(self, other: Any) -> Formula:
+    def __sub__(self, other: Formula | float) -> Formula:
         return self + (other * -1.0 if isinstance(other, Formula) else -_number("-", other))
 
-    def __rsub__(self, other: Any) -> Formula:
+    def __rsub__(self, other: Formula | float) -> Formula:
         return -self + other
 
     def __abs__(self) -> Formula:
         return self.node(MAXIMUM, (self, -self))
 
-    def _compare(self, other: Any) -> bool:
+    def _compare(self, other: object) -> bool:
         advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
         raise ProblemError("formula", f"a comparison with {brief(other)}", "lfo.maximum or lfo.minimum", advice)
 
@@ -163,7 +182,7 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     return made[:n], made[n:]
 
 
-def norm(components: Any) -> Formula:
+def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) -> Formula:
     """Return the Euclidean norm of formulas, which has a kink where all of them are zero.
 
     Parameters
@@ -185,14 +204,14 @@ def norm(components: Any) -> Formula:
     >>> print(lfo.norm(x))
     Formula(norm(x_0, x_1))
     """
-    listed = list(components) if isinstance(components, (Sequence, np.ndarray)) else [components]
+    listed = [components] if isinstance(components, Formula) or not np.iterable(components) else list(components)
     like = next((one for one in listed if isinstance(one, Formula)), None)
     if like is None:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
     return like.node(NORM, tuple(as_formula(like, "norm", one) for one in listed))
 
 
-def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
+def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
     """Return the largest of several formulas and numbers.
 
     Parameters
@@ -220,7 +239,7 @@ def maximum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
     return extreme(MAXIMUM, arguments, names)
 
 
-def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
+def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
     """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``.
 
     Parameters
@@ -241,7 +260,7 @@ def minimum(*arguments: Any, names: Sequence[str] | None = None) -> Formula:
     return extreme(MINIMUM, arguments, names)
 
 
-def extreme(kind: str, arguments: Sequence[Any], given: Sequence[str] | None) -> Formula:
+def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str] | None) -> Formula:
     """Return the maximum or minimum of formulas and numbers; see ``maximum`` and ``minimum``."""
     like = next((one for one in arguments if isinstance(one, Formula)), None)
     if len(arguments) < 2 or like is None:
@@ -269,6 +288,14 @@ def in_order(formulas: Sequence[Formula]) -> list[Formula]:
         else:
             stack += [(one, True), *((argument, False) for argument in reversed(one.arguments))]
     return list(found)
+
+
+def evaluated(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
+    """Return what a rule gives for formulas, from each node and the values of its arguments."""
+    found: dict[Formula, Value] = {}
+    for node in in_order(formulas):
+        found[node] = rule(node, [found[argument] for argument in node.arguments])
+    return [found[formula] for formula in formulas]
 
 
 def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
@@ -305,13 +332,13 @@ def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
 
 def written(formula: Formula, notation: Notation, longest: float = float("inf")) -> str:
     """Return the text of a formula; parts that are longer than ``longest`` are cut to three dots."""
-    made: dict[Formula, str] = {}
-    for node in in_order([formula]):
-        parts = [made[argument] for argument in node.arguments]
+
+    def text(node: Formula, parts: list[str]) -> str:
         cut = {i for i, part in enumerate(parts) if len(part) > longest}
         parts = ["..." if i in cut else part for i, part in enumerate(parts)]
-        made[node] = "..." if len(parts) > longest / 2 else OPERATIONS[node.kind].text(node, parts, notation, cut)
-    return made[formula]
+        return "..." if len(parts) > longest / 2 else OPERATIONS[node.kind].text(node, parts, notation, cut)
+
+    return evaluated([formula], text)[0]
 
 
 def shown(labels: Sequence[str] | None = None) -> Notation:
@@ -333,7 +360,7 @@ def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Fo
     return like.node(SUM, tuple(kept), (*kept.values(), constant))
 
 
-def as_formula(like: Formula, operator: str, given: Any) -> Formula:
+def as_formula(like: Formula, operator: str, given: Formula | float) -> Formula:
     """Return a formula, or a number as one, of the same signals as ``like``."""
     if not isinstance(given, Formula):
         return _sum(like, {}, _number(operator, given))
@@ -346,7 +373,7 @@ def _require_same(one: Formula, other: Formula) -> None:
         raise ProblemError("formula", f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
 
 
-def _number(operator: str, value: Any) -> float:
+def _number(operator: str, value: float) -> float:
     if isinstance(value, (bool, np.bool_)) or np.ndim(value):
         raise ProblemError("formula", f"{operator} {brief(value)}", "a number or a formula")
     return float(real_array("formula", value))

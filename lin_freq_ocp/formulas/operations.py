@@ -41,22 +41,7 @@ class External(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Node:
-    """A node of a formula.
-
-    Attributes
-    ----------
-    dimensions : (n, m)
-    kind : str
-        The key of its operation in ``OPERATIONS``.
-    arguments : tuple of nodes
-    data : tuple of float
-        Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
-        external function the number of the output, and how many of the arguments are its x.
-    names : tuple of str
-        Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
-    function : External, optional
-        The external function that the node calls.
-    """
+    """A node of an expression graph; see ``Formula``. Its kind is the key of its operation in ``OPERATIONS``."""
 
     dimensions: tuple[int, int]
     kind: str
@@ -68,19 +53,11 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points y = (x, u), (points, n + m), at which formulas are evaluated.
-
-    Attributes
-    ----------
-    y : (points, n + m)
-    selections : mapping from norms to (points, components)
-        The derivatives of norms by their arguments, where these are numbers.
-    calls : mapping
-        What external functions returned: each is evaluated once for all its outputs.
-    """
+    """Points y = (x, u), (points, n + m), at which formulas are evaluated."""
 
     y: Array
-    selections: Mapping[Any, Array]
+    selections: Mapping[Any, Array]  # of norms: their derivatives by the arguments, (points, components), where numbers
+    # What external functions returned: each is evaluated once for all its outputs.
     calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
 
 
@@ -95,8 +72,7 @@ class Notation:
 class Operation:
     """An operation; what it does not say is refused."""
 
-    bracketed = False
-    """Whether its text needs brackets within a product, a quotient or a multiple."""
+    bracketed = False  # whether its text needs brackets within a product, a quotient or a multiple
 
     def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
         """Return the values, (points,), from those of the arguments."""
@@ -303,21 +279,11 @@ class _ExternalOutput(Operation):
 
 @dataclass(frozen=True)
 class ScalarFunction(Operation):
-    """A smooth function of one variable, called by its name in the table, in texts and as ``np.name(formula)``.
-
-    Parameters
-    ----------
-    function : function of an array
-        Its values.
-    derivatives : function of two arrays
-        Its first and second derivative, of the argument and the value.
-    enclosures : function of an interval
-        Enclosures of its values and of its first and second derivative.
-    """
+    """A smooth function of one variable, called by its name in the table, in texts and as ``np.name(formula)``."""
 
     function: Callable[[Array], Array]
-    derivatives: Callable[[Array, Array], tuple[Array, Array]]
-    enclosures: Callable[[Interval], tuple[Interval, Interval, Interval]]
+    derivatives: Callable[[Array, Array], tuple[Array, Array]]  # first and second, of the argument and the value
+    enclosures: Callable[[Interval], tuple[Interval, Interval, Interval]]  # of the values, first and second derivative
 
     def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
         """Return the values."""

@@ -25,7 +25,7 @@ from lin_freq_ocp.formulas.nodes import (
     signals,
     written,
 )
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, Notation, scalar_functions
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, scalar_functions
 
 LONGEST = 100_000  # characters of one formula
 # Of numbers alone.
@@ -52,17 +52,9 @@ def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
 def formula_from_text(
     field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
 ) -> Formula:
-    """Return the formula that a text says.
+    """Return the formula that a text says; errors call it ``field``.
 
-    Parameters
-    ----------
-    field : str
-        What errors call it.
-    text : str
-        Numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, + - * / **, and abs, max, min, norm and the functions of one variable.
-    dimensions : (n, m)
-    known : mapping from str to Formula, optional
-        Formulas by name; default: the signals.
+    It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1} or the names in ``known``, + - * / **, and ``function_names``.
     """
     if len(text) > LONGEST:
         raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST}")
@@ -177,13 +169,6 @@ class _Reader:
                 return one.node(name, (one,))
             return self._number(lambda: float(functions[name].function(np.array(one))))
         raise self._other()
-
-
-def source_of(one: Formula, field: str = "formula") -> str:
-    """Return the text from which ``formula_from_text`` makes the same formula, to the last bit."""
-    for node in in_order([one]):
-        require_formula(node, field)
-    return written(one, Notation(repr))
 
 
 def require_formula(one: Formula, field: str = "formula") -> None:

@@ -17,9 +17,8 @@ from lin_freq_ocp.certificate.global_bound.stages import QuadraticForm
 from lin_freq_ocp.certificate.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.global_bound.taylor import least_of
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.formulas.interval_jets import interval_jets
 from lin_freq_ocp.formulas.intervals import multiply, outward
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import norm, signals
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
 from lin_freq_ocp.solving import smooth as solve_smooth

@@ -12,7 +12,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.costs import L1Cost, LInfCost
-from lin_freq_ocp.formulas.text import source_of
+from lin_freq_ocp.formulas.definitions import EXACT
+from lin_freq_ocp.formulas.nodes import written
 from lin_freq_ocp.interchange.problem_file import array_references
 from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, notch
@@ -170,7 +171,9 @@ def assert_same_dynamics(one: Any, other: Any) -> None:
     for mine, theirs in zip(one.modes, other.modes, strict=True):
         if isinstance(mine, lfo.dynamics.SmoothMode):
             for part in ("f", "region", "domain"):
-                assert [source_of(a) for a in getattr(mine, part)] == [source_of(a) for a in getattr(theirs, part)]
+                assert [written(a, EXACT) for a in getattr(mine, part)] == [
+                    written(a, EXACT) for a in getattr(theirs, part)
+                ]
             continue
         assert_same_arrays(mine.linear, theirs.linear)
         assert_same_arrays(mine.region, theirs.region)

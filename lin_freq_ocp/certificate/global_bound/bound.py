@@ -33,7 +33,7 @@ from lin_freq_ocp.certificate.global_bound.stages import Stages
 from lin_freq_ocp.certificate.global_bound.step import Boxes, Step, met_cells
 from lin_freq_ocp.certificate.global_bound.taylor import ROUNDING
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.formulas.interval_jets import interval_jets
+from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

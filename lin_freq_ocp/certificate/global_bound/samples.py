@@ -10,8 +10,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice
 from lin_freq_ocp.certificate.global_bound.stages import Stages
-from lin_freq_ocp.formulas.interval_jets import interval_jets
-from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
 
 ARRIVING = 256

@@ -13,7 +13,7 @@ from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.certificate.global_bound.stages import Stages
 from lin_freq_ocp.certificate.global_bound.taylor import ROUNDING, least_of, possible
-from lin_freq_ocp.formulas.interval_jets import IntervalJets, interval_jets, mean_value
+from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
 
 ROUNDS = 10

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.formulas.interval_jets import IntervalJets, interval_jets, mean_value
+from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
 
 ROUNDING = 64 * float(np.finfo(np.float64).eps)

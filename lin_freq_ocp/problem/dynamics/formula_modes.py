@@ -9,8 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.formulas.interval_jets import interval_jets
-from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks, rebuilt
 from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
 from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
