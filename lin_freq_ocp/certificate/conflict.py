@@ -80,13 +80,27 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
     return InfeasibilityProof(bound, abnormal, conflict)
 
 
-def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
-    rest = Trajectory(
+def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
+    """Return the bound D of a Farkas ray relative to the terms that it is a difference of: 1 at best."""
+    rest, bound = _rest(problem), _bound(problem, ray)
+    residual = rest.x[1:] - problem.linear.successors(rest.x, rest.u)
+    terms = float(np.abs(ray.eta * residual).sum()) + abs(bound.stage_term)
+    if bound.stage_gaps is not None:
+        terms += float(np.abs(bound.stage_gaps).sum())
+    return bound.value / terms if terms > 0 else 0.0
+
+
+def _rest(problem: OptimalControlProblem) -> Trajectory:
+    """Return the point nearest to zero within the bounds, at every time."""
+    return Trajectory(
         problem.state_tube.project(np.zeros((problem.horizon + 1, problem.state_dim))),
         problem.control_tube.project(np.zeros((problem.horizon, problem.control_dim))),
     )
+
+
+def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
     x, u = stated_sizes(problem)
-    return ray_bound(extremal_at(problem, rest, ray), (PRACTICAL * x, PRACTICAL * u))
+    return ray_bound(extremal_at(problem, _rest(problem), ray), (PRACTICAL * x, PRACTICAL * u))
 
 
 def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:

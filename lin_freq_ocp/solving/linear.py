@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from lin_freq_ocp.certificate.conflict import proof_margin
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
@@ -21,6 +22,10 @@ from lin_freq_ocp.status import Status
 
 PROVER = "clarabel"
 """The backend that proves infeasibility and unboundedness, whichever backend met it."""
+
+SMALL_MARGIN = 1e-5
+"""Margin of an infeasibility proof below which rounding of the data may be its reason: the sparse program may find a
+point that satisfies every constraint within the judge's tolerance."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
@@ -151,10 +156,14 @@ class LinearAuto:
         try:
             second = convex.solve(problem, request if left is None else replace(request, time_limit=left))
         except UnsupportedError as error:
-            if not refused or str(error) in refused:
+            if first is not None:
+                return first
+            if str(error) in refused:
                 raise
             raise UnsupportedError(f"{error} Before that: {refused}") from None
-        return first if first is not None and _rank(first) > _rank(second) else second
+        if first is None or (first.status == Status.INFEASIBLE and second.status == Status.OPTIMAL):
+            return second
+        return first if _rank(first) > _rank(second) else second
 
 
 def _left(end: float) -> float | None:
@@ -176,6 +185,8 @@ def _final(outcome: Outcome) -> bool:
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
     excluded = outcome.status == Status.INFEASIBLE and "numerical" not in outcome.message
+    if excluded and outcome.ray is not None:
+        excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 
