@@ -10,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.testing.random_linear import random_linear
 
 T = 20
 BRAKES = 0.4
@@ -98,3 +99,10 @@ def test_a_slow_low_pass_leaves_no_trajectory():
         assert prove_infeasible(problem, result.ray) is not None
     with pytest.raises(lfo.errors.InfeasibleError, match="In conflict"):
         lfo.solve(problem)
+
+
+def test_a_proof_that_lives_from_rounding_of_the_data_gives_way_to_a_point():
+    """In these units the data are rounded so that no trajectory is left, by 3e-15 of the terms of the dynamics."""
+    sample = random_linear(1819)
+    assert lfo.solve(sample.problem, "spectral", throw=False).status == "infeasible"
+    assert lfo.solve(sample.problem).status == lfo.solve(sample.good).status == "optimal"

@@ -58,8 +58,9 @@ def check(seed: int) -> Outcome:
 def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: float, x: Array, u: Array) -> Outcome:
     """Return the outcome of two different costs: Clarabel is wrong where its own rules say so of its point.
 
-    That is where ours is cheaper though its violations, by Clarabel's multipliers, are not worth it; where Clarabel's
-    is cheaper, and its violations, by the multipliers that fit our point, are; and where multipliers fit ours as well.
+    Only where multipliers fit our point: then it is another optimum, and Clarabel's point is not the optimum if ours is
+    cheaper though its violations, by Clarabel's multipliers, are not worth it, or Clarabel's is cheaper, and its
+    violations, by the multipliers that fit our point, are.
     """
     program, z = reference.program, np.concatenate([x.ravel(), u.ravel()])
     y, error = fitted(program, z)
@@ -69,5 +70,6 @@ def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: fl
         f"Clarabel's {theirs:.1e}; multipliers fit here to {error:.1e}, there to {reference.error:.1e}"
     )
     wrong = ours < -excess / 2 if excess < 0 else theirs > excess / 2
-    status = "not the optimum" if wrong else "another optimum" if error <= AGREEMENT * scale else reference.status
-    return replace(outcome, theirs=status, words=words)
+    if error > AGREEMENT * scale:
+        return replace(outcome, words=words)
+    return replace(outcome, theirs="not the optimum" if wrong else "another optimum", words=words)
