@@ -41,8 +41,7 @@ from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
-from lin_freq_ocp.methods.modes.node import relaxed
-from lin_freq_ocp.methods.modes.search import SearchLimits
+from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0

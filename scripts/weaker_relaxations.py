@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation, take
+from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 
 
@@ -60,9 +60,8 @@ class BigMRelaxation(HullRelaxation):
         return template.add(
             Sense.INEQUALITY,
             np.zeros((groups, size)),
-            np.concatenate([row, np.arange(size)]),
-            np.hstack([columns.reshape(groups, -1), delta]),
-            np.hstack([values.reshape(groups, -1), np.zeros((groups, size))]),
+            (row, columns.reshape(groups, -1), values.reshape(groups, -1)),
+            (np.arange(size), delta, 0.0),
         )
 
     def _several_columns(self, columns: Mask, many: Mask) -> None:
@@ -90,14 +89,14 @@ class BigMRelaxation(HullRelaxation):
             (self._region, _range(stages.rows, low, high)[1] - limits, limits, finite),
         ):
             M = np.maximum(excess, 0.0).reshape(part.rows.shape)
-            take(rows, part, many, mask)
+            part.take(rows, many, mask)
             values[part.entries[:, -part.rows.shape[1] :]] = M
             right[part.rows] = limit.reshape(M.shape) + M
 
-    def multipliers(self, kept: Indices, y: Array, eta_C: float) -> ModeMultipliers:
+    def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers, those of regions with the far rows'."""
-        found = super().multipliers(kept, y, eta_C)
-        region = self._filled(kept, y)[self._region.rows].reshape(self._stages.limits.shape)
+        found = super().multipliers(duals)
+        region = self._filled(duals)[self._region.rows].reshape(self._stages.limits.shape)
         return replace(found, region=found.region + region / self._stages.norms / self._scaling.cost)
 
     def _scaled_adjoint(self, full: Array) -> Array:

@@ -14,7 +14,7 @@ from lin_freq_ocp.analysis.mode_reach import ModeReach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
-from lin_freq_ocp.methods.modes.node import relaxed
+from lin_freq_ocp.methods.modes.search import relaxed
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 library = lfo.library

@@ -1,8 +1,8 @@
 """Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
 
-A node is a mask of modes. Its relaxation bounds the cost of all sequences within; where several modes are left, the
-node is split at the time at which the relaxed step misses the true dynamics most, priced by the adjoint. A leaf is a
-node whose bound comes within the gap of the best sequence found; its multipliers prove that, and the judge checks all.
+A node is a mask of modes. Its relaxation bounds the cost of all sequences within. A node is split at the time at which
+the relaxed step misses the true dynamics most, weighted by the adjoint. A leaf is a node whose bound comes within the
+gap of the best sequence found; its multipliers prove that.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.methods.modes.node import Duals, Relaxed, relaxed
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
+from lin_freq_ocp.methods.modes.search import Relaxed, SearchLimits, SearchOutcome, SearchProgress, proven_tree, relaxed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
-SHARE_OF_GAP = 0.5  # leaves are closed at this part of the gap; the rest is for what a node's solver leaves open
+SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 5  # nodes between two attempts to round a relaxed point to a sequence
 
 
@@ -55,17 +54,7 @@ class BranchAndBound:
     def run(
         self, start: Indices | None = None, within: Reach | None = None, until_open: float = np.inf
     ) -> SearchOutcome:
-        """Search.
-
-        Parameters
-        ----------
-        start : (T,), optional
-            A sequence to begin with.
-        within : Reach, optional
-            Of the sequences to search; default: all of them.
-        until_open : int, optional
-            Stop when so many nodes are open: they are other searches' roots then, see ``open_nodes``.
-        """
+        """Search from a sequence (T,), within a reach; stop when ``until_open`` nodes are open (see ``open_nodes``)."""
         words, interrupted = "", False
         self._until_open = until_open
         try:
@@ -79,7 +68,7 @@ class BranchAndBound:
         return SearchOutcome(self._best, self._cost, tree, words, interrupted, self._solved, self._setup)
 
     def _loop(self) -> str:
-        """Split nodes until none is open; return why it stopped before, or nothing."""
+        """Split nodes until none is open; return which limit stopped the search, or an empty string."""
         while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
             words = self.limits.reached(time.perf_counter() - self._started, self._solved)
             if words:
@@ -89,17 +78,17 @@ class BranchAndBound:
         return ""
 
     def _next(self) -> tuple[float, int, Relaxed]:
-        """Take the node with the least bound; as long as no sequence was found, the newest: a dive."""
+        """Take the node with the least bound; as long as no sequence was found, dive: take the newest."""
         if self._best is not None:
             return heapq.heappop(self._heap)
-        newest = max(range(len(self._heap)), key=lambda place: self._heap[place][1])
+        newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
         taken = self._heap.pop(newest)
         heapq.heapify(self._heap)
         return taken
 
     @property
     def open_nodes(self) -> list[tuple[int, Reach]]:
-        """Return the nodes that are still to be split, the least bound first."""
+        """Return the nodes still to be split, the least bound first."""
         return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
 
     def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
@@ -119,7 +108,7 @@ class BranchAndBound:
         self._open(children, index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
-        """Add nodes, all at once so that an interrupt leaves none out, and look at what they are good for."""
+        """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
         first, inherited = len(self._nodes), self._duals[parent] if parent >= 0 else None
         for allowed, answer in answers:
             if answer is None:
@@ -149,7 +138,7 @@ class BranchAndBound:
                     self._try(sequence)
 
     def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
-        """Yield the sequence of the largest weights, and that which the relaxed controls lead through."""
+        """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
         if answer.trajectory is None or answer.weights is None:
             return
         yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
@@ -160,7 +149,7 @@ class BranchAndBound:
         yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
 
     def _try(self, sequence: Indices, answer: Relaxed | None = None) -> None:
-        """Solve a sequence, and improve it by flips while that is better than the best."""
+        """Solve a sequence; if it is the best so far, try its flips."""
         key = sequence.tobytes()
         if key in self._tried or time.perf_counter() - self._started > self.limits.search_seconds:
             return
@@ -182,12 +171,12 @@ class BranchAndBound:
                 break
 
     def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
-        """Yield the sequences with one mode flipped across a facet whose multiplier holds back the cost."""
-        region = self._relaxation.multipliers(duals.rows, duals.y, duals.eta_C).region
-        pull = region[np.arange(len(sequence)), sequence].max(axis=1, initial=0.0)
+        """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
+        region = self._relaxation.multipliers(duals).region
+        largest = region[np.arange(len(sequence)), sequence].max(axis=1, initial=0.0)
         near = self._arrays.active(trajectory.x, trajectory.u)
-        for t in np.argsort(-pull):
-            if pull[t] <= 0:
+        for t in np.argsort(-largest):
+            if largest[t] <= 0:
                 break
             for i in np.flatnonzero(near[t]):
                 if i != sequence[t]:
@@ -196,10 +185,9 @@ class BranchAndBound:
                     yield flipped
 
     def _stage_to_split(self, answer: Relaxed) -> int:
-        """Return the time, of those with several modes left, at which missing the true dynamics is worth most.
+        """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
 
-        A relaxed step that ends d away from the true one is worth <|eta_t|, |d|> + d'H d: to first order by the
-        adjoint, to second by the curvature of the cost.
+        A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> + d'H d.
         """
         several, duals = answer.reach.allowed.sum(axis=1) > 1, answer.duals
         if answer.trajectory is None or answer.weights is None or duals is None:
@@ -207,10 +195,10 @@ class BranchAndBound:
         x, u = answer.trajectory.x, answer.trajectory.u
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
-        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals.rows, duals.y)
-        worth = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
+        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals)
+        loss = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
-        return int(np.lexsort((undecided, np.where(several, worth, -1.0)))[-1])
+        return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
 
     @property
     def _cutoff(self) -> float:

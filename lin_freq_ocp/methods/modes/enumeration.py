@@ -11,12 +11,11 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.modes.node import Duals, relaxed
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree
+from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree, relaxed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
-MOST_SEQUENCES = 10_000  # more would take minutes; branch and bound needs a small part of them
+MOST_SEQUENCES = 10_000  # solved within minutes
 
 
 def enumerate_sequences(
@@ -30,18 +29,18 @@ def enumerate_sequences(
         If there are more than MOST_SEQUENCES.
     """
     started, relaxation = time.perf_counter(), ModeRelaxation(problem)
-    nodes, duals, ends = _all_sequences(relaxation, started + limits.search_seconds)
+    nodes, duals, leaves = _all_sequences(relaxation, started + limits.search_seconds)
     setup = time.perf_counter() - started
     best, cost, interrupted, solved = None, np.inf, False, 0
     words = limits.reached(setup, solved)
     try:
-        for index, reach in ends:
+        for index, reach in leaves:
             seconds = time.perf_counter() - started
             words = limits.reached(seconds, solved)
             if words:
                 break
             if progress is not None:
-                progress(SearchProgress(cost, -np.inf, solved, len(ends) - solved, seconds))
+                progress(SearchProgress(cost, -np.inf, solved, len(leaves) - solved, seconds))
             answer, solved = relaxed(relaxation, reach, end=started + limits.search_seconds), solved + 1
             nodes[index] = replace(nodes[index], bound=answer.bound)
             duals[index] = answer.duals
@@ -55,21 +54,18 @@ def enumerate_sequences(
 def _all_sequences(
     relaxation: ModeRelaxation, end: float
 ) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:
-    """Return the tree that splits every time in order, without proofs, and its leaves that can be reached.
-
-    Where the time is over, it is the root alone: a tree without leaves that are solved proves nothing.
-    """
+    """Return the tree that splits every time in order and its reachable leaves; the root alone if it is too late."""
     T, modes = relaxation.problem.horizon, len(relaxation.problem.piecewise.modes)
     everything = np.ones((T, modes), dtype=bool)
     root = relaxation.reach.from_start(everything)
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
-    waiting: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
-    ends: list[tuple[int, Reach]] = []
-    while waiting and time.perf_counter() <= end:
-        parent, reach = waiting.pop()
+    unsplit: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
+    leaves: list[tuple[int, Reach]] = []
+    while unsplit and time.perf_counter() <= end:
+        parent, reach = unsplit.pop()
         several = reach.allowed.sum(axis=1) > 1
         if not several.any():
-            ends.append((parent, reach))
+            leaves.append((parent, reach))
             continue
         t = int(np.argmax(several))
         for i in np.flatnonzero(reach.allowed[t]):
@@ -80,11 +76,11 @@ def _all_sequences(
             bound = np.inf if child is None else -np.inf
             nodes.append(ModeNode(parent, t, allowed if child is None else child.allowed, bound, None))
             if child is not None:
-                waiting.append((len(nodes) - 1, child))
-        if len(waiting) + len(ends) > MOST_SEQUENCES:
+                unsplit.append((len(nodes) - 1, child))
+        if len(unsplit) + len(leaves) > MOST_SEQUENCES:
             raise UnsupportedError(
                 f"method: 'enumerate' has more than {MOST_SEQUENCES} sequences to solve here; use 'branch_and_bound'."
             )
-    if waiting:
+    if unsplit:
         return nodes[:1], [None], []
-    return nodes, [None] * len(nodes), ends
+    return nodes, [None] * len(nodes), leaves

@@ -1,19 +1,19 @@
-"""Multipliers for a trajectory of piecewise-affine dynamics that has none: candidates, which the judge then judges.
+"""Candidates for the multipliers of a trajectory of piecewise-affine dynamics that came without any.
 
-Where modes meet, a trajectory lies in several mode sequences, and each of them may have multipliers of its own. Those
-looked for here, all with the least residual of stationarity as in ``methods/multipliers.py``:
+Where several modes are active, a trajectory lies in several mode sequences, and each may have multipliers of its own.
+Candidates, all with the least residual of stationarity as in ``methods/multipliers.py``:
 
-    common    eta and all else such that, with normals and region multipliers of its own, every mode that meets at a
-              stage is stationary there: then the trajectory is flip-stationary
-    border    multipliers of either sign in the directions across kinks, the span of all (F_i - F_s)', and none of
-              regions, as if the trajectory had to stay on the kinks: if the active gradients are independent, the only
-              ones that can satisfy Clarke's rule
+    common    every active mode of a stage is stationary with the same eta, and with normals and region multipliers of
+              its own: then the trajectory is flip-stationary
+    kinks     multipliers of either sign in the directions across kinks, the span of all (F_i - F_s)', and no region
+              multipliers, as if the trajectory had to stay on the kinks: if the active gradients are independent, no
+              other multipliers can satisfy Clarke's rule
     weights   stationarity of the sequence's own mode s with sum_j alpha_j (F_j - F_s)' eta added, alpha_j >= 0,
-              sum_j alpha_j <= 1, and eta that of the last fit: Clarke's rule once eta stays the same; only where the
-              active gradients depend on each other, and the others are not the only ones
+              sum_j alpha_j <= 1, and eta from the last fit: Clarke's rule once eta has converged; only where the
+              active gradients depend on each other
 
-The first are those of a linear problem, too: with d_j the part of (dx_t, du_t) that goes into mode j, in the cone of
-directions into its region within the sets of the stage, and what is left in that of the sequence's own mode,
+The first belong to a linear problem, too: with d_j the part of (dx_t, du_t) that goes into mode j, in the cone of
+directions into its region within the sets of the stage, and the remainder in the cone of the sequence's own mode,
 
     dx_{t+1} = A_s dx_t + B_s du_t + sum_j (F_j - F_s) d_j,        F = [A, B],
 
@@ -42,54 +42,45 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.program import Program, Scaling
 
-# Fits of weights, each with the slopes of the adjoint of the last one: where eta is known at borders, as one step
-# before a free end, the first is exact
-ROUNDS = 12
-SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, below which a further round would change nothing
-# Two maps whose derivatives differ by less, relative to their largest entry, have no kink between them
-SMALLEST_KINK = 1e-9
+ROUNDS = 12  # fits of weights, each with the adjoint of the last
+SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged
+SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their largest entry, that is no kink
 
 
 def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
-    """Yield multipliers with eta_C = 1, the best guess first; each fit is made when it is asked for.
-
-    Raises
-    ------
-    NumericalError
-        If the first fit could not be solved; later ones that could not are left out.
-    """
-    place = _Place.of(problem, trajectory)
-    common = weighted(problem, trajectory, place.sequence, place.multipliers(fitted_duals(*_hull(place))[0]))
+    """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
+    point = _FitPoint.of(problem, trajectory)
+    common = weighted(problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull(point))[0]))
     yield common
-    if not place.stages:
+    if not point.stages:
         return
     try:
-        program, pushes = _on_kinks(place)
-        y, _ = fitted_duals(program, place.z)
-        pushed = (y[len(place.program.lower) :] @ pushes).reshape(problem.horizon, -1)
-        on_kinks = weighted(problem, trajectory, place.sequence, place.multipliers(y), pushed)
+        program, pushes = _on_kinks(point)
+        y, _ = fitted_duals(program, point.z)
+        pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
+        on_kinks = weighted(problem, trajectory, point.sequence, point.multipliers(y), pushed)
         yield on_kinks
         if _independent(problem, trajectory):
             return
         for start in (on_kinks, common):
-            yield from _with_weights_of(place, start.eta)
+            yield from _with_weights_of(point, start.eta)
     except NumericalError:
         return
 
 
 def _independent(problem: OptimalControlProblem, trajectory: Trajectory) -> bool:
-    """Whether the active gradients are known to be independent: then no other multipliers are worth a try."""
+    """Whether the active gradients are known to be independent: then there are no other multipliers."""
     try:
         return uniqueness(problem, trajectory).unique
-    except UnsupportedError:  # too many to count in a moment
+    except UnsupportedError:  # too many gradients
         return False
 
 
-def _with_weights_of(place: _Place, eta: Array) -> Iterator[Multipliers]:
-    """Yield the fits with weights, of slopes with this adjoint first; the judge finds the weights again."""
+def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
+    """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
     for _ in range(ROUNDS):
-        y, _ = fitted_duals(*_weighing(place, eta))
-        fit = place.multipliers(y)
+        y, _ = fitted_duals(*_weighing(point, eta))
+        fit = point.multipliers(y)
         stage = {name: weights for name, weights in fit.stage.items() if name != REGION}
         yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
         if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
@@ -98,21 +89,17 @@ def _with_weights_of(place: _Place, eta: Array) -> Iterator[Multipliers]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A trajectory as a point z of the scaled program of its mode sequence, and what meets there.
+class _FitPoint:
+    """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
 
-    Attributes
-    ----------
-    rows : Multipliers
-        In the place of each multiplier, the number of its row in the program, counted from 1; 0: it has none.
-    stages : list of (time, mode)
-        Every mode but the sequence's own that meets at a time.
+    ``rows`` has, for each multiplier, the number of its row in the program, counted from 1 (0: no row); ``stages`` are
+    the (time, mode) of active modes other than the sequence's own.
     """
 
     arrays: ModeArrays
     sequence: Indices
-    meeting: Mask
-    touching: Mask
+    active: Mask
+    facets: Mask
     normals: list[list[Normal]]
     transcription: LinearTranscription
     scaling: Scaling
@@ -122,27 +109,27 @@ class _Place:
     stages: list[tuple[int, int]]
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _Place:
+    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
         arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
-        sequence, meeting = arrays.sequence(x, u), arrays.meeting(x, u)
+        sequence, active = arrays.sequence(x, u), arrays.meeting(x, u)
         transcription, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))
         return cls(
             arrays=arrays,
             sequence=sequence,
-            meeting=meeting,
-            touching=arrays.touching(x, u),
+            active=active,
+            facets=arrays.touching(x, u),
             normals=stage_normals(problem, trajectory),
             transcription=transcription,
             scaling=scaling,
             program=program,
             z=scaling.scaled_primal(transcription.point(trajectory)),
             rows=transcription.multipliers(numbers, 1.0),
-            stages=[(int(t), int(j)) for t, j in np.argwhere(meeting) if j != sequence[t]],
+            stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
         )
 
     def multipliers(self, y: Array) -> Multipliers:
-        """Return the multipliers of the mode sequence from duals of which the first are those of its own program."""
+        """Return the multipliers of the mode sequence from duals that begin with those of its program."""
         return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
 
     def signals(self, t: int) -> Indices:
@@ -152,7 +139,7 @@ class _Place:
 
     @property
     def times(self) -> list[int]:
-        """Return the times at which modes meet."""
+        """Return the times at which several modes are active."""
         return sorted({t for t, _ in self.stages})
 
     def maps(self, t: int) -> Array:
@@ -173,91 +160,90 @@ class _Place:
         return int(arrays[normal.family][normal.place]) - 1
 
 
-def _without_regions(place: _Place) -> Program:
-    """Return the program without region rows where modes meet."""
-    upper = place.program.upper.copy()
-    for t in place.times:
-        region = place.rows.stage[REGION][t].astype(int)
+def _without_regions(point: _FitPoint) -> Program:
+    """Return the program without region rows where several modes are active."""
+    upper = point.program.upper.copy()
+    for t in point.times:
+        region = point.rows.stage[REGION][t].astype(int)
         upper[region[region > 0] - 1] = np.inf
-    return replace(place.program, upper=upper)
+    return replace(point.program, upper=upper)
 
 
-def _on_kinks(place: _Place) -> tuple[Program, Array]:
-    """Return the program on the kinks, and what a dual of each further row adds to p_t, (rows, T * (n + m)).
+def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
+    """Return the program on the kinks, and what a dual of each new row adds to stationarity, (rows, T * (n + m)).
 
-    Where modes meet, there are no region rows, but (x_t, u_t) is fixed in all directions in which their maps differ.
+    Where several modes are active, (x_t, u_t) is fixed in all directions in which their maps differ.
     """
     rows, pushes = list[sp.csc_array](), list[Array]()
-    for t in place.times:
-        signals, maps = place.signals(t), place.maps(t)
-        units, met = place.scaling.columns[signals], maps[place.meeting[t]]
-        differences = ((met - maps[place.sequence[t]]) * units).reshape(-1, len(signals))
+    for t in point.times:
+        signals, maps = point.signals(t), point.maps(t)
+        units, held = point.scaling.columns[signals], maps[point.active[t]]
+        differences = ((held - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
         _, sizes, across = np.linalg.svd(differences, full_matrices=False)
-        across = across[sizes > SMALLEST_KINK * np.abs(met * units).max()]
+        across = across[sizes > SMALLEST_KINK * np.abs(held * units).max()]
         row, column = np.nonzero(np.ones_like(across))
-        rows.append(sp.csc_array((across.ravel(), (row, signals[column])), shape=(len(across), len(place.z))))
-        push = np.zeros((len(across), len(place.sequence), len(signals)))
-        push[:, t] = across / units / place.scaling.cost
-        pushes.append(push.reshape(len(across), len(place.sequence) * len(signals)))
+        rows.append(sp.csc_array((across.ravel(), (row, signals[column])), shape=(len(across), len(point.z))))
+        push = np.zeros((len(across), len(point.sequence), len(signals)))
+        push[:, t] = across / units / point.scaling.cost
+        pushes.append(push.reshape(len(across), len(point.sequence) * len(signals)))
     fixed = sp.csc_array(sp.vstack(rows))
-    return _extended(_without_regions(place), fixed, np.asarray(fixed @ place.z), equations=True), np.vstack(pushes)
+    return _extended(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
 
 
-def _weighing(place: _Place, eta: Array) -> tuple[Program, Array]:
+def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
     """Return the program whose duals are weights of modes, and the point.
 
-    At every stage the price max(0, max_j -v_j'(dx, du)), v_j = (F_j - F_s)' eta, is a slack sigma >= 0 of price 1 with
-    rows -v_j'(x_t, u_t) - sigma <= -v_j'z: their duals alpha_j are >= 0, and sum to at most 1 by stationarity in sigma.
+    The cost max(0, max_j -v_j'(dx, du)) of a stage, v_j = (F_j - F_s)' eta, is a slack sigma >= 0 of price 1 with rows
+    -v_j'(x_t, u_t) - sigma <= -v_j'z: their duals alpha_j are >= 0, and sum to at most 1 by stationarity in sigma.
     """
-    times, count, variables = place.times, len(place.stages), len(place.z)
+    times, count, variables = point.times, len(point.stages), len(point.z)
     rows = np.zeros((count + len(times), variables + len(times)))
-    for k, (t, j) in enumerate(place.stages):
-        signals, kink = place.signals(t), place.maps(t)[j] - place.maps(t)[place.sequence[t]]
-        rows[k, signals] = -place.scaling.cost * place.scaling.columns[signals] * (eta[t] @ kink)
+    for k, (t, j) in enumerate(point.stages):
+        signals, kink = point.signals(t), point.maps(t)[j] - point.maps(t)[point.sequence[t]]
+        rows[k, signals] = -point.scaling.cost * point.scaling.columns[signals] * (eta[t] @ kink)
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
-    z, sparse = np.append(place.z, np.zeros(len(times))), sp.csc_array(rows)
-    return _extended(_without_regions(place), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
+    z, sparse = np.append(point.z, np.zeros(len(times))), sp.csc_array(rows)
+    return _extended(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
 
 
-def _hull(place: _Place) -> tuple[Program, Array]:
-    """Return the program with a direction d_j for every further mode at every stage, and the point with d = 0."""
-    program, width = place.program, place.signals(0).size
-    further = width * len(place.stages)
+def _hull(point: _FitPoint) -> tuple[Program, Array]:
+    """Return the program with a direction d_j for every other active mode, and the point with d = 0."""
+    program, width = point.program, point.signals(0).size
+    further = width * len(point.stages)
     if not further:
-        return program, place.z
+        return program, point.z
     entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
-    for k, (t, j) in enumerate(place.stages):
-        units = place.scaling.columns[place.signals(t)]
-        rows, coefficients = _own_rows(place, t, j)
-        scaled = place.scaling.rows[rows, None] * coefficients * units
+    for k, (t, j) in enumerate(point.stages):
+        units = point.scaling.columns[point.signals(t)]
+        rows, coefficients = _own_rows(point, t, j)
+        scaled = point.scaling.rows[rows, None] * coefficients * units
         row, column = np.nonzero(scaled)
         entries.append((rows[row], k * width + column, scaled[row, column]))
-        facets = place.region(t, j)[place.touching[t, j]]
-        cone = np.vstack([facets, *(one.column for one in place.normals[t])]) * units
+        facets = point.region(t, j)[point.facets[t, j]]
+        cone = np.vstack([facets, *(normal.column for normal in point.normals[t])]) * units
         norms = np.linalg.norm(cone, axis=1)
         cones.append(sp.csc_array(cone[norms > 0] / norms[norms > 0, None]))
     row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
     beside = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
     cone = sp.block_diag(cones)
-    rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(place.z))), cone]))
+    rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
     extended = _extended(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
-    return extended, np.append(place.z, np.zeros(further))
+    return extended, np.append(point.z, np.zeros(further))
 
 
-def _own_rows(place: _Place, t: int, j: int) -> tuple[Indices, Array]:
-    """Return the program's rows that d_j stands in, and its coefficients, (rows, n + m).
+def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
+    """Return the program's rows with d_j, and its coefficients, (rows, n + m).
 
-    The dynamics with F_j - F_s; the rows of the sequence's own mode and of the stage's sets, which are about
-    (x_t, u_t) - sum_j d_j, with a minus.
+    These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
     """
-    own = int(place.sequence[t])
-    kinks = place.maps(t)[j] - place.maps(t)[own]
-    found = {int(row) - 1: -line for row, line in zip(place.rows.eta[t], kinks, strict=True)}
-    for row in np.flatnonzero(place.touching[t, own]):
-        found[place.region_row(t, int(row))] = -place.region(t, own)[row]
-    for normal in place.normals[t]:
-        found[place.normal_row(normal)] = -normal.sign * normal.column
+    own = int(point.sequence[t])
+    kinks = point.maps(t)[j] - point.maps(t)[own]
+    found = {int(row) - 1: -line for row, line in zip(point.rows.eta[t], kinks, strict=True)}
+    for row in np.flatnonzero(point.facets[t, own]):
+        found[point.region_row(t, int(row))] = -point.region(t, own)[row]
+    for normal in point.normals[t]:
+        found[point.normal_row(normal)] = -normal.sign * normal.column
     found.pop(-1, None)
     return np.array(list(found), dtype=int), np.array(list(found.values()))
 
@@ -270,14 +256,9 @@ def _extended(
     prices: Array | None = None,
     beside: sp.csc_array | None = None,
 ) -> Program:
-    """Return the program with further rows <= limits, or equations, and further variables.
+    """Return the program with new rows <= limits (or equations) and new variables.
 
-    Parameters
-    ----------
-    prices : (variables,), optional
-        Of further variables; none without.
-    beside : sparse (rows of the program, further variables), optional
-        What these add to the rows that there are; nothing without.
+    The variables have these prices, and the coefficients ``beside`` in the rows of the program.
     """
     prices = np.zeros(0) if prices is None else prices
     count = program.A.shape[0], len(prices)

@@ -1,4 +1,4 @@
-"""Mode sequences from mixed-integer solvers: measured, and never believed."""
+"""Mode sequences from mixed-integer solvers: claims that are measured and proven elsewhere."""
 
 from __future__ import annotations
 
@@ -12,36 +12,18 @@ from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.mixed_integer import MixedInteger, big_m_program
 
-# Violation of a row of order 1, with binaries rounded, up to which a claimed point counts as one: a solver's 1e-6 in
-# the row, and as much in each binary times a coefficient of at most 1
+# Violation of rows of order 1 by a point with rounded binaries: a solver's 1e-6 in the row and in each binary
 POINT_TOLERANCE = 1e-5
-# Seconds that a solver is given when setting up has used them all: it says that the limit was reached
-LEAST_TIME = 1e-3
+LEAST_TIME = 1e-3  # seconds for a solver when setting up has used them all: it reports the limit
 
 
 def solve_miqp(
     problem: OptimalControlProblem, solver_name: str = "scip", time_limit: float | None = None, gap: float = DEFAULT_GAP
 ) -> SolverClaim:
-    """Ask a mixed-integer solver for the best mode sequence of a problem with piecewise-affine dynamics.
+    """Ask "scip" or "daqp" for the best mode sequence of a piecewise-affine problem, in ``time_limit`` seconds.
 
-    Parameters
-    ----------
-    problem : OptimalControlProblem
-        With a convex cost and bounded states and controls.
-    solver_name : {"scip", "daqp"}
-        "daqp" takes no Euclidean norms, and cannot be interrupted.
-    time_limit : float, optional
-        Seconds for the solver.
-    gap : float
-        Relative gap between cost and bound at which it may stop.
-
-    Raises
-    ------
-    UnsupportedError
-        If the dynamics are linear, the cost is not convex, something is unbounded, or the backend does not take the
-        problem.
-    MissingExtraError
-        If the backend's package is not installed.
+    It may stop at a relative ``gap`` between cost and bound. Raises UnsupportedError if the cost is not convex, a
+    signal is not bounded, or the solver does not take the problem; MissingExtraError if it is not installed.
     """
     solver = backend(solver_name, binaries=True)
     require_convex(problem)

@@ -1,15 +1,15 @@
-"""Branch and bound whose sub-trees are searched elsewhere: by the workers of any executor of ``concurrent.futures``.
+"""Branch and bound whose sub-trees are searched by the workers of any executor of ``concurrent.futures``.
 
-The first nodes are searched here, until there are enough open ones; each is then a search of its own, which begins with
-the best sequence known. What comes back is grafted where its root was. The tree does not depend on how many workers
-there are or which is first, and a part whose worker died is searched here.
+The first nodes are searched here, until PARTS are open; each is then a search of its own, which begins with the best
+sequence known, and its tree replaces its root. The tree does not depend on the number or order of the workers; a part
+whose worker was lost is searched here.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +21,8 @@ from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-# What a future raises whose worker died, was cancelled, or was cut off (executors on networks)
-LOST = (BrokenExecutor, CancelledError, ConnectionError)
-# Sub-trees that are given out: enough for a few workers to end at about the same time, and few enough that what they
-# cannot tell each other, a better sequence, costs little
-PARTS = 32
+LOST = (BrokenExecutor, CancelledError, ConnectionError)  # raised by a future whose worker died or was cut off
+PARTS = 32  # enough to keep a few workers busy to the end; few, as parts do not share better sequences
 
 
 def search_in_parts(
@@ -51,7 +48,10 @@ def search_in_parts(
     try:
         for future in as_completed(futures):
             root, reach = futures[future]
-            found[root] = _result(future) or search_part(problem, reach, outcome.sequence, left)
+            try:
+                found[root] = future.result()
+            except LOST:
+                found[root] = search_part(problem, reach, outcome.sequence, left)
             if progress is not None:
                 progress(_progress(outcome, found, len(futures), time.perf_counter() - started))
     except KeyboardInterrupt:
@@ -68,23 +68,15 @@ def search_part(
     return BranchAndBound(problem, limits).run(start, reach)
 
 
-def _result(future: Future[SearchOutcome]) -> SearchOutcome | None:
-    """Return what a worker found; None if the worker was lost, or the future was cancelled by its executor."""
-    try:
-        return future.result()
-    except LOST:
-        return None
-
-
 def _progress(outcome: SearchOutcome, found: dict[int, SearchOutcome], parts: int, seconds: float) -> SearchProgress:
-    cost = min(outcome.cost, *(one.cost for one in found.values()))
+    cost = min(outcome.cost, *(part.cost for part in found.values()))
     bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
-    nodes = outcome.nodes + sum(one.nodes for one in found.values())
+    nodes = outcome.nodes + sum(part.nodes for part in found.values())
     return SearchProgress(cost, min(bound, cost), nodes, parts - len(found), seconds)
 
 
 def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], words: str, interrupted: bool) -> SearchOutcome:
-    """Return the first search with the others grafted on, in the order of their roots."""
+    """Return the first search with the trees of the parts in place of their roots, in the order of these."""
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
     for root in sorted(found):

@@ -1,34 +1,32 @@
-"""What every search over modes is given, reports, and returns."""
+"""What searches over modes share: limits, progress, outcome, and the solve of one node's relaxation."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.arrays import Indices
-from lin_freq_ocp.methods.modes.node import FINE, Duals, relaxed
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.backends.base import Claim, backend
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
-GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends, unless another is asked for
-SEARCH_SHARE = 0.85  # of the time: what was found is solved once more, and the leaves are checked, in the rest
+GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
+SEARCH_SHARE = 0.85  # of the time: the best sequence is solved once more, and the leaves are checked, in the rest
+# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
+# whose bound is weaker but checked all the same
+TOLERANCES = (1e-8, 1e-6)
+FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
 
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When to stop.
-
-    Attributes
-    ----------
-    gap : float
-        Relative.
-    seconds : float
-    nodes : int
-        Relaxations solved.
-    """
+    """When to stop: relative gap, seconds in all, and relaxations solved."""
 
     gap: float = GAP
     seconds: float = np.inf
@@ -40,7 +38,7 @@ class SearchLimits:
         return SEARCH_SHARE * self.seconds
 
     def reached(self, seconds: float, nodes: int) -> str:
-        """Return which limit of time or nodes is reached, in words, or nothing."""
+        """Return which limit of time or nodes is reached, or an empty string."""
         if seconds > self.search_seconds:
             return f"time limit of {self.seconds:g} s"
         return f"limit of {self.nodes} nodes" if nodes >= self.nodes else ""
@@ -48,14 +46,14 @@ class SearchLimits:
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """How far a search is.
+    """How far a search over modes is.
 
     Attributes
     ----------
     cost, lower_bound : float
         Of the best sequence found, and of all that is left; infinite as long as there is none.
     nodes, open : int
-        Relaxations solved, and nodes that are still to be split.
+        Relaxations solved, and nodes still to be split.
     seconds : float
     """
 
@@ -72,22 +70,9 @@ class SearchProgress:
 
 @dataclass(frozen=True, eq=False)
 class SearchOutcome:
-    """What a search found.
+    """The best sequence (T,) with its relaxed cost (inf: none was found), the tree, and why the search stopped early.
 
-    Attributes
-    ----------
-    sequence : (T,) or None
-        The best one.
-    cost : float
-        Its cost, as the relaxations see it; inf without one.
-    tree : ModeTree
-    words : str
-        Why it stopped before it was done; nothing if it was.
-    interrupted : bool
-    nodes : int
-        Relaxations solved.
-    setup : float
-        Seconds before the first one.
+    ``nodes`` relaxations were solved, after ``setup`` seconds.
     """
 
     sequence: Indices | None
@@ -99,23 +84,65 @@ class SearchOutcome:
     setup: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The solution of one relaxation: a lower bound (inf: infeasible; -inf: not solved), and weights (T, modes)."""
+
+    reach: Reach
+    bound: float
+    duals: Duals | None = None
+    trajectory: Trajectory | None = None
+    weights: Array | None = None
+
+    @property
+    def sequence(self) -> Indices | None:
+        """Return the only sequence left, if there is one."""
+        allowed = self.reach.allowed
+        return np.argmax(allowed, axis=1) if (allowed.sum(axis=1) == 1).all() else None
+
+
+def relaxed(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float] = TOLERANCES, end: float = np.inf
+) -> Relaxed:
+    """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
+
+    Raises KeyboardInterrupt where the solver was interrupted.
+    """
+    if time.perf_counter() > end:
+        return Relaxed(reach, -np.inf)
+    member = relaxation.member(reach)
+    for tolerance in tolerances:
+        left = end - time.perf_counter()
+        if left <= 0:
+            break
+        solution = backend("clarabel")(member.program, tolerance, None if left == np.inf else left)
+        z, y = solution.z, solution.y
+        if solution.claim is Claim.INTERRUPTED:
+            raise KeyboardInterrupt
+        if solution.claim is Claim.INFEASIBLE:
+            return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, Duals(member.rows, y, 0.0))
+        if solution.claim is Claim.SOLVED:
+            if z is None or y is None:
+                break
+            bound = relaxation.cost(member.program.dual_objective(z, y))
+            return Relaxed(reach, bound, Duals(member.rows, y, 1.0), *relaxation.point(member, z))
+    return Relaxed(reach, -np.inf)
+
+
 def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
     """Return the tree with the multipliers of every node that has duals."""
-
-    def proven(node: ModeNode, own: Duals | None) -> ModeNode:
-        return node if own is None else replace(node, proof=relaxation.multipliers(own.rows, own.y, own.eta_C))
-
-    return ModeTree(tuple(proven(*pair) for pair in zip(nodes, duals, strict=True)))
+    pairs = zip(nodes, duals, strict=True)
+    return ModeTree(
+        tuple(node if own is None else replace(node, proof=relaxation.multipliers(own)) for node, own in pairs)
+    )
 
 
 def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices, end: float = np.inf) -> ModeTree:
-    """Return the tree with new proofs of some leaves, from relaxations solved as finely as can be until ``end``."""
+    """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``."""
     relaxation, nodes = ModeRelaxation(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
         answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
-            own = answer.duals
-            proof = relaxation.multipliers(own.rows, own.y, own.eta_C)
-            nodes[index] = replace(nodes[index], bound=answer.bound, proof=proof)
+            nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
     return ModeTree(tuple(nodes))

@@ -25,18 +25,17 @@ class Sense(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """The groups of one kind.
-
-    Attributes
-    ----------
-    rows : (groups, size)
-        Their rows in the template.
-    entries : (groups, coefficients)
-        Where their coefficients stand in the list of all, in the order they were given.
-    """
+    """The groups of one kind: their rows in the template, (groups, size), and the positions of their coefficients."""
 
     rows: Indices
     entries: Indices
+
+    def take(self, rows: Mask, chosen: Mask, within: Mask | None = None) -> None:
+        """Set ``rows`` in the ``chosen`` groups (any shape of as many), of their rows only those ``within``."""
+        mask = np.broadcast_to(chosen.reshape(-1, 1), self.rows.shape)
+        if within is not None:
+            mask = mask & within.reshape(self.rows.shape)
+        rows[self.rows[mask]] = True
 
 
 class RowTemplate:
@@ -50,30 +49,28 @@ class RowTemplate:
         self._senses: list[Indices] = []
         self._count = self._filled = 0
 
-    def add(self, sense: Sense, right: Array, row: Indices, column: Indices, value: Array) -> Groups:
-        """Add groups of rows.
+    def add(self, sense: Sense, right: Array, *entries: tuple[Indices, Indices, Array | float]) -> Groups:
+        """Add groups of rows with right-hand sides b (..., size).
 
-        Parameters
-        ----------
-        sense : Sense
-        right : (groups, size)
-            b.
-        row : (coefficients,)
-            The row of each coefficient, counted within its group.
-        column, value : (groups, coefficients)
-            A value of zero is left out of every member that does not replace it.
+        Entries are the rows of coefficients within a group, (c,), their columns (..., c) and values. A value of zero is
+        left out of members that do not replace it.
         """
-        groups, size = right.shape
+        size = right.shape[-1]
+        groups = int(np.prod(right.shape[:-1]))
+        row = np.concatenate([part[0] for part in entries])
+        column = np.concatenate([part[1] for part in entries], axis=-1).reshape(groups, -1)
+        values = [np.broadcast_to(value, columns.shape) for _, columns, value in entries]
+        value = np.concatenate(values, axis=-1).reshape(groups, -1)
         rows = self._count + np.arange(groups * size).reshape(groups, size)
-        entries = self._filled + np.arange(value.size).reshape(value.shape)
+        positions = self._filled + np.arange(value.size).reshape(value.shape)
         self._rows.append(rows[:, row].ravel())
-        self._columns.append(np.broadcast_to(column, value.shape).ravel())
-        self._values.append(np.asarray(value, dtype=np.float64).ravel())
-        self._right.append(np.asarray(right, dtype=np.float64).ravel())
+        self._columns.append(column.ravel())
+        self._values.append(value.ravel())
+        self._right.append(right.ravel())
         self._senses.append(np.full(right.size, sense.value))
         self._count += right.size
         self._filled += value.size
-        return Groups(rows, entries)
+        return Groups(rows, positions)
 
     def finished(self, columns: int) -> Assembler:
         """Return what makes members of it."""
@@ -93,12 +90,12 @@ class Assembler:
     def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> tuple[sp.csc_array, Array, Array]:
         """Return A, lower and upper of some rows and columns, from all coefficients in the order they were added."""
         kept = np.flatnonzero(rows)
-        place = np.cumsum(rows, dtype=np.int32) - np.int32(1)
+        numbers = np.cumsum(rows, dtype=np.int32) - np.int32(1)
         data = values[self._order]
         keep = rows[self._row] & columns[self._column] & (data != 0)
         counts = np.bincount(self._column[keep], minlength=self.columns)[columns]
         pointers = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        A = sp.csc_array((data[keep], place[self._row[keep]], pointers), shape=(len(kept), len(counts)))
+        A = sp.csc_array((data[keep], numbers[self._row[keep]], pointers), shape=(len(kept), len(counts)))
         senses, limits = self._senses[kept], right[kept]
         lower = np.where(senses == Sense.INEQUALITY.value, -np.inf, limits)
         return A, lower, np.where(senses == Sense.CONE.value, np.inf, limits)

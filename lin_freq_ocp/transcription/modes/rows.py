@@ -1,4 +1,4 @@
-"""The rows of mode relaxations (see relaxation.py), and the columns they stand on."""
+"""The rows of mode relaxations (see relaxation.py), the columns they stand on, and the modes in natural units."""
 
 from __future__ import annotations
 
@@ -7,12 +7,76 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
-from lin_freq_ocp.transcription.modes.stages import ModeStages
+
+FLAT = 1e-12  # eigenvalues of a stage's Hessian below this part of the largest are zero
+
+
+@dataclass(frozen=True, eq=False)
+class ModeStages:
+    """All modes in y = (x - x_ref, u - u_ref) / units, of k = n + m components.
+
+    Attributes
+    ----------
+    units : (k,), references : (T, k), last_reference : (n,)
+    maps : (T, modes, n, k), offsets : (T, modes, n)
+        The next state, in deviations and units, is maps y + offsets.
+    rows : (T, modes, r, k), limits : (T, modes, r), norms : (T, modes, r)
+        Regions; each row was divided by ``norms``.
+    """
+
+    units: Array
+    references: Array
+    last_reference: Array
+    maps: Array
+    offsets: Array
+    rows: Array
+    limits: Array
+    norms: Array
+
+    def scaled(self, bounds: Array) -> Array:
+        """Return bounds (T, modes, k) of (x_t, u_t) as bounds of y."""
+        return (bounds - self.references[:, None]) / self.units
+
+
+def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
+    """Return the modes in units (k,) of states and controls."""
+    T, n = problem.horizon, problem.state_dim
+    arrays, cost = problem.piecewise.arrays(T), problem.quadratic
+    states = np.broadcast_to(cost.x_ref, (T + 1, n))
+    references = np.hstack([states[:-1], np.broadcast_to(cost.u_ref, (T, problem.control_dim))])
+    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
+    offsets = np.einsum("tijk,tk->tij", maps, references) + arrays.offset - states[1:, None]
+    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
+    limits = arrays.h - np.einsum("tirk,tk->tir", rows, references)
+    norms = np.linalg.norm(rows * units, axis=-1)
+    norms = np.where(norms > 0, norms, 1.0)
+    return ModeStages(
+        units=units,
+        references=references,
+        last_reference=states[-1],
+        maps=maps * units / units[:n, None],
+        offsets=offsets / units[:n],
+        rows=rows * units / norms[..., None],
+        limits=limits / norms,
+        norms=norms,
+    )
+
+
+def hessian_roots(cost: QuadraticCost, units: Array, horizon: int) -> Array:
+    """Return L (T, rank, k) with L'L = [[Q, S], [S', R]] in these units; rows of zeros where the rank is lower."""
+    hessians = np.broadcast_to(cost.stage_hessians(), (horizon, len(units), len(units))) * np.outer(units, units)
+    values, vectors = np.linalg.eigh(hessians)
+    kept = values > FLAT * values.max(axis=1, keepdims=True)
+    roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
+    rank = int(kept.sum(axis=1).max(initial=0))
+    return roots[:, len(units) - rank :]
 
 
 class ModeColumns:
-    """Where variables stand: x, u and slacks of the host program, then shares, weights and epigraphs of modes.
+    """The columns of variables: x, u and slacks of the host program, then shares, weights and epigraphs of modes.
 
     Attributes
     ----------
@@ -33,16 +97,9 @@ class ModeColumns:
 
 @dataclass(frozen=True, eq=False)
 class ModeRows:
-    """Groups of rows, one for each (t, mode) or each t; names as in relaxation.py.
+    """Groups of rows, one for each (t, mode) or each t (the sums and ``share_map``); names as in relaxation.py.
 
-    Attributes
-    ----------
-    one_map, one_region
-        On (x_t, u_t), where one mode is left.
-    share_sum, weight_sum, share_map
-        For each t: SUM and MAP.
-    share_region, share_upper, share_lower, share_equal, weight, cone
-        REGION, BOX (its three kinds), delta >= 0, CONE.
+    ``one_map`` and ``one_region`` are rows on (x_t, u_t), where one mode is left; BOX has three kinds.
     """
 
     one_map: Groups
@@ -59,82 +116,45 @@ class ModeRows:
 
 
 def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots: Array) -> ModeRows:
-    """Add all rows that a relaxation may have; bounds, and M, are filled in for each member."""
+    """Add all rows that a relaxation may have; the coefficients of bounds are filled in for each member."""
     T, modes, n, k = stages.maps.shape
-    r = stages.limits.shape[2]
     limits = np.where(np.isfinite(stages.limits), stages.limits, 0.0)
-    y, after = _for_modes(at.y, modes), _for_modes(at.x[1:], modes)
-    rows_n, rows_r, rows_k = np.arange(n), np.arange(r), np.arange(k)
-    map_rows = np.repeat(rows_n, k)
-    region_rows = np.repeat(rows_r, k)
-    zero = np.zeros((T, modes, 1))
-
-    def added(sense: Sense, right: Array, row: Indices, column: list[Indices], value: list[Array]) -> Groups:
-        groups = int(np.prod(right.shape[:-1]))
-        columns, values = np.concatenate(column, -1), np.concatenate(value, -1)
-        return template.add(
-            sense, right.reshape(groups, -1), row, columns.reshape(groups, -1), values.reshape(groups, -1)
-        )
-
-    def with_weight(size: int, parts: tuple[Indices, list[Indices], list[Array]], weight: Array):
-        row, column, value = parts
-        delta = np.broadcast_to(at.delta[..., None], (T, modes, size))
-        return np.concatenate([row, np.arange(size)]), [*column, delta], [*value, np.broadcast_to(weight, delta.shape)]
-
-    one_map = (
-        np.concatenate([rows_n, map_rows]),
-        [after, np.tile(y, n)],
-        [np.ones((T, modes, n)), -stages.maps.reshape(T, modes, -1)],
-    )
-    region = region_rows, [np.tile(y, r)], [stages.rows.reshape(T, modes, -1)]
-    share_region = region_rows, [np.tile(at.share, r)], [stages.rows.reshape(T, modes, -1)]
-    identity = rows_k, [at.share], [np.ones((T, modes, k))]
-    minus = rows_k, [at.share], [-np.ones((T, modes, k))]
-    nothing_k = np.zeros((T, modes, k))
+    count, rank = limits.shape[2], roots.shape[1]
+    y, after = (np.broadcast_to(part[:, None], (T, modes, part.shape[1])) for part in (at.y, at.x[1:]))
+    of_state, of_row, of_pair = np.arange(n), np.arange(count), np.arange(k)
+    of_map, of_region = np.repeat(of_state, k), np.repeat(of_row, k)
+    maps, regions = stages.maps.reshape(T, modes, n * k), stages.rows.reshape(T, modes, count * k)
+    shares, all_maps, all_offsets = at.share.reshape(T, -1), maps.reshape(T, -1), stages.offsets.reshape(T, -1)
+    share, pair = at.share, np.stack([at.epsilon, at.delta] * 2, axis=-1)
+    box, delta = np.zeros((T, modes, k)), at.delta[..., None]
+    weights = of_pair, np.repeat(delta, k, axis=-1), 0.0
+    add, equation, inequality = template.add, Sense.EQUATION, Sense.INEQUALITY
     return ModeRows(
-        one_map=added(Sense.EQUATION, stages.offsets, *one_map),
-        one_region=added(Sense.INEQUALITY, limits, *region),
-        share_sum=added(
-            Sense.EQUATION,
-            np.zeros((T, k)),
-            np.concatenate([rows_k, np.tile(rows_k, modes)]),
-            [at.y, at.share.reshape(T, -1)],
-            [np.ones((T, k)), -np.ones((T, modes * k))],
-        ),
-        weight_sum=added(
-            Sense.EQUATION, np.ones((T, 1)), np.zeros(modes, dtype=int), [at.delta], [np.ones((T, modes))]
-        ),
-        share_map=added(
-            Sense.EQUATION,
+        one_map=add(equation, stages.offsets, (of_state, after, 1.0), (of_map, np.tile(y, n), -maps)),
+        one_region=add(inequality, limits, (of_region, np.tile(y, count), regions)),
+        share_sum=add(equation, np.zeros((T, k)), (of_pair, at.y, 1.0), (np.tile(of_pair, modes), shares, -1.0)),
+        weight_sum=add(equation, np.ones((T, 1)), (np.zeros(modes, dtype=np.intp), at.delta, 1.0)),
+        share_map=add(
+            equation,
             np.zeros((T, n)),
-            np.concatenate([rows_n, np.tile(map_rows, modes), np.tile(rows_n, modes)]),
-            [at.x[1:], np.tile(at.share, n).reshape(T, -1), np.repeat(at.delta, n, axis=1)],
-            [np.ones((T, n)), -stages.maps.reshape(T, -1), -stages.offsets.reshape(T, -1)],
+            (of_state, at.x[1:], 1.0),
+            (np.tile(of_map, modes), np.tile(share, n).reshape(T, -1), -all_maps),
+            (np.tile(of_state, modes), np.repeat(at.delta, n, axis=1), -all_offsets),
         ),
-        share_region=added(Sense.INEQUALITY, np.zeros((T, modes, r)), *with_weight(r, share_region, -limits)),
-        share_upper=added(Sense.INEQUALITY, nothing_k, *with_weight(k, identity, zero)),
-        share_lower=added(Sense.INEQUALITY, nothing_k, *with_weight(k, minus, zero)),
-        share_equal=added(Sense.EQUATION, nothing_k, *with_weight(k, identity, zero)),
-        weight=added(Sense.INEQUALITY, zero, np.zeros(1, dtype=int), [at.delta[..., None]], [zero - 1.0]),
-        cone=_cones(template, at, roots),
+        share_region=add(
+            inequality,
+            np.zeros(limits.shape),
+            (of_region, np.tile(share, count), regions),
+            (of_row, np.repeat(delta, count, axis=-1), -limits),
+        ),
+        share_upper=add(inequality, box, (of_pair, share, 1.0), weights),
+        share_lower=add(inequality, box, (of_pair, share, -1.0), weights),
+        share_equal=add(equation, box, (of_pair, share, 1.0), weights),
+        weight=add(inequality, np.zeros(delta.shape), (np.zeros(1, dtype=np.intp), delta, -1.0)),
+        cone=add(  # (epsilon + delta, epsilon - delta, sqrt(2) L y)
+            Sense.CONE,
+            np.zeros((T, modes, rank + 2)),
+            (np.array([0, 0, 1, 1]), pair, np.array([1.0, 1.0, 1.0, -1.0])),
+            (np.repeat(2 + np.arange(rank), k), np.tile(share, rank), np.sqrt(2.0) * roots.reshape(T, 1, -1)),
+        ),
     )
-
-
-def _cones(template: RowTemplate, at: ModeColumns, roots: Array) -> Groups:
-    """Add (epsilon + delta, epsilon - delta, sqrt(2) L y) in the second-order cone."""
-    T, modes, k = at.share.shape
-    rank = roots.shape[1]
-    row = np.concatenate([[0, 0, 1, 1], np.repeat(2 + np.arange(rank), k)])
-    pair = np.stack([at.epsilon, at.delta], axis=-1)
-    column = np.concatenate([pair, pair, np.tile(at.share, rank)], axis=-1)
-    signs = np.broadcast_to([1.0, 1.0, 1.0, -1.0], (T, modes, 4))
-    through = np.broadcast_to(np.sqrt(2.0) * roots.reshape(T, 1, -1), (T, modes, rank * k))
-    value = np.concatenate([signs, through], axis=-1)
-    groups = T * modes
-    right = np.zeros((groups, rank + 2))
-    return template.add(Sense.CONE, right, row, column.reshape(groups, -1), value.reshape(groups, -1))
-
-
-def _for_modes(columns: Indices, modes: int) -> Indices:
-    """Return the columns of each time, (T, c), for each mode, (T, modes, c)."""
-    return np.broadcast_to(columns[:, None], (len(columns), modes, columns.shape[1]))
