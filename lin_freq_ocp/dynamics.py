@@ -1,11 +1,10 @@
 """Dynamics: linear, piecewise affine and piecewise smooth."""
 
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
+from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, SmoothPiece
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
-from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece
 
 __all__ = [
     "AffineMode",

@@ -95,18 +95,18 @@ class Formula(Node):
         return self.node(PRODUCT, (self, other))
 
     def __truediv__(self, other: Formula | float) -> Formula:
-        if isinstance(other, Formula) and other.constant is None:
+        divisor = other.constant if isinstance(other, Formula) else _number("/", other)
+        if isinstance(other, Formula) and divisor is None:
             _require_same(self, other)
             return self.node(QUOTIENT, (self, other))
-        value = _number("/", other.constant if isinstance(other, Formula) else other)
-        if not value:
+        if not divisor:
             raise ProblemError("formula", "a quotient by 0", "a number other than zero")
-        return self * (1 / value)
+        return self * (1 / divisor)
 
-    def __rtruediv__(self, other: Formula | float) -> Formula:
+    def __rtruediv__(self, other: float) -> Formula:
         return self.node(QUOTIENT, (_sum(self, {}, _number("/", other)), self))
 
-    def __pow__(self, exponent: float) -> Formula:
+    def __pow__(self, exponent: Formula | float) -> Formula:
         if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
             expected = f"a whole number from 2 to {LARGEST_POWER}"
             raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")

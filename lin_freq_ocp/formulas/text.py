@@ -26,8 +26,11 @@ from lin_freq_ocp.formulas.nodes import (
     written,
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, scalar_functions
+from lin_freq_ocp.phrases import plural
 
 LONGEST = 100_000  # characters of one formula
+# What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
+Formulas = Formula | str | Sequence[Formula | str | float] | Callable[[Any, Any], Any]
 # Of numbers alone.
 ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
@@ -182,7 +185,7 @@ def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     return written(one, shown(labels), LONGEST_SHOWN)
 
 
-def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+def listed_formulas(field: str, given: Formulas, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(given):
         given = _traced(field, given, dimensions)
@@ -196,7 +199,7 @@ def listed_formulas(field: str, given: Any, dimensions: tuple[int, int]) -> tupl
             one = formula_from_text(f"{field}[{i}]", one, dimensions)
         formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
         if formula.dimensions != dimensions:
-            expected = f"{dimensions[0]} states and {dimensions[1]} controls"
+            expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         made.append(formula)
     return tuple(made)

@@ -18,8 +18,7 @@ from lin_freq_ocp.memory import require_horizon
 from lin_freq_ocp.phrases import plural
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics
-from lin_freq_ocp.problem.dynamics.labels import printable
+from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics

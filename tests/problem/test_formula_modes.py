@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.dynamics.labels import unique_names
+from lin_freq_ocp.problem.dynamics.base import unique_names
 
 FUNCTIONS = {"abs": abs, "max": max, "min": min, "sin": math.sin, "tanh": math.tanh}
 SIGNALS = ("x_0", "x_1", "u_0")

@@ -334,7 +334,7 @@ ONE = lfo.AffineMode(A, B)
         ([], "dynamics.modes", "at least one AffineMode"),
         (ONE, "dynamics.modes", "a list"),
         ([ONE, (A, B)], "dynamics.modes[1]", "an AffineMode"),
-        ([ONE, lfo.AffineMode([[1.0]], [[1.0]])], "dynamics.modes[1]", "1 states and 1 controls; expected 2 and 1"),
+        ([ONE, lfo.AffineMode([[1.0]], [[1.0]])], "dynamics.modes[1]", "1 state and 1 control; expected 2 and 1"),
         ([lfo.AffineMode(A, B, name="a")] * 2, "dynamics.modes[1].name", "'a' a second time"),
         ([lfo.AffineMode(A, B, name="mode 1"), ONE], "dynamics.modes[1].name", "'mode 1' a second time"),
     ],

@@ -10,14 +10,15 @@ the tables ``FAMILIES`` (solving/families.py) and ``JUDGES`` (certificate/verdic
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.arrays import Array, Indices, Mask, brief, names, positive_number
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.phrases import first_few, plural
 from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 
@@ -152,3 +153,63 @@ def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
             return table[kind]
     known = ", ".join(kind.__name__ for kind in table)
     raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected one of {known}.")
+
+
+def signal_labels(
+    n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
+) -> dict[str, Any]:
+    """Return the fields of ``Dynamics`` for n states and m controls, checked."""
+    return {
+        "state_dim": n,
+        "control_dim": m,
+        "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
+        "state_names": names("dynamics.state_names", state_names, n, "x"),
+        "control_names": names("dynamics.control_names", control_names, m, "u"),
+    }
+
+
+def counted(states: int, controls: int) -> str:
+    """Return "1 state and 2 controls"."""
+    return f"{plural(states, 'state')} and {plural(controls, 'control')}"
+
+
+def printable(field: str, name: object) -> str:
+    """Return a name, or "" for none."""
+    if not isinstance(name, str) or not name.isprintable():
+        raise ProblemError(field, brief(name), "a name of printable characters")
+    return name
+
+
+def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of modes, "mode i" where none is given."""
+    found: dict[str, None] = {}
+    for i, name in enumerate(given):
+        printable(f"dynamics.modes[{i}].name", name)
+        label = name or f"mode {i}"
+        if label in found:
+            raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
+        found[label] = None
+    return tuple(found)
+
+
+def mode_facts(names: Sequence[str], kind: str) -> list[tuple[str, str]]:
+    """Return how many modes there are, their names, and of what kind they are; nothing of a single mode."""
+    if len(names) == 1:
+        return []
+    quoted = [f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}" for name in names]
+    shown = first_few(quoted, 3 if max(map(len, quoted)) > 30 else 6)
+    return [("modes", f"{len(names)}: {shown}; {kind}")]
+
+
+def unique_names(given: Sequence[str]) -> list[str]:
+    """Return names for generated modes: repeated names get a number, an empty name stays unless "mode i" is taken."""
+    labels = [name or f"mode {i}" for i, name in enumerate(given)]
+    taken, unique = set(labels), list[str]()
+    for name, label in zip(given, labels, strict=True):
+        if labels.count(label) == 1:
+            unique.append(name)
+            continue
+        numbered = (f"{label} ({count})" for count in range(1, 2 * len(labels) + 1))
+        unique.append(next(one for one in numbered if one not in taken))
+        taken.add(unique[-1])
+    return unique

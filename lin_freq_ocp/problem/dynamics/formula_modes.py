@@ -10,37 +10,24 @@ import numpy as np
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks, rebuilt
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt
 from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
 from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
-from lin_freq_ocp.problem.dynamics.labels import unique_names
+from lin_freq_ocp.problem.dynamics.base import unique_names
 
-MOST_MODES = 64  # choices of the arguments of maxima and minima that are told apart
+MOST_MODES = 64  # choices of the arguments of maxima and minima
 
 
 @dataclass(frozen=True, eq=False)
 class FormulaPiece:
-    """A choice of arguments, and the formulas where it holds.
+    """A choice of arguments, and the formulas where it holds."""
 
-    Attributes
-    ----------
-    formulas, region : tuple of Formula
-        Without maxima and minima; the choice holds where all of the region are zero or below.
-    rows : (rows, n + m + 1)
-        The switching functions of the region that are affine: coefficients and constant.
-    choices, arguments : mappings from a maximum or minimum
-        To the number of the chosen argument, and to the argument, without maxima and minima.
-    labels : tuple of str
-        Of the chosen arguments.
-    name : str
-    """
-
-    formulas: tuple[Formula, ...]
-    rows: Array
-    region: tuple[Formula, ...] = ()
-    choices: Mapping[Formula, int] = field(default_factory=dict[Formula, int])
-    arguments: Mapping[Formula, Formula] = field(default_factory=dict[Formula, Formula])
-    labels: tuple[str, ...] = ()
+    formulas: tuple[Formula, ...]  # without maxima and minima
+    rows: Array  # (rows, n + m + 1): coefficients and constant of the affine switching functions of the region
+    region: tuple[Formula, ...] = ()  # all switching functions: the choice holds where they are zero or below
+    choices: Mapping[Formula, int] = field(default_factory=dict[Formula, int])  # from a maximum or minimum, by number
+    arguments: Mapping[Formula, Formula] = field(default_factory=dict[Formula, Formula])  # the same, by formula
+    labels: tuple[str, ...] = ()  # of the chosen arguments
     name: str = ""
 
     def split(self, branching: Formula) -> Iterator[FormulaPiece]:
@@ -77,11 +64,11 @@ class FormulaPiece:
 
 
 def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
-    """Return a piece for each choice of arguments, without those that never hold.
+    """Return a piece for each choice of arguments that can hold, at most ``most``.
 
-    Left out are choices whose affine switching functions leave no interior, or whose other ones are above zero
-    everywhere, as intervals tell: pieces are closed, so that the rest covers everything. Of arguments that are the same
-    function the first one is taken.
+    Left out are choices whose affine switching functions leave no interior, or whose other switching functions are
+    above zero everywhere by interval bounds: pieces are closed, so that the rest covers everything. Of arguments that
+    are the same function the first is taken.
     """
     given = tuple(formulas)
     pieces = [FormulaPiece(given, np.zeros((0, sum(given[0].dimensions) + 1)))] if given else []
@@ -103,18 +90,18 @@ def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[
 def affine_row(formula: Formula) -> Array | None:
     """Return coefficients and constant (n + m + 1,) of a formula that is affine as it stands; None of another."""
     k = sum(formula.dimensions)
-    found: dict[Formula, Array | None] = {}
-    for one in in_order([formula]):
-        parts = [found[argument] for argument in one.arguments]
+
+    def row_of(one: Formula, parts: list[Array | None]) -> Array | None:
         rows = [part for part in parts if part is not None]
-        found[one] = None
         if len(rows) < len(parts):
-            continue
-        found[one] = OPERATIONS[one.kind].affine(one, rows)
-        if found[one] is None and one.kind != EXTERNAL and not any(row[:-1].any() for row in rows):
+            return None
+        row = OPERATIONS[one.kind].affine(one, rows)
+        if row is None and one.kind != EXTERNAL and not any(part[:-1].any() for part in rows):
             value = float(values_of([one], np.zeros((1, k)))[0, 0])
-            found[one] = value * np.eye(k + 1)[k] if np.isfinite(value) else None
-    return found[formula]
+            row = value * np.eye(k + 1)[k] if np.isfinite(value) else None
+        return row
+
+    return evaluated([formula], row_of)[0]
 
 
 def _same(one: tuple[Formula, Array | None], other: tuple[Formula, Array | None]) -> bool:

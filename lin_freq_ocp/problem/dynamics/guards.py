@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +12,9 @@ from lin_freq_ocp.arrays import Array, brief, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.geometry.polyhedra import THICKNESS, has_interior
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, placed_at
-from lin_freq_ocp.problem.dynamics.labels import unique_names
+from lin_freq_ocp.problem.dynamics.base import counted, unique_names
 
-SIGNS = {"+": -1.0, "-": 1.0}  # what G x + H u - d is multiplied by for a row that must not be above zero
+SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
 ANY = "*"
 
 
@@ -31,12 +30,12 @@ class _Guards:
     def count(self) -> int:
         return self.d.shape[-1]
 
-    def region(self, pattern: str) -> dict[str, Array | None]:
-        """Return the rows G x + H u <= h of a pattern of signs; None for each if it has none."""
+    def region(self, pattern: str) -> dict[str, Array]:
+        """Return G, H and h of the region G x + H u <= h of a pattern of signs; nothing if it has none."""
         signed = [k for k, sign in enumerate(pattern) if sign != ANY]
-        if not signed:
-            return {"G": None, "H": None, "h": None}
         factors = np.array([SIGNS[pattern[k]] for k in signed])
+        if not signed:
+            return {}
         return {
             "G": factors[:, None] * self.G[..., signed, :] + 0.0,  # and no -0
             "H": factors[:, None] * self.H[..., signed, :] + 0.0,
@@ -44,20 +43,17 @@ class _Guards:
         }
 
     def occurs(self, pattern: str) -> bool:
-        """Whether anything but a border has these signs, at some time."""
+        """Whether the points with these signs have an interior at some time."""
         region = self.region(pattern)
-        G, H, h = region["G"], region["H"], region["h"]
-        if G is None or H is None or h is None:
+        if not region:
             return True
-        times = max([len(part) for part, ndim in ((G, 2), (H, 2), (h, 1)) if part.ndim > ndim], default=1)
-        shapes = (times, *G.shape[-2:]), (times, *H.shape[-2:]), (times, h.shape[-1])
-        parts = [np.broadcast_to(part, shape) for part, shape in zip((G, H, h), shapes, strict=True)]
-        return any(
-            has_interior(np.hstack([of_x, of_u]), limits, THICKNESS) for of_x, of_u, limits in zip(*parts, strict=True)
-        )
+        G, H, h = region["G"], region["H"], region["h"][..., None]
+        times = np.broadcast_shapes(*(part.shape[:-2] for part in (G, H, h)))
+        rows = np.concatenate([np.broadcast_to(part, (*times, *part.shape[-2:])) for part in (G, H, h)], axis=-1)
+        return any(has_interior(at[:, :-1], at[:, -1], THICKNESS) for at in rows.reshape(-1, *rows.shape[-2:]))
 
 
-def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, modes: Any) -> list[AffineMode]:
+def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, modes: object) -> list[AffineMode]:
     """Return a mode with its region for every pattern that has one; see ``PiecewiseAffineDynamics.from_guards``."""
     if not isinstance(modes, Mapping) or not any(given is not None for given in modes.values()):
         expected = 'a mapping from signs such as "+-" to modes, of which one at least is not None'
@@ -69,7 +65,7 @@ def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None,
         got = sizes if mode is None else (mode.linear.state_dim, mode.linear.control_dim)
         if got != sizes:
             expected = f"{sizes[0]} and {sizes[1]}, as in the first"
-            raise ProblemError(f"guards.modes[{pattern!r}]", f"{got[0]} states and {got[1]} controls", expected)
+            raise ProblemError(f"guards.modes[{pattern!r}]", counted(*got), expected)
     guards = _guards(G, H, d, *sizes)
     for pattern in maps:
         if not isinstance(pattern, str) or len(pattern) != guards.count or set(pattern) - {*SIGNS, ANY}:
@@ -84,7 +80,7 @@ def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None,
     ]
 
 
-def _mode(place: str, pattern: Any, given: Any) -> AffineMode | None:
+def _mode(place: str, pattern: object, given: object) -> AffineMode | None:
     """Return the map of a mode, with its name, and no region yet."""
     if given is None:
         return None
@@ -107,8 +103,7 @@ def _guards(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, n: in
     }
     if not given.keys() & {"G", "H"}:
         raise ProblemError("guards.G", "neither G nor H", "at least one of them")
-    lead = given.get("G", given.get("H"))
-    assert lead is not None  # there is one
+    lead = given["G" if "G" in given else "H"]
     count = lead.shape[-2] if lead.ndim > 1 else 0
     expected = {"G": (count, n), "H": (count, m), "d": (count,)}
     for field, array in given.items():
@@ -118,8 +113,7 @@ def _guards(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, n: in
             advice = "A single guard is a matrix with one row: [[g_1, g_2, ...]]." if field != "d" else ""
             wanted = f"shape ({right}), one row per guard, or (T, {right}) with one per time"
             raise ProblemError(f"guards.{field}", f"shape {array.shape}", wanted, advice)
-    parts = [given.get(field, np.zeros(shape)) for field, shape in expected.items()]
-    return _Guards(*parts)
+    return _Guards(*(given.get(field, np.zeros(shape)) for field, shape in expected.items()))
 
 
 def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -> None:

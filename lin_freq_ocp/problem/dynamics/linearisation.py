@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, brief, positive_number, real_array, times_vectors
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.phrases import plural
 
 # Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal.
 RELATIVE_STEP = 2.0**-10
@@ -112,7 +113,7 @@ def _model(system: Any, n: int, params: dict[str, Any] | None, t: int) -> Model:
         value = np.asarray(system.dynamics(seconds, point[:n], point[n:], params))
         if value.shape != (n,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
             at = f"{brief(value.tolist())} at x = {point[:n].tolist()}, u = {point[n:].tolist()}"
-            raise ProblemError(f"system, t = {t}", at, f"{n} finite numbers, one per state")
+            raise ProblemError(f"system, t = {t}", at, f"{plural(n, 'finite number')}, one per state")
         return value.astype(np.float64)
 
     return model

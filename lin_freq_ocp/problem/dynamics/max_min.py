@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -13,11 +12,11 @@ from lin_freq_ocp.arrays import Array, Mask, brief, names
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM
-from lin_freq_ocp.formulas.text import listed_formulas, text_of
+from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
 from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
+from lin_freq_ocp.problem.dynamics.base import unique_names
 from lin_freq_ocp.problem.dynamics.formula_modes import FormulaPiece, affine_row, formula_pieces
-from lin_freq_ocp.problem.dynamics.labels import unique_names
 
 # Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
 # them takes longer.
@@ -26,7 +25,7 @@ LONGEST_TEXT = 40  # characters of an affine function in the name of a mode
 
 
 def modes_of(
-    f: Any, dimensions: tuple[int, int], state_names: Sequence[str] | None, control_names: Sequence[str] | None
+    f: Formulas, dimensions: tuple[int, int], state_names: Sequence[str] | None, control_names: Sequence[str] | None
 ) -> list[AffineMode]:
     """Return the modes of x_{t+1} = f(x_t, u_t); see ``PiecewiseAffineDynamics.from_formulas``."""
     n, m = dimensions
@@ -36,29 +35,19 @@ def modes_of(
     labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
     labels = [label.split(" [")[0] for label in labels]
     pieces = [_affine(piece, labels) for piece in formula_pieces(formulas, MOST_PIECES)]
-    pieces = _merged([_without_idle_rows(piece) for piece in pieces])
+    pieces = _merged([piece.irredundant() for piece in pieces])
     unique = unique_names([piece.name(labels) for piece in pieces])
     return [piece.mode(n, n + m, name) for piece, name in zip(pieces, unique, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A choice of an argument for every maximum and minimum.
+    """A choice of an argument for every maximum and minimum."""
 
-    Attributes
-    ----------
-    choices : mapping from a maximum or minimum to the number of the chosen argument
-    values : mapping from a maximum or minimum to the affine function (n + m + 1,)
-    rows : (rows, n + m + 1)
-        Affine functions that are zero or below where the choice holds.
-    states : (n, n + m + 1)
-        The map.
-    """
-
-    choices: Mapping[Formula, int]
-    values: Mapping[Formula, Array]
-    rows: Array
-    states: Array
+    choices: Mapping[Formula, int]  # from a maximum or minimum to the number of the chosen argument
+    values: Mapping[Formula, Array]  # to the chosen argument, an affine function (n + m + 1,)
+    rows: Array  # (rows, n + m + 1): affine functions that are zero or below where the choice holds
+    states: Array  # (n, n + m + 1): the map
 
     @cached_property
     def sizes(self) -> Array:
@@ -69,13 +58,17 @@ class _Piece:
         assert cell is not None  # it has an interior
         return cell
 
+    def irredundant(self) -> _Piece:
+        """Return the piece without the rows that the others imply."""
+        return replace(self, rows=self.rows[irredundant(self.cell(self.sizes), SMALLEST_PIECE)])
+
     def name(self, labels: Sequence[str]) -> str:
         parts: list[str] = []
         for branching, choice in self.choices.items():
             if branching.names:
                 parts.append(branching.names[choice])
             else:
-                text = affine_text(self.values[branching], labels)
+                text = _affine_text(self.values[branching], labels)
                 parts.append(f"{'max' if branching.kind == MAXIMUM else 'min'} is {text}")
         return ", ".join(dict.fromkeys(part for part in parts if part))
 
@@ -103,7 +96,7 @@ def _affine(piece: FormulaPiece, labels: Sequence[str]) -> _Piece:
     return _Piece(piece.choices, values, piece.rows, np.array([rows[one] for one in piece.formulas]))
 
 
-def affine_text(affine: Array, labels: Sequence[str]) -> str:
+def _affine_text(affine: Array, labels: Sequence[str]) -> str:
     """Return an affine function as text, shortened: "-x_0 + 2 u_0 - 1"."""
     terms = [(value, label) for value, label in zip(affine, [*labels, ""], strict=True) if value]
     text = "" if terms else "0"
@@ -112,11 +105,6 @@ def affine_text(affine: Array, labels: Sequence[str]) -> str:
         sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
         text += sign + " ".join(part for part in (size, label) if part)
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
-
-
-def _without_idle_rows(piece: _Piece) -> _Piece:
-    """Return the piece without the rows that the others imply."""
-    return replace(piece, rows=piece.rows[irredundant(piece.cell(piece.sizes), SMALLEST_PIECE)])
 
 
 def _merged(pieces: list[_Piece]) -> list[_Piece]:
@@ -156,7 +144,7 @@ def _union(one: _Piece, other: _Piece) -> _Piece | None:
                 return None
     choices = {key: choice for key, choice in one.choices.items() if other.choices.get(key) == choice}
     rows = np.vstack([one.rows[of_first], other.rows[of_second]])
-    return _without_idle_rows(replace(one, choices=choices, rows=rows))
+    return replace(one, choices=choices, rows=rows).irredundant()
 
 
 def _holding(cell: Cell, other: Cell) -> Mask:

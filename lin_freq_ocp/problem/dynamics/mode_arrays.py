@@ -23,23 +23,15 @@ REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class ModeArrays:
-    """All modes at all times, with rows of regions filled up by 0 <= inf.
+    """All modes at all times, with rows of regions filled up by 0 <= inf."""
 
-    Attributes
-    ----------
-    A : (T, modes, n, n), B : (T, modes, n, m), offset : (T, modes, n)
-    G : (T, modes, rows, n), H : (T, modes, rows, m), h : (T, modes, rows)
-    least : ((n,), (m,))
-        The smallest sizes of states and controls; zeros if nobody has said any.
-    """
-
-    A: Array
-    B: Array
-    offset: Array
-    G: Array
-    H: Array
-    h: Array
-    least: tuple[Array, Array]
+    A: Array  # (T, modes, n, n)
+    B: Array  # (T, modes, n, m)
+    offset: Array  # (T, modes, n)
+    G: Array  # (T, modes, rows, n)
+    H: Array  # (T, modes, rows, m)
+    h: Array  # (T, modes, rows)
+    least: tuple[Array, Array]  # (n,) and (m,): the smallest sizes of states and controls; zeros if unknown
 
     def with_sizes(self, x: Array, u: Array) -> ModeArrays:
         """Return the same modes; states (n,) and controls (m,) are known to be of these sizes."""

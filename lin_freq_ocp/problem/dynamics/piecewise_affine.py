@@ -12,16 +12,15 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, with_columns
 from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.formulas.text import Formulas
 from lin_freq_ocp.phrases import AT_MOST
-from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode
-from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step
+from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode, SmoothPiece, linearised_modes
+from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, counted, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.guards import guarded_modes
-from lin_freq_ocp.problem.dynamics.labels import mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.max_min import modes_of
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.dynamics.regions import Border, borders_of, require_partition
-from lin_freq_ocp.problem.dynamics.smooth_pieces import SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
@@ -86,16 +85,14 @@ class PiecewiseAffineDynamics(StandardDynamics):
         for i, mode in enumerate(modes):
             got = mode.linear.state_dim, mode.linear.control_dim
             if got != (n, m):
-                raise ProblemError(
-                    f"dynamics.modes[{i}]", f"{got[0]} states and {got[1]} controls", f"{n} and {m}, as in the first"
-                )
+                raise ProblemError(f"dynamics.modes[{i}]", counted(*got), f"{n} and {m}, as in the first")
         assign(self, modes=tuple(modes), **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
     @classmethod
     def from_formulas(
         cls,
-        f: Any,
+        f: Formulas,
         state_dim: int,
         control_dim: int,
         sampling_time: float | None = None,

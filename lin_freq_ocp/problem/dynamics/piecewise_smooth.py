@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order, kinks
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
-from lin_freq_ocp.formulas.text import listed_formulas, text_of
+from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
 from lin_freq_ocp.phrases import first_few, split_unit
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
-from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step
+from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
-from lin_freq_ocp.problem.dynamics.labels import mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
@@ -47,19 +45,13 @@ class SmoothMode:
         As reports show it; default "mode i".
     """
 
-    f: Any
-    region: Any = ()
-    domain: Any = ()
+    f: Formulas
+    region: Formulas = ()
+    domain: Formulas = ()
     name: str = ""
 
     def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
-        """Return the mode with tuples of formulas.
-
-        Raises
-        ------
-        ProblemError
-            If they are none, or not one for each state, or a piece has maxima or minima.
-        """
+        """Return the mode with tuples of formulas, one of f for each state, without maxima and minima."""
         f = listed_formulas(f"{field}.f", self.f, dimensions)
         region = listed_formulas(f"{field}.region", self.region, dimensions)
         domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
@@ -75,17 +67,11 @@ class SmoothMode:
 
 @dataclass(frozen=True, eq=False)
 class ModeJets:
-    """All modes at (x_t, u_t), t = 0 .. T-1.
-
-    Attributes
-    ----------
-    f, regions, domains : one Jets for each mode
-        Its map (T, n), its switching functions, and what must be above zero.
-    """
+    """All modes at (x_t, u_t), t = 0 .. T-1, each a tuple of one Jets for each mode."""
 
     f: tuple[Jets, ...]
-    regions: tuple[Jets, ...]
-    domains: tuple[Jets, ...]
+    regions: tuple[Jets, ...]  # the switching functions
+    domains: tuple[Jets, ...]  # what must be above zero
 
     def defined(self) -> Mask:
         """Which modes are defined where, (T, modes)."""
@@ -163,13 +149,13 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     @classmethod
     def from_formulas(
         cls,
-        f: Any,
+        f: Formulas,
         state_dim: int,
         control_dim: int,
         sampling_time: float | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
-        domain: Any = (),
+        domain: Formulas = (),
     ) -> PiecewiseSmoothDynamics:
         """Take x_{t+1} = f(x_t, u_t) with maxima, minima and absolute values: one mode for each choice of arguments.
 
@@ -327,12 +313,10 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:
     """Return formulas of (x, u, w) in which a norm is the further control w."""
     n, m = one.dimensions
-    dimensions = n, m + 1
-    made: dict[Formula, Formula] = {}
-    for node in in_order(formulas):
+
+    def made(node: Formula, arguments: list[Formula]) -> Formula:
         if node is one:
-            made[node] = Formula(dimensions, VARIABLE, (), (float(n + m),))
-        else:
-            arguments = tuple(made[argument] for argument in node.arguments)
-            made[node] = replace(node, dimensions=dimensions, arguments=arguments)
-    return [made[node] for node in formulas]
+            return Formula((n, m + 1), VARIABLE, (), (float(n + m),))
+        return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
+
+    return evaluated(formulas, made)

@@ -34,35 +34,20 @@ NARROW = 1e-9  # A component whose bounds are closer than this, relative to thei
 # Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
 # shorter may be rounding, and THICKNESS times this is still a hundred times above it.
 LEAST_UNIT = 1e-6
-PLACE_LENGTH = 200  # characters of a point (x, u) in a message
 
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Where the regions of two modes meet: h_x'x + h_u'u = limit, with the first mode below.
-
-    Attributes
-    ----------
-    first, second : int
-        The modes.
-    h_x : (n,), h_u : (m,), limit : float
-        The facet, h_x'x + h_u'u <= limit for the first mode; |(h_x, h_u)| = 1.
-    g : (n,)
-        D f_first - D f_second = g h' where the map is continuous.
-    jump : float
-        Bound on the difference of the two maps on the border, within the bounds of the sets, relative to its terms.
-    time : int or None
-        The time, if the dynamics depend on it.
-    """
+    """A facet of two modes, h_x'x + h_u'u = limit with |(h_x, h_u)| = 1: the first mode is where it is less."""
 
     first: int
     second: int
     h_x: Array
     h_u: Array
     limit: float
-    g: Array
-    jump: float
-    time: int | None = None
+    g: Array  # (n,): D f_first - D f_second = g h' where the map is continuous
+    jump: float  # bound on the difference of the maps on the facet within the sets' bounds, relative to its terms
+    time: int | None = None  # if the dynamics depend on it
 
     @property
     def continuous(self) -> bool:
@@ -72,32 +57,20 @@ class Border:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """The regions of one time in y = (v - centre) / units, v = (x, u).
+    """The regions of one time in y = (v - centre) / units, v = (x, u)."""
 
-    Attributes
-    ----------
-    cells : list of Cell
-        One region each, in all components of y.
-    domain : Cell
-        The sets, in the free components of y.
-    free : (n + m,)
-        Which components are not fixed by their bounds; of the others, y is 0.
-    centre, units, extent : (n + m,)
-        ``extent``: the largest |y| within the bounds; 1 without.
-    """
-
-    cells: list[Cell]
-    domain: Cell
-    free: Mask
+    cells: list[Cell]  # a region each, in all components of y
+    domain: Cell  # the sets, in the free components of y
+    free: Mask  # (n + m,): components not fixed by their bounds; of the others, y is 0
     centre: Array
     units: Array
-    extent: Array
+    extent: Array  # (n + m,): the largest |y| within the bounds; 1 without
 
     def place(self, y: Array) -> str:
         """Return (x, u) of free components y, as a message shows it."""
         v = self.centre.copy()
         v[self.free] += self.units[self.free] * y
-        return brief([float(f"{value:.4g}") for value in v], PLACE_LENGTH)
+        return brief([float(f"{value:.4g}") for value in v], 200)
 
     @property
     def key(self) -> bytes:
@@ -110,16 +83,9 @@ class _Pieces:
 def require_partition(
     arrays: ModeArrays, names: Sequence[str], sets: StageSets, constant: bool, checked: set[bytes]
 ) -> None:
-    """Raise ProblemError unless the regions cover the sets and overlap on borders only.
+    """Raise ProblemError unless the regions cover the sets and overlap on facets only.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the modes.
-    constant : bool
-        Whether no region depends on time.
-    checked : set of bytes
-        Pieces that are known to be without fault; more are added.
+    ``constant``: no region depends on time. ``checked``: keys of pieces known to be without fault; more are added.
     """
 
     def fault(t: int, stage: StageSet, when: str) -> ProblemError | None:
