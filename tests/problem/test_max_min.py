@@ -186,7 +186,7 @@ def test_matrices_act_on_signals():
         (lambda: from_formulas(None, 2, 1), "f", "lfo.signals"),
         (lambda: from_formulas(X, 2, 0), "control_dim", "whole number"),
         (lambda: from_formulas([X[0], "y"], 2, 1), "f[1]", "'y'"),
-        (lambda: from_formulas([X[0], lfo.signals(1, 1)[0][0]], 2, 1), "f[1]", "2 states and 1 controls"),
+        (lambda: from_formulas([X[0], lfo.signals(1, 1)[0][0]], 2, 1), "f[1]", "2 states and 1 control"),
         (lambda: from_formulas(X, 2, 1, state_names=["a"]), "dynamics.state_names", "2 different names"),
         (lambda: from_formulas([X[0] * X[1], 0], 2, 1), "f[0]", "got 'x_0 * (x_1)'"),
         (lambda: from_formulas([X[0], 1 / X[0]], 2, 1), "f[1]", "PiecewiseSmoothDynamics"),

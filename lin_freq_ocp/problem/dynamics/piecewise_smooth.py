@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -45,9 +46,9 @@ class SmoothMode:
         As reports show it; default "mode i".
     """
 
-    f: Formulas
-    region: Formulas = ()
-    domain: Formulas = ()
+    f: Any  # Formulas as given; tuples of Formula in the modes of PiecewiseSmoothDynamics
+    region: Any = ()
+    domain: Any = ()
     name: str = ""
 
     def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
