@@ -97,22 +97,19 @@ def place_of_largest(multipliers: lfo.results.Multipliers, name: str) -> tuple[i
 # ------------------------------------------------------------------------------------------------------- description
 
 
-def test_values_slack_and_pull_back_are_the_sums_they_stand_for():
+def test_values_and_slack_are_the_sums_they_stand_for():
     rng = np.random.default_rng(1)
-    x, u, weights = rng.normal(size=(T + 1, N)), rng.normal(size=(T, M)), rng.normal(size=(T, 2))
+    x, u = rng.normal(size=(T + 1, N)), rng.normal(size=(T, M))
     for C in (rng.normal(size=(2, N)), rng.normal(size=(T, 2, N))):
         for D in (rng.normal(size=(2, M)), rng.normal(size=(T, 2, M))):
             rows = lfo.StageRows(C, D, [1.0, np.inf]).at_dimensions(N, M, T, "rows")
             assert rows.time_varying == (C.ndim == 3 or D.ndim == 3)
-            of_x, of_u = rows.pull_back(weights)
             for t in range(T):
                 C_t, D_t = C if C.ndim == 2 else C[t], D if D.ndim == 2 else D[t]
                 value = C_t @ x[t] + D_t @ u[t]
                 np.testing.assert_allclose(rows.values(x, u)[t], value, rtol=1e-12)
                 np.testing.assert_allclose(rows.slack(x, u)[t], [1 - value[0], np.inf], rtol=1e-12)
                 np.testing.assert_allclose(rows.violation(x, u)[t], [max(value[0] - 1, 0), 0], rtol=1e-12)
-                np.testing.assert_allclose(of_x[t], C_t.T @ weights[t], rtol=1e-12)
-                np.testing.assert_allclose(of_u[t], D_t.T @ weights[t], rtol=1e-12)
             assert rows.bounded(T).tolist() == [[True, False]] * T
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import ClassVar
 
@@ -88,8 +88,7 @@ class ConvexSet(ABC):
 
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
         """Return the parts with a price per unit of excess."""
-        softened = [(part, part.penalty.softened(weight)) for part in self.parts(dimension)]
-        return tuple(Part(part.F, part.c, penalty) for part, penalty in softened if penalty is not None)
+        return tuple(replace(part, penalty=part.penalty.softened(weight)) for part in self.parts(dimension))
 
     def extended(self, n: int, k: int) -> ConvexSet:
         """Return the set of (x, w), w in R^k, with x in R^n in this set, bounds left out."""

@@ -1,3 +1,4 @@
+# ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
 """Affine maps of a trajectory, (x, u) -> values (groups, dim): stages, spectra, and sums over all times.
 
 A new map is a subclass of ``AffineMap`` in a file of its own: nothing else in the package tells maps apart.
@@ -11,17 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.arrays import Array, Indices, times_vectors
 
-Shapes = tuple[tuple[int, ...], tuple[int, ...]]
-"""The shapes of x, (T+1, n), and of u, (T, m)."""
+Shapes = tuple[tuple[int, ...], tuple[int, ...]]  # of x, (T+1, n), and of u, (T, m)
 
 
 class AffineMap(ABC):
     """(x, u) -> values (groups, dim), with its adjoint, its sparse rows, and the magnitudes of its terms.
 
-    The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. ``sizes`` and
-    ``pulled_sizes`` are what the rounding errors of ``values`` and ``pull_back`` are relative to.
+    The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. The rounding errors of
+    ``values`` and ``pull_back`` are relative to ``sizes`` and ``pulled_sizes``.
     """
 
     @property
@@ -101,7 +101,7 @@ class AffineMap(ABC):
 
     @property
     def dense_size(self) -> tuple[int, int]:
-        """Return how many rows are dense, and the number of their entries."""
+        """Return the number of dense rows, and of their entries."""
         return 0, 0
 
 
@@ -113,75 +113,56 @@ class MatrixMap(AffineMap):
         """Return the map with the absolute values of all data."""
 
     def sizes(self, x: Array, u: Array) -> Array:
-        """Return the sums of the absolute values of the terms of v, (groups, dim)."""
         return self.magnitudes().values(np.abs(x), np.abs(u))
 
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of ``pull_back``."""
         return self.magnitudes().pull_back(np.abs(weights), shapes)
 
 
 @dataclass(frozen=True, eq=False)
 class StageMap(MatrixMap):
-    """v_t = C_t x_t + D_t u_t + c_t at some times, one group for each.
+    """v_t = C_t x_t + D_t u_t + c_t at some times, one group for each."""
 
-    Attributes
-    ----------
-    times : (groups,)
-        Within 0 .. T where D is None or the control is not looked at, else within 0 .. T-1.
-    C : (dim, n) or (groups, dim, n), or None
-    D : (dim, m) or (groups, dim, m), or None
-    constant : (dim,) or (groups, dim)
-    """
-
-    times: Indices
-    C: Array | None
-    D: Array | None
-    constant: Array
+    times: Indices  # (groups,), within 0 .. T without D, else within 0 .. T-1
+    C: Array | None  # (dim, n) or (groups, dim, n)
+    D: Array | None  # (dim, m) or (groups, dim, m)
+    constant: Array  # (dim,) or (groups, dim)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (groups, dim) of the values."""
         return len(self.times), self.constant.shape[-1]
 
     @property
     def places(self) -> Indices:
-        """Return the time of every group."""
         return self.times
 
     @property
     def control_times(self) -> Indices:
-        """Return the times; none if the control is not part of it."""
         return np.arange(0) if self.D is None else self.times
 
     @property
     def additions(self) -> float:
-        """Return how many operations in a row make one value: rounding errors grow with it."""
-        return float(sum(part.shape[-1] for part in (self.C, self.D) if part is not None) + self.constant.shape[-1])
+        return float(sum(part.shape[-1] for part in (self.C, self.D, self.constant) if part is not None))
 
     def values(self, x: Array, u: Array) -> Array:
-        """Return v, (groups, dim), for x (T+1, n) and u (T, m)."""
         v = np.broadcast_to(self.constant, self.shape).astype(np.result_type(x, u))
         for matrix, signal in ((self.C, x), (self.D, u)):
             if matrix is not None:
-                v = v + _product(matrix, signal[self.times])
+                v = v + times_vectors(matrix, signal[self.times])
         return v
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the adjoint's values, of the shapes of x and u."""
-        pulled = tuple(np.zeros(shape, dtype=weights.dtype) for shape in shapes)
-        for matrix, signal in zip((self.C, self.D), pulled, strict=True):
+        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
+        for matrix, signal in ((self.C, of_x), (self.D, of_u)):
             if matrix is not None:
-                np.add.at(signal, self.times, _product(np.swapaxes(matrix, -1, -2), weights))
-        return pulled[0], pulled[1]
+                np.add.at(signal, self.times, times_vectors(np.swapaxes(matrix, -1, -2), weights))
+        return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        """Return the sparse rows, and the constant."""
         of_x, of_u = self._blocks(self.C, horizon + 1, n), self._blocks(self.D, horizon, m)
         return joined_rows(of_x, of_u), np.broadcast_to(self.constant, self.shape).ravel()
 
     def stage_form(self, n: int, m: int) -> tuple[Array, Array]:
-        """Return [C, D] and the constant."""
         parts = [
             np.zeros((1, self.shape[1], columns)) if part is None else part.reshape(-1, self.shape[1], columns)
             for part, columns in ((self.C, n), (self.D, m))
@@ -191,7 +172,6 @@ class StageMap(MatrixMap):
         return matrix, np.broadcast_to(self.constant, self.shape)
 
     def magnitudes(self) -> AffineMap:
-        """Return the map of |C|, |D| and |c|."""
         C, D = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return StageMap(self.times, C, D, np.abs(self.constant))
 
@@ -205,35 +185,25 @@ class StageMap(MatrixMap):
 
 @dataclass(frozen=True, eq=False)
 class SumMap(MatrixMap):
-    """v = constant + sum_t (Phi_t x_t + Psi_t u_t), a single group (paper, (SFC) and (CFC)).
+    """v = constant + sum_t (Phi_t x_t + Psi_t u_t), a single group (paper, (SFC) and (CFC))."""
 
-    Attributes
-    ----------
-    Phi : (T+1, dim, n), or None; Psi : (T, dim, m), or None
-    constant : (dim,)
-    """
-
-    Phi: Array | None
-    Psi: Array | None
-    constant: Array
+    Phi: Array | None  # (T+1, dim, n)
+    Psi: Array | None  # (T, dim, m)
+    constant: Array  # (dim,)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (groups, dim) of the values."""
         return 1, len(self.constant)
 
     @property
     def places(self) -> Indices:
-        """Return all times."""
         return np.arange(len(next(part for part in (self.Phi, self.Psi) if part is not None)))
 
     @property
     def additions(self) -> float:
-        """Return how many operations in a row make one value: rounding errors grow with it."""
         return float(sum(part.shape[0] + part.shape[2] for part in (self.Phi, self.Psi) if part is not None))
 
     def values(self, x: Array, u: Array) -> Array:
-        """Return v, (1, dim), for x (T+1, n) and u (T, m)."""
         v = self.constant.astype(np.result_type(x, u))
         for matrix, signal in ((self.Phi, x), (self.Psi, u)):
             if matrix is not None:
@@ -241,7 +211,6 @@ class SumMap(MatrixMap):
         return v[None]
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the adjoint's values, of the shapes of x and u."""
         of_x, of_u = (
             np.zeros(shape, dtype=weights.dtype) if matrix is None else np.einsum("tij,i->tj", matrix, weights[0])
             for matrix, shape in zip((self.Phi, self.Psi), shapes, strict=True)
@@ -249,7 +218,6 @@ class SumMap(MatrixMap):
         return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        """Return the sparse rows, and the constant."""
         dim = len(self.constant)
         of_x, of_u = (
             sp.csr_array((dim, columns) if matrices is None else np.swapaxes(matrices, 0, 1).reshape(dim, columns))
@@ -258,7 +226,6 @@ class SumMap(MatrixMap):
         return joined_rows(of_x, of_u), self.constant
 
     def magnitudes(self) -> AffineMap:
-        """Return the map of the absolute values."""
         Phi, Psi = (None if part is None else np.abs(part) for part in (self.Phi, self.Psi))
         return SumMap(Phi, Psi, np.abs(self.constant))
 
@@ -268,8 +235,3 @@ def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:
     rows = sp.csr_array(sp.hstack([of_x, of_u]))
     rows.eliminate_zeros()
     return rows
-
-
-def _product(matrix: Array, vectors: Array) -> Array:
-    """Return M v_g, or M_g v_g where the matrix has one per group, for vectors (groups, columns)."""
-    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("gij,gj->gi", matrix, vectors)

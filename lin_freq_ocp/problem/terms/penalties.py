@@ -1,3 +1,4 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``Penalty``)
 """The convex functions that sets, rows, costs and frequency constraints are made of; see ``penalty`` for the protocol.
 
 Their conic forms, with slacks s >= 0:
@@ -15,7 +16,7 @@ Their conic forms, with slacks s >= 0:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,83 +24,57 @@ import scipy.sparse as sp
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.terms.penalty import HARD, ConicForm, Penalty, selected_rows
 
-DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}
-"""The order of the dual norm."""
+DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces(Penalty):
-    """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite.
+    """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite."""
 
-    Attributes
-    ----------
-    limit : (groups, dim) or (dim,)
-        inf where there is none.
-    weight : float or array that broadcasts to (groups, dim)
-        Price per unit of excess; inf: hard.
-    """
-
-    limit: Array
-    weight: Array
+    limit: Array  # (groups, dim) or (dim,); inf where there is none
+    weight: Array  # price per unit of excess, inf for a hard limit; broadcasts to (groups, dim)
 
     @property
     def weights(self) -> Array:
-        """Return the weight."""
         return self.weight
 
     @property
     def unlimited(self) -> Mask:
-        """Return where the limit is infinite."""
         return np.isinf(self.limit)
 
     @property
     def polyhedral(self) -> bool:
-        """Half-spaces are polyhedral."""
         return True
 
     def excess(self, v: Array) -> Array:
-        """Return v - limit."""
         return v - self.limit
 
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        """Return the change."""
         return change
 
     def recession(self, change: Array) -> Array:
-        """Return the change where there is a limit."""
         return np.where(np.isfinite(self.limit), change, 0.0)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return the nearest multipliers within 0 and eta_C times the weight."""
         return np.clip(multipliers, 0.0, np.where(np.isfinite(self.limit), self._scaled(eta_C), 0.0))
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        """Return the gap of every entry, (groups, dim)."""
         slack = np.where(multipliers > 0, self.limit - v, 0.0)
         return multipliers * slack + eta_C * self._prices * np.maximum(v - self.limit, 0.0)
 
-    def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return zeros, (groups, dim): there is no direction."""
-        return np.zeros(np.broadcast_shapes(v.shape, multipliers.shape))
-
     def sizes(self) -> Array:
-        """Return the absolute values of the limits, 0 where there is none."""
         return np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
 
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return no lower bounds, and the limits."""
         return np.full(shape, -np.inf), np.broadcast_to(self.limit, shape)
 
     def limit_multipliers(self, multipliers: Array) -> Array:
-        """Return the multipliers of the values."""
         return multipliers
 
     def least_slacks(self, v: Array) -> Array:
-        """Return the excess of every limited entry; nothing where it is hard."""
         return np.zeros(0) if self.hard else np.maximum(v - self.limit, 0.0).ravel()[self._limited(v.shape)]
 
     def conic(self, groups: int, dim: int) -> ConicForm:
-        """Return v <= limit, or v - s <= limit and s >= 0."""
         entries = self._limited((groups, dim))
         upper, none = self.bounds((groups, dim))[1].ravel()[entries], np.full(len(entries), -np.inf)
         if self.hard:
@@ -108,21 +83,18 @@ class HalfSpaces(Penalty):
             np.concatenate([entries, np.full(len(entries), -1)]),
             np.concatenate([none, np.zeros(len(entries))]),
             np.concatenate([upper, -none]),
-            _slack_columns(-sp.eye_array(len(entries)), sp.eye_array(len(entries))),
+            sp.csr_array(sp.vstack([-sp.eye_array(len(entries)), sp.eye_array(len(entries))])),
             np.broadcast_to(self.weight, (groups, dim)).ravel()[entries],
             entries[:, None],
         )
 
     def softened(self, weight: Array) -> Penalty:
-        """Return the same limits with another weight."""
         return replace(self, weight=weight)
 
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        """Return higher limits."""
         return c, replace(self, limit=self.limit + amount)
 
-    def stacked(self, others: list[Any]) -> Penalty:
-        """Return one with a limit for each."""
+    def stacked(self, others: list[Self]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))
 
@@ -132,75 +104,54 @@ class HalfSpaces(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class NormBall(Penalty):
-    """h(v) = sum over groups of weight * max(|v| - radius, 0): |v| <= radius, where the weight is infinite.
+    """h(v) = sum over groups of weight * max(|v| - radius, 0): |v| <= radius, where the weight is infinite."""
 
-    Attributes
-    ----------
-    order : float
-        1: sum of absolute values; 2: Euclidean; inf: largest absolute value.
-    radius : (groups,) or ()
-        0 or above; with an infinite weight, 0 means v = 0. inf where there is no limit.
-    weight : (groups,) or ()
-    """
-
-    order: float
-    radius: Array
-    weight: Array
+    order: float  # 1: sum of absolute values; 2: Euclidean; inf: largest absolute value
+    radius: Array  # (groups,) or (), 0 or above; with an infinite weight, 0 means v = 0; inf where there is no limit
+    weight: Array  # (groups,) or ()
 
     @property
     def weights(self) -> Array:
-        """Return the weights as a column."""
         return self.weight[..., None]
 
     @property
     def signature(self) -> tuple[object, ...]:
-        """Return kind, order, and whether it is hard."""
         return *super().signature, self.order
 
     def excess(self, v: Array) -> Array:
-        """Return |v| - radius, (groups, 1)."""
         return (_norm(v, self.order) - self.radius)[:, None]
 
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        """Return the derivative of |v|, (groups, 1); entries nearer than ``near`` to a kink count as on it."""
         return _slope_of_norm(v, change, self.order, near)[:, None]
 
     def recession(self, change: Array) -> Array:
-        """Return the norm of the change where there is a limit, (groups, 1)."""
         return np.where(np.isfinite(self.radius), _norm(change, self.order), 0.0)[:, None]
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return multipliers of the same direction with a dual norm of at most eta_C times the weight."""
         largest = np.where(np.isfinite(self.radius), self._scaled(eta_C)[..., 0], 0.0)
         size = _norm(multipliers, DUAL_ORDER[self.order])
         shrink = np.where(size > largest, largest / np.where(size > 0, size, 1.0), 1.0)
         return multipliers * shrink[:, None]
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        """Return the gap of every group, (groups, 1)."""
         size = _norm(multipliers, DUAL_ORDER[self.order])
         support = np.where(size > 0, self.radius, 0.0) * size
         return (support - (multipliers * v).sum(1) + eta_C * self.cost(v))[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return |v| times the part of the multipliers across v (the gap is of second order in it), (groups, 1)."""
         return _across(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
 
     def sizes(self) -> Array:
-        """Return the radii, 0 where there is none."""
         return np.where(np.isfinite(self.radius), self.radius, 0.0)[..., None]
 
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return minus and plus the radius for every entry."""
         radius = np.broadcast_to(np.broadcast_to(self.radius, shape[:1])[:, None], shape)
         return -radius, radius
 
     def limit_multipliers(self, multipliers: Array) -> Array:
-        """Return the dual norms of the multipliers, (groups, 1)."""
         return _norm(multipliers, DUAL_ORDER[self.order])[:, None]
 
     def least_slacks(self, v: Array) -> Array:
-        """Return |v_i| of every entry (sums of absolute values), else the excess of every limited group."""
         if self.hard:
             return np.zeros(0)
         if self.order == 1:
@@ -208,29 +159,36 @@ class NormBall(Penalty):
         return np.maximum(self.excess(v), 0.0).ravel()[np.isfinite(np.broadcast_to(self.radius, v.shape[:1]))]
 
     def conic(self, groups: int, dim: int) -> ConicForm:
-        """Return the rows of the order; with a single entry a group, all norms are its absolute value."""
         radius = np.broadcast_to(self.radius, (groups,))
         limited = np.flatnonzero(np.isfinite(radius))
         weight = np.broadcast_to(self.weight, (groups,))[limited]
         entries = limited[:, None] * dim + np.arange(dim)
         if self.order == 1:
-            return _absolute_values(entries, np.repeat(weight, dim))
+            return self._absolute_values(entries, np.repeat(weight, dim))
         if self.order == 2 and dim > 1:
             return self._cones(entries, radius[limited], weight)
         return self._largest_values(entries, np.repeat(radius[limited], dim), weight)
 
     def softened(self, weight: Array) -> Penalty:
-        """Return the same ball with another weight."""
         return replace(self, weight=weight)
 
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        """Return a larger radius."""
         return c, replace(self, radius=self.radius + amount)
 
-    def stacked(self, others: list[Any]) -> Penalty:
-        """Return one with a radius for each."""
+    def stacked(self, others: list[Self]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return NormBall(self.order, np.array([one.radius for one in others]), weights)
+
+    def _absolute_values(self, entries: Indices, weight: Array) -> ConicForm:
+        zero, unlimited, identity = np.zeros(entries.size), np.full(entries.size, np.inf), sp.eye_array(entries.size)
+        return ConicForm(
+            np.tile(entries.ravel(), 2),
+            np.concatenate([-unlimited, zero]),
+            np.concatenate([zero, unlimited]),
+            sp.csr_array(sp.vstack([-identity, identity])),
+            weight,
+            entries.reshape(-1, 1),
+        )
 
     def _largest_values(self, entries: Indices, reach: Array, weight: Array) -> ConicForm:
         if self.hard:
@@ -241,7 +199,7 @@ class NormBall(Penalty):
             np.concatenate([entries.ravel(), entries.ravel(), np.full(count, -1)]),
             np.concatenate([-unlimited, -reach, np.zeros(count)]),
             np.concatenate([reach, unlimited, np.full(count, np.inf)]),
-            _slack_columns(-spread, spread, sp.eye_array(count)),
+            sp.csr_array(sp.vstack([-spread, spread, sp.eye_array(count)])),
             weight,
             entries,
         )
@@ -261,7 +219,7 @@ class NormBall(Penalty):
             np.concatenate([rows, np.full(signs, -1), zero]),
             np.concatenate([lower, np.zeros(signs + len(zero))]),
             np.concatenate([np.full(len(rows) + signs, np.inf), np.zeros(len(zero))]),
-            _slack_columns(of_cones, positive, sp.csr_array((len(zero), count))),
+            sp.csr_array(sp.vstack([of_cones, positive, sp.csr_array((len(zero), count))])),
             weight[:count],
             entries[:count],
             tuple(slice(int(row), int(row) + size) for row in first),
@@ -274,62 +232,35 @@ class StandardCone(Penalty):
 
     @property
     def weights(self) -> Array:
-        """Return infinity."""
         return HARD
 
     def excess(self, v: Array) -> Array:
-        """Return |(v_1, ...)| - v_0, (groups, 1)."""
         return (_norm(v[:, 1:], 2) - v[:, 0])[:, None]
 
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        """Return the derivative of |(v_1, ...)| - v_0, (groups, 1)."""
         return (_slope_of_norm(v[:, 1:], change[:, 1:], 2, near) - change[:, 0])[:, None]
 
     def recession(self, change: Array) -> Array:
-        """Return by how much the change is outside the cone, (groups, 1)."""
         return self.excess(change)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return multipliers in the polar cone, with -lambda_0 >= |(lambda_1, ...)|."""
         fitting = multipliers.copy()
         fitting[:, 0] = np.minimum(fitting[:, 0], -_norm(fitting[:, 1:], 2))
         return fitting
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        """Return -<lambda, v>, (groups, 1)."""
         return -(multipliers * v).sum(1)[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return |(v_1, ...)| times the part of (lambda_1, ...) across it, (groups, 1)."""
         return _across(v[:, 1:], multipliers[:, 1:])[:, None]
 
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        """Return a larger v_0."""
         return c + amount * (np.arange(len(c)) == 0), self
 
     def conic(self, groups: int, dim: int) -> ConicForm:
-        """Return every group as a cone."""
         count = groups * dim
         cones = tuple(slice(g * dim, (g + 1) * dim) for g in range(groups))
         return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
-
-
-def _absolute_values(entries: Indices, weight: Array) -> ConicForm:
-    """Return v - s <= 0 and v + s >= 0."""
-    count = entries.size
-    zero, unlimited, identity = np.zeros(count), np.full(count, np.inf), sp.eye_array(count)
-    return ConicForm(
-        np.tile(entries.ravel(), 2),
-        np.concatenate([-unlimited, zero]),
-        np.concatenate([zero, unlimited]),
-        _slack_columns(-identity, identity),
-        weight,
-        entries.reshape(-1, 1),
-    )
-
-
-def _slack_columns(*parts: Any) -> sp.csr_array:
-    return sp.csr_array(sp.vstack(parts))
 
 
 def _norm(v: Array, order: float) -> Array:

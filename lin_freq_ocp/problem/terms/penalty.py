@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,8 +27,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
 
-HARD = np.asarray(np.inf)
-"""The weight of a constraint that must hold."""
+HARD = np.asarray(np.inf)  # the weight of a constraint that must hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,26 +35,15 @@ class ConicForm:
     """h(v) = min { prices's : lower <= v[entries] + slacks s <= upper, cones hold }.
 
     Every row holds at most one value and any slacks. In a cone the rows, less their lower limits, are
-    (t, z) with t >= |z|; rows of cones come first.
-
-    Attributes
-    ----------
-    entries : (rows,)
-        The value in each row, counted through the groups; -1: none. Its multiplier is the sum of the rows' duals.
-    lower, upper : (rows,)
-    slacks : sparse (rows, slacks)
-    prices : (slacks,)
-    paid : (slacks, k)
-        The values whose excess a slack measures: it is given their unit.
-    cones : tuple of slice
+    (t, z) with t >= |z|; rows of cones come first. The multiplier of a value is the sum of the duals of its rows.
     """
 
-    entries: Indices
-    lower: Array
-    upper: Array
-    slacks: sp.csr_array
-    prices: Array
-    paid: Indices
+    entries: Indices  # (rows,): the value in each row, counted through the groups; -1 without one
+    lower: Array  # (rows,)
+    upper: Array  # (rows,)
+    slacks: sp.csr_array  # (rows, slacks)
+    prices: Array  # (slacks,)
+    paid: Indices  # (slacks, k): the values whose excess a slack measures, in their unit
     cones: tuple[slice, ...] = ()
 
 
@@ -163,15 +152,15 @@ class Penalty(ABC):
         """Return the least slacks of the conic form with which values fit, (slacks,)."""
         return np.zeros(0)
 
-    def softened(self, weight: Array) -> Penalty | None:
-        """Return it with another weight; None if there is no such penalty."""
-        return None
+    def softened(self, weight: Array) -> Penalty:
+        """Return it with another weight."""
+        raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
 
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
-    def stacked(self, others: list[Penalty]) -> Penalty:
+    def stacked(self, others: list[Self]) -> Penalty:
         """Return a penalty of several groups, one for each of these, which share its signature."""
         return self
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ class StageRows:
     e : (rows,) or (T, rows)
         Upper limits, always given; inf, or 1e20 and above, where a row has none at that time.
     name : str
-        Under which the multipliers, and whatever is said of these rows, stand.
+        Names the multipliers and the rows in messages.
     penalty : float, optional
         Makes the rows soft: penalty times the excess of each row is added to the cost.
 
@@ -79,7 +78,8 @@ class StageRows:
         if limits.ndim not in (1, 2) or limits.shape[-1] == 0:
             raise ProblemError("stage_rows.e", f"shape {limits.shape}", "one limit per row, or (T, rows)")
         if (limits == -np.inf).any():
-            raise ProblemError(f"stage_rows.e{_place(limits == -np.inf)}", "-inf", "a number, or inf for no bound")
+            entry = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
+            raise ProblemError(f"stage_rows.e{entry}", "-inf", "a number, or inf for no bound")
         limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
         rows = limits.shape[-1]
         soft = None if penalty is None else positive_number("stage_rows.penalty", penalty)
@@ -88,13 +88,7 @@ class StageRows:
             raise ProblemError("stage_rows", "neither C nor D", "at least one of them")
 
     def at_dimensions(self, n: int, m: int, horizon: int, field: str) -> StageRows:
-        """Return the same rows with both matrices, checked against n states, m controls and T = ``horizon``.
-
-        Raises
-        ------
-        ProblemError
-            Naming ``field``, if a shape does not fit or a row without coefficients asks for 0 <= e < 0.
-        """
+        """Return the same rows with both matrices, checked against n states, m controls and T = ``horizon``."""
         if self.e.ndim == 2 and len(self.e) != horizon:
             expected = f"one for each of the {horizon} steps of the horizon"
             raise ProblemError(f"{field}.e", f"limits for {len(self.e)} times", expected)
@@ -106,9 +100,8 @@ class StageRows:
         if impossible.any():
             t, row = (int(i) for i in np.argwhere(np.atleast_2d(impossible))[0])
             when = f" at t = {t}" if impossible.ndim == 2 else ""
-            raise ProblemError(
-                f"{field}.e", f"a limit below 0 for row {row}{when}, which has no coefficients", "a row that can hold"
-            )
+            got = f"a limit below 0 for row {row}{when}, which has no coefficients"
+            raise ProblemError(f"{field}.e", got, "a row that can hold")
         return complete
 
     @property
@@ -137,28 +130,16 @@ class StageRows:
         """Return by how much each row is violated (0 where it holds), shape (T, rows)."""
         return np.maximum(-self.slack(x, u), 0.0)
 
-    def pull_back(self, weights: Array) -> tuple[Array, Array]:
-        """Return C_t' l_t, shape (T, n), and D_t' l_t, shape (T, m), for weights l (T, rows)."""
-        return (
-            times_vectors(np.swapaxes(self.C, -1, -2), weights),
-            times_vectors(np.swapaxes(self.D, -1, -2), weights),
-        )
-
     def describe(self, names: Sequence[str]) -> str:
-        """Return few rows one by one, of others how many there are, for states and then controls of these names."""
+        """Return few rows as inequalities, of more their number; the names are those of states, then controls."""
         symbols = f"C x + D u {AT_MOST} e"
-        varying = self.time_varying or (self.e.ndim == 2 and bool((self.e != self.e[0]).any()))
-        if varying:
+        if self.time_varying or (self.e.ndim == 2 and (self.e != self.e[0]).any()):
             text = f"{plural(self.rows, 'row')} {symbols}, which depend on time"
         else:
             limits = self.e if self.e.ndim == 1 else self.e[0]
             coefficients = [matrix if matrix.ndim == 2 else matrix[0] for matrix in (self.C, self.D)]
             text = inequalities(np.hstack(coefficients), limits, names, symbols)
         return f"{text}{price(self.penalty, 'excess of a row')}"
-
-    def magnitudes(self) -> StageRows:
-        """Return the rows of |C|, |D|, |e|: their values bound the sums of the absolute values of all terms."""
-        return StageRows(np.abs(self.C), np.abs(self.D), np.abs(self.e), self.name, self.penalty)
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return how large each row can be, (rows,), with states as large as x (n,) and controls as u (m,)."""
@@ -170,18 +151,18 @@ class StageRows:
         return np.asarray(~(self.C.any(axis=-1) | self.D.any(axis=-1)))
 
 
-def row_families(given: Any, n: int, m: int, horizon: int) -> tuple[StageRows, ...]:
-    """Return all families of joint rows, completed, from one, a sequence of differently named ones, or None."""
+def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, horizon: int) -> tuple[StageRows, ...]:
+    """Return all families of joint rows, completed; errors if two share a name."""
     if given is None:
         return ()
     if isinstance(given, StageRows):
         return (given.at_dimensions(n, m, horizon, "stage_rows"),)
-    if not isinstance(given, Sequence) or not all(isinstance(one, StageRows) for one in given):
+    if not isinstance(given, Sequence) or not all(isinstance(rows, StageRows) for rows in given):
         raise ProblemError("stage_rows", brief(given), "StageRows, a sequence of them, or None")
-    names = [one.name for one in given]
+    names = [rows.name for rows in given]
     if len(set(names)) != len(names):
         raise ProblemError("stage_rows", f"the names {brief(names)}", "a different name for each", "Give name=.")
-    return tuple(one.at_dimensions(n, m, horizon, f"stage_rows[{i}]") for i, one in enumerate(given))
+    return tuple(rows.at_dimensions(n, m, horizon, f"stage_rows[{i}]") for i, rows in enumerate(given))
 
 
 def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
@@ -194,7 +175,3 @@ def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
             "A single row is a matrix with one row: [[c_1, c_2, ...]].",
         )
     return matrix
-
-
-def _place(wrong: Mask) -> str:
-    return "".join(f"[{i}]" for i in np.argwhere(wrong)[0])

@@ -37,21 +37,12 @@ class TermKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinearRows:
-    """C (x_t, u_t) <= e at some times.
+    """C (x_t, u_t) <= e at some times."""
 
-    Attributes
-    ----------
-    name : str
-        Of the term that they come from.
-    times : (groups,)
-    C : (groups or 1, rows, n + m)
-    e : (groups, rows)
-    """
-
-    name: str
-    times: Indices
-    C: Array
-    e: Array
+    name: str  # of the term that they come from
+    times: Indices  # (groups,)
+    C: Array  # (groups or 1, rows, n + m)
+    e: Array  # (groups, rows)
 
     def matrix(self, group: int) -> Array:
         """Return C of one group, (rows, n + m)."""
@@ -60,29 +51,14 @@ class LinearRows:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """h(L(x, u)), with h convex and L affine.
+    """h(L(x, u)), with h convex and L affine."""
 
-    Attributes
-    ----------
-    name : str
-        Under which its multipliers stand, of shape (groups, dim) like its values.
-    kind : TermKind
-    map : AffineMap
-        L.
-    penalty : Penalty
-        h.
-    source : (field, index) or None
-        The field of the problem that it was given in, and its index there.
-    per_limit : float
-        Change of the penalty's limit for each unit of the limit (of an energy, of its root) that was given.
-    """
-
-    name: str
+    name: str  # of its multipliers, too, which have the shape of its values, (groups, dim)
     kind: TermKind
-    map: AffineMap
-    penalty: Penalty
-    source: tuple[str, int] | None = None
-    per_limit: float = 1.0
+    map: AffineMap  # L
+    penalty: Penalty  # h
+    source: tuple[str, int] | None = None  # the problem's field that it was given in, and its index there
+    per_limit: float = 1.0  # change of the penalty's limit per unit of the given limit (of an energy, of its root)
 
     @property
     def hard(self) -> bool:

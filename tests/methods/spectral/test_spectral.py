@@ -30,9 +30,9 @@ def adjoint_residual(problem: lfo.OptimalControlProblem, answer: Any) -> float:
     one, (x, u), T = answer.multipliers, (answer.trajectory.x, answer.trajectory.u), problem.horizon
     in_x, in_u = problem.cost.gradient(x, u)
     in_x, in_u = in_x + one.mu + time_signal(one.rho_x, T + 1), in_u + one.nu + time_signal(one.rho_u, T)
-    for rows in problem.stage_rows:
-        on_x, on_u = rows.pull_back(one.stage[rows.name])
-        in_x[:-1] += on_x
+    for term in problem.terms:
+        on_x, on_u = term.map.pull_back(one.stage[term.name], (x.shape, u.shape))
+        in_x += on_x
         in_u += on_u
     adjoint = in_x.copy()
     adjoint[:-1] -= one.eta @ problem.dynamics.A
