@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-Bound = ArrayLike | Sequence[float | None] | None
-"""What a user may give as a bound: numbers, with None where there is none."""
+Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
+NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
 
 
 def assign(instance: object, **fields: Any) -> None:

@@ -8,15 +8,12 @@ from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import NO_BOUND, Array
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 
 SMALL, LARGE = 1e-3, 1e6
 """Numbers outside this range are written with a power of ten."""
-
-NO_BOUND = 1e20
-"""A bound of this size or more means that there is none."""
 
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""

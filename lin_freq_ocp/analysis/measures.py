@@ -11,7 +11,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, stacked
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ZERO_PADDING = 16
@@ -75,7 +75,7 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
     problem.require(trajectory)
     x, u = trajectory.x, trajectory.u
     terminal = problem.terminal_box
-    bounds = stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)  # the ends apart
+    bounds = problem.state_boxes  # the ends apart
     has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
     missed = terminal.violation(x[-1])
     return Measures(

@@ -10,7 +10,7 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.comparison.limits import Line, bounds_of_rows, mask_levels, references
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, stacked
-from lin_freq_ocp.problem.spectrum.base import listed
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -127,7 +127,7 @@ def states_of(problem: OptimalControlProblem) -> list[Signal]:
 
 def outputs_of(problem: OptimalControlProblem) -> list[Output]:
     """Return the outputs whose spectrum is constrained."""
-    families = listed(problem.output_spectrum)
+    families = entries_of(problem.output_spectrum)
     found = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
     return [output for output in found if output.stop.any()]
 

@@ -12,7 +12,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, listed
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
@@ -121,7 +121,7 @@ def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array)
     field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
     stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
     stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
-    others = [one for one in listed(getattr(problem, field)) if not isinstance(one, Band)]
+    others = [one for one in entries_of(getattr(problem, field)) if not isinstance(one, Band)]
     return replace(problem, **{field: [*bands_of(stop), *others]})
 
 
@@ -143,7 +143,7 @@ def _relaxed_term(problem: OptimalControlProblem, block: Block, amount: float) -
         if isinstance(given, Sequence):
             return replace(problem, **{field: [one and _relaxed_set(one, amount, dimension) for one in given]})
         return replace(problem, **{field: _relaxed_set(given, amount, dimension)})
-    entries = list(listed(given))
+    entries = list(entries_of(given))
     entry = (_relaxed_outputs if field == "output_spectrum" else _relaxed_bound)(entries[block.index], amount)
     entries[block.index : block.index + 1] = [] if entry is None else [entry]
     return replace(problem, **{field: entries or None})
@@ -170,7 +170,7 @@ def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
 
     def hard_bounds(given: object) -> list[FrequencyConstraint]:
-        return [one for one in listed(given) if getattr(one, "penalty", None) is None]
+        return [one for one in entries_of(given) if getattr(one, "penalty", None) is None]
 
     def hard_set(given: GivenSet) -> GivenSet:
         if isinstance(given, Sequence):
@@ -179,7 +179,7 @@ def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
 
     outputs = [
         OutputSpectrum(one.C, one.D, kept, one.output_names)
-        for one in listed(problem.output_spectrum)
+        for one in entries_of(problem.output_spectrum)
         if (kept := hard_bounds(one.constraints))
     ]
     return replace(

@@ -14,7 +14,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import bands_of
-from lin_freq_ocp.problem.spectrum.base import listed
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
@@ -52,12 +52,12 @@ def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalC
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
             *bands_of(problem.state_stop),
-            *(wider for one in listed(problem.state_spectrum) for wider in one.extended(problem.state_dim, k)),
+            *(wider for one in entries_of(problem.state_spectrum) for wider in one.extended(problem.state_dim, k)),
         ],
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(problem.state_dim, k) for one in listed(problem.output_spectrum)] or None,
+        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from lin_freq_ocp.phrases import interval, intervals, listed, number, plural, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.base import listed as entries
+from lin_freq_ocp.problem.spectrum.base import entries_of
 
 LONGEST = 300
 """Characters of a fact: what is longer, as names of any length make it, is cut off."""
@@ -79,7 +79,7 @@ def _bounds(boxes: Box, i: int, given: Any) -> str:
 
 def _beyond_bounds(given: Any) -> bool:
     """Whether a set, or one of a list of them, is more than bounds on components."""
-    return any(one.members for one in entries(given))
+    return any(one.members for one in entries_of(given))
 
 
 def _sets(problem: ProblemData) -> list[Fact]:
@@ -92,7 +92,7 @@ def _sets(problem: ProblemData) -> list[Fact]:
         ("control set", problem.control_set, problem.control_names, "u"),
     ):
         if _beyond_bounds(given):
-            facts.append((term, _over_time([one.describe(names, signal) for one in entries(given)])))
+            facts.append((term, _over_time([one.describe(names, signal) for one in entries_of(given)])))
     return facts
 
 
@@ -116,8 +116,8 @@ def _spectra(problem: ProblemData) -> list[Fact]:
         ("control spectrum", problem.control_spectrum, problem.control_names),
         ("state spectrum", problem.state_spectrum, problem.state_names),
     ):
-        facts += [(term, one.describe(names)) for one in entries(given)]
-    for outputs in entries(problem.output_spectrum):
+        facts += [(term, one.describe(names)) for one in entries_of(given)]
+    for outputs in entries_of(problem.output_spectrum):
         facts.append(("outputs", outputs.describe(_signals(problem))))
         facts += [("output spectrum", one.describe(outputs.output_names)) for one in outputs.constraints]
     return facts

@@ -12,8 +12,8 @@ from lin_freq_ocp.arrays import Array, Indices, Mask, brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.base import Part
-from lin_freq_ocp.problem.sets.box import INSIDE
-from lin_freq_ocp.problem.spectrum.base import Signal, listed
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE
+from lin_freq_ocp.problem.spectrum.base import Signal, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
@@ -38,7 +38,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         *spectrum_terms("state_spectrum", problem.state_spectrum, states),
         *spectrum_terms("control_spectrum", problem.control_spectrum, controls),
     ]
-    for i, outputs in enumerate(listed(problem.output_spectrum)):
+    for i, outputs in enumerate(entries_of(problem.output_spectrum)):
         where = "output_spectrum" if outputs is problem.output_spectrum else f"output_spectrum[{i}]"
         if not isinstance(outputs, OutputSpectrum):
             raise ProblemError("output_spectrum", brief(outputs), "OutputSpectrum, a list of them, or None")
@@ -113,7 +113,7 @@ def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
 
 def spectrum_terms(field: str, given: Any, signal: Signal) -> Iterator[Term]:
     """Yield the terms of the frequency constraints of states or controls beyond stop bands."""
-    for i, one in enumerate(listed(given)):
+    for i, one in enumerate(entries_of(given)):
         yield from one.terms(signal, f"{field}[{i}]" if one is not given else field, (field, i))
 
 
@@ -144,7 +144,7 @@ def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
 def _inside(part: Part, value: Array) -> bool:
     """Whether a value satisfies a part of a set, up to rounding."""
     excess = float(part.penalty.violation(part.values(value[None])).max())
-    return excess <= INSIDE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
+    return excess <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
 def _stacked(name: str, kind: TermKind, of_state: bool, found: list[tuple[int, Part]], source: tuple[str, int]) -> Term:

@@ -12,7 +12,7 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.interchange.cvxpy.terms import stage_products, terms_of
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.sets.box import Box, stacked
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     _require_convex(problem.quadratic)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
-    states = stacked("state_set", problem.state_set, n, T + 1)
+    states = problem.state_boxes
     costs, terms = terms_of(problem, x, u)
     taken = {constraint.label for constraint in terms}
     return cp.Problem(

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import NO_BOUND, Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import NO_BOUND
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 

@@ -45,38 +45,30 @@ class _NormCost(NonsmoothCost):
         assign(self, **arrays)
 
     def describe(self) -> str:
-        """Return in words what is summed, and with which weights; nothing if all are zero."""
         weighted = (("states", self.x), ("controls", self.u), ("terminal state", self.terminal))
         parts = [_weighted(what, weights) for what, weights in weighted if weights.any()]
         if not parts:
             return ""
-        references = [
-            datum(field, values, 1)
-            for field, values, used in (
-                ("x_ref", self.x_ref, self.x.any() or self.terminal.any()),
-                ("u_ref", self.u_ref, self.u.any()),
-            )
-            if used and values.any()
-        ]
+        used = {"x_ref": self.x.any() or self.terminal.any(), "u_ref": self.u.any()}
+        given = {"x_ref": self.x_ref, "u_ref": self.u_ref}
+        references = [datum(name, values, 1) for name, values in given.items() if used[name] and values.any()]
         deviations = f" of deviations from {listed(references)}" if references else ""
         return f"{self.kind}{deviations} at each time: {listed(parts)}"
 
     def extended(self, n: int, k: int) -> Self:
-        """Return the cost of (x, w), w in R^k without weight."""
         x, terminal, x_ref = (
-            with_columns(np.full(n, one) if one.ndim == 0 else one, k) for one in (self.x, self.terminal, self.x_ref)
+            with_columns(np.full(n, values) if values.ndim == 0 else values, k)
+            for values in (self.x, self.terminal, self.x_ref)
         )
         return type(self)(x, self.u, terminal, x_ref, self.u_ref)
 
     def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask]:
-        """Return the references, and at which times the deviation of a state or control has a weight."""
         weights, reference = (self.x, self.x_ref) if is_state else (self.u, self.u_ref)
         end = [_component(self.terminal, index) != 0] if is_state else []
         counts = np.append(np.broadcast_to(_component(weights, index) != 0, horizon), end).astype(bool)
         return reference, counts
 
     def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
-        """Return its terms with v = weight * deviation, checked against the problem's dimensions."""
         T = horizon
 
         def array(entry: str, size: int, times: int | None) -> Array:
@@ -116,7 +108,13 @@ class L1Cost(_NormCost):
     Raises
     ------
     ProblemError
-        If a weight is below zero, or, when it meets a problem, a shape does not fit.
+        If a weight is below zero, or a shape does not fit the problem.
+
+    Examples
+    --------
+    >>> cost = lfo.QuadraticCost(Q=1.0) + lfo.costs.L1Cost(u=[0.1, 0.2])
+    >>> [norm.label for norm in cost.norms]
+    ['L1 cost']
     """
 
     label = "L1 cost"
@@ -131,6 +129,11 @@ class LInfCost(_NormCost):
     ----------
     x, u, terminal, x_ref, u_ref
         As for ``L1Cost``.
+
+    Examples
+    --------
+    >>> lfo.costs.LInfCost(u=1.0).describe()
+    'the largest absolute value at each time: controls with weights 1'
     """
 
     label = "Linf cost"

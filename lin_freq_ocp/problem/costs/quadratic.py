@@ -1,10 +1,12 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``Cost``)
 """Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a))."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,19 +16,15 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import datum
 from lin_freq_ocp.problem.terms.term import Term
 
-SYMMETRY_TOLERANCE = 1e-12
-"""Relative asymmetry of Q, R or P that is rounding and not a mistake."""
-
-CONVEXITY_TOLERANCE = 1e-12
-"""Negative eigenvalue, relative to the largest, that is rounding of a positive semidefinite matrix."""
+SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
+CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix
 
 
 class Cost(ABC):
     """A convex cost; sums of costs are costs, and ``sum`` of a list of them, too.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
-    listed in ``NORM_COSTS`` of ``interchange/problem_file/problem_tables.py``. ``tests/problem/test_new_term.py`` shows
-    a complete one.
+    listed in ``interchange/problem_file/tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
     """
 
     @property
@@ -47,36 +45,31 @@ class Cost(ABC):
 
     def terms(self, n: int, m: int, horizon: int) -> list[Term]:
         """Return the nonsmooth terms."""
-        found, kinds = list[Term](), [cost.label for cost in self.norms]
-        for i, (cost, kind) in enumerate(zip(self.norms, kinds, strict=True)):
-            before = kinds[:i].count(kind)
-            name = f"{kind} {before + 1}" if before else kind
+        found, labels = list[Term](), [cost.label for cost in self.norms]
+        for i, cost in enumerate(self.norms):
+            before = labels[:i].count(cost.label)
+            name = f"{cost.label} {before + 1}" if before else cost.label
             found += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
         return found
 
-    def __add__(self, other: Any) -> CostSum:
+    def __add__(self, other: object) -> CostSum:
         return CostSum([self, other])
 
-    def __radd__(self, other: Any) -> Cost:
-        if type(other) is int and other == 0:  # what sum() begins with
-            return self
-        return CostSum([other, self])
+    def __radd__(self, other: object) -> Cost:
+        return self if type(other) is int and other == 0 else CostSum([other, self])  # sum() begins with 0
 
 
 class NonsmoothCost(Cost):
     """A cost that is a sum of terms h(L(x, u))."""
 
-    label: ClassVar[str]
-    """The name of its terms."""
+    label: ClassVar[str]  # names its terms
 
     @property
     def quadratic(self) -> QuadraticCost:
-        """Return zero."""
         return QuadraticCost()
 
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
-        """Return the cost itself."""
         return (self,)
 
     @abstractmethod
@@ -85,7 +78,7 @@ class NonsmoothCost(Cost):
 
     @abstractmethod
     def describe(self) -> str:
-        """Return a text of what is summed; empty if that is nothing."""
+        """Return a text of the summands and their weights; empty if all are zero."""
 
     @abstractmethod
     def extended(self, n: int, k: int) -> NonsmoothCost:
@@ -117,7 +110,7 @@ class QuadraticCost(Cost):
     Raises
     ------
     ProblemError
-        When it meets a problem whose dimensions do not match, or if a matrix is not symmetric.
+        If an entry is not a number; in a problem, if dimensions do not match or a matrix is not symmetric.
 
     Examples
     --------
@@ -161,12 +154,10 @@ class QuadraticCost(Cost):
 
     @property
     def quadratic(self) -> QuadraticCost:
-        """Return the cost itself."""
         return self
 
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
-        """Return nothing."""
         return ()
 
     @property
@@ -175,7 +166,7 @@ class QuadraticCost(Cost):
         return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
 
     def describe(self) -> str:
-        """Return the terms that are there as a formula; nothing if all are zero."""
+        """Return the nonzero terms as a formula; empty if all are zero."""
         x = "(x - x_ref)" if self.x_ref.any() else "x"
         u = "(u - u_ref)" if self.u_ref.any() else "u"
         half = "\N{VULGAR FRACTION ONE HALF}"
@@ -187,12 +178,12 @@ class QuadraticCost(Cost):
             (self.r, "r' u"),
         ]
         terminal = [(self.P, f"{half} {x}' P {x} at the end"), (self.p, "p' x at the end")]
-        summed = [words for values, words in stage if values.any()]
+        summed = [text for values, text in stage if values.any()]
         parts = [f"the sum of {' + '.join(summed)}"] if summed else []
-        return " + ".join([*parts, *(words for values, words in terminal if values.any())])
+        return " + ".join([*parts, *(text for values, text in terminal if values.any())])
 
     def describe_data(self) -> list[str]:
-        """Return what stands for every letter of the formula."""
+        """Return the value of every letter of the formula."""
         used = {"x_ref": self.Q.any() or self.P.any() or self.S.any(), "u_ref": self.R.any() or self.S.any()}
         dimensions = {"Q": 2, "R": 2, "S": 2, "P": 2, "q": 1, "r": 1, "p": 1, "x_ref": 1, "u_ref": 1}
         return [
@@ -202,7 +193,6 @@ class QuadraticCost(Cost):
         ]
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
-        """Return the same cost with every term an array of the right shape, checked."""
         T = horizon
 
         def square(field: str, size: int, times: int | None) -> Array:
@@ -266,7 +256,7 @@ class QuadraticCost(Cost):
         return in_x, in_u
 
     def magnitudes(self) -> QuadraticCost:
-        """Return the cost of the absolute values of all data but without references: see ``gradient_magnitudes``."""
+        """Return the cost with the absolute values of all data, without references."""
         return QuadraticCost(**{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
@@ -276,7 +266,7 @@ class QuadraticCost(Cost):
 
     def stage_hessians(self) -> Array:
         """Return [[Q, S], [S', R]], shape (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
-        Q, R, S = (_per_time(part) for part in (self.Q, self.R, self.S))
+        Q, R, S = (part[None] if part.ndim == 2 else part for part in (self.Q, self.R, self.S))
         times = max(len(Q), len(R), len(S))
         n, m = S.shape[1:]
         hessian = np.empty((times, n + m, n + m))
@@ -308,13 +298,19 @@ class CostSum(Cost):
     Raises
     ------
     ProblemError
-        If one is no cost, or two are quadratic.
+        If an entry is no cost, or two are quadratic.
+
+    Examples
+    --------
+    >>> total = lfo.costs.CostSum([lfo.QuadraticCost(R=1.0), lfo.costs.L1Cost(u=0.1), lfo.costs.LInfCost(x=1.0)])
+    >>> len(total.norms)
+    2
     """
 
     smooth: QuadraticCost
     nonsmooth: tuple[NonsmoothCost, ...]
 
-    def __init__(self, costs: list[Any]):
+    def __init__(self, costs: Sequence[object]):
         if not isinstance(costs, (list, tuple)):
             raise ProblemError("cost", brief(costs), "a list of costs")
         for cost in costs:
@@ -328,12 +324,10 @@ class CostSum(Cost):
 
     @property
     def quadratic(self) -> QuadraticCost:
-        """Return the quadratic part."""
         return self.smooth
 
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
-        """Return the nonsmooth parts."""
         return self.nonsmooth
 
 
@@ -343,7 +337,3 @@ def _eigenvalues(matrices: Array) -> Array:
     if np.count_nonzero(matrices) == np.count_nonzero(diagonals):
         return np.sort(diagonals)
     return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
-
-
-def _per_time(matrix: Array) -> Array:
-    return matrix[None] if matrix.ndim == 2 else matrix

@@ -1,11 +1,12 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
 """The protocol of convex sets, and their intersections.
 
 A set is bounds on the components and parts {v : F v + c in the set of a penalty}. Solvers, certificates, descriptions
 and the CVXPY export need nothing else of it.
 
 A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
-takes any penalty of ``problem/terms``. To be written to problem files it is listed in ``PLAIN`` of
-``interchange/problem_file/set_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
+takes any penalty of ``problem/terms``. To be written to problem files it is listed in
+``interchange/problem_file/sets.py``. ``tests/problem/test_new_set.py`` shows a complete one.
 """
 
 from __future__ import annotations
@@ -23,23 +24,15 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
-Bounds = tuple[Array, Array]
-"""Lower and upper bounds, of no, one or two dimensions."""
+Bounds = tuple[Array, Array]  # lower and upper, of no, one or two dimensions
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """{v : F v + c in the set of a penalty} of a set.
+    """{v : F v + c in the set of a penalty}."""
 
-    Attributes
-    ----------
-    F : (dim, n)
-    c : (dim,)
-    penalty : Penalty
-    """
-
-    F: Array
-    c: Array
+    F: Array  # (dim, n)
+    c: Array  # (dim,)
     penalty: Penalty
 
     def values(self, v: Array) -> Array:
@@ -50,10 +43,8 @@ class Part:
 class ConvexSet(ABC):
     """A convex set of vectors: its bounds and its parts beyond them."""
 
-    may_be_soft: ClassVar[bool] = True
-    """Whether ``Soft`` takes it."""
-    soft: ClassVar[bool] = False
-    """Whether it may be left at a price."""
+    may_be_soft: ClassVar[bool] = True  # whether ``Soft`` takes it
+    soft: ClassVar[bool] = False  # whether it may be violated at a price
 
     @property
     @abstractmethod
@@ -66,15 +57,7 @@ class ConvexSet(ABC):
 
     @abstractmethod
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return a text that stands alone, such as "within 2 of the origin".
-
-        Parameters
-        ----------
-        names : sequence of str
-            Of the components, with their units.
-        signal : str
-            The letter of the vector: "x" or "u".
-        """
+        """Return a text such as "u within 2 of the origin", for components of these names and the signal "x" or "u"."""
 
     @property
     def bounds(self) -> Bounds:
@@ -120,7 +103,7 @@ class ConvexSet(ABC):
 
 @dataclass(frozen=True, eq=False)
 class PartSet(ConvexSet):
-    """A set given by its parts: what is derived from a set of another class."""
+    """A set given by its parts: derived from a set of another class."""
 
     given: tuple[Part, ...]
     size: int
@@ -128,15 +111,12 @@ class PartSet(ConvexSet):
 
     @property
     def dimension(self) -> int:
-        """Return n."""
         return self.size
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return the parts."""
         return self.given
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return the text."""
         return self.text
 
 
@@ -148,6 +128,17 @@ class Intersection(ConvexSet):
     ----------
     sets : sequence of sets
         Boxes, too; at least one.
+
+    Raises
+    ------
+    ProblemError
+        If their dimensions differ, or no point lies within the bounds of all.
+
+    Examples
+    --------
+    >>> both = lfo.Box(-1, 1) & lfo.sets.Ball(1.2)
+    >>> both.contains([[1.0, 0.0], [1.0, 1.0]])
+    array([ True, False])
     """
 
     sets: tuple[ConvexSet, ...]
@@ -156,37 +147,31 @@ class Intersection(ConvexSet):
     def __init__(self, sets: Sequence[ConvexSet]):
         if isinstance(sets, str) or not isinstance(sets, Sequence) or not sets:
             raise ProblemError("Intersection", brief(sets), "a list of at least one set")
-        wrong = [one for one in sets if not isinstance(one, ConvexSet)]
-        if wrong:
-            raise ProblemError("Intersection", brief(wrong[0]), "sets such as Box, Polyhedron, Ball")
-        known = {one.dimension for one in sets} - {None}
+        for given in sets:
+            if not isinstance(given, ConvexSet):
+                raise ProblemError("Intersection", brief(given), "sets such as Box, Polyhedron, Ball")
+        known = {given.dimension for given in sets if given.dimension is not None}
         if len(known) > 1:
-            sizes = sorted(size for size in known if size is not None)
-            raise ProblemError("Intersection", f"sets in {sizes} dimensions", "the same dimension for all")
+            raise ProblemError("Intersection", f"sets in {sorted(known)} dimensions", "the same dimension for all")
         assign(self, sets=tuple(sets))
         _ = self.bounds  # which must not be empty
 
     @property
     def dimension(self) -> int | None:
-        """Return n, if one of the sets says it."""
         return next((one.dimension for one in self.sets if one.dimension is not None), None)
 
     @property
     def bounds(self) -> Bounds:
-        """Return the bounds of all sets together."""
         return reduce(_common_bounds, (one.bounds for one in self.sets))
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
-        """Return the members of all sets."""
         return tuple(member for one in self.sets for member in one.members)
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return the parts of all sets."""
         return tuple(part for one in self.sets for part in one.parts(dimension))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return all sets one by one; of many, how many there are."""
         text = "; and ".join(one.describe(names, signal) for one in self.sets)
         kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
         return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"

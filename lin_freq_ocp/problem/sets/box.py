@@ -1,25 +1,23 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
 """Pointwise constraint sets. A set bound of two dimensions, (times, n), is one set per time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Bound, Mask, assign, brief, frozen, one_component, real_array
+from lin_freq_ocp.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, frozen, one_component, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
-NO_BOUND = 1e20
-"""A bound from here on is none: other tools write infinity so."""
+SetOrSets = ConvexSet | Sequence[ConvexSet] | None  # one set for all times, one per time, or no constraint
 
-INSIDE = 1e-9
-"""How far, relative to its size, an end may lie outside the set of its time: rounding."""
+END_TOLERANCE = 1e-9  # how far, relative to its size, an end may lie outside the set of its time: rounding
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -63,48 +61,40 @@ class Box(ConvexSet):
         try:
             low, high = np.broadcast_arrays(low, high)
         except ValueError:
-            raise ProblemError(
-                "Box", f"lower of shape {low.shape}, upper of shape {high.shape}", "the same shape"
-            ) from None
+            got = f"lower of shape {low.shape}, upper of shape {high.shape}"
+            raise ProblemError("Box", got, "the same shape") from None
         if low.ndim > 2:
             raise ProblemError("Box", f"bounds with {low.ndim} dimensions", "one bound per component, or (times, n)")
         wrong = low > high
         if wrong.any():
             i = tuple(int(k) for k in np.argwhere(wrong)[0])
-            place = "".join(f"[{k}]" for k in i)
-            raise ProblemError(
-                f"Box.lower{place}", f"{low[i]:g} above upper{place} = {high[i]:g}", "lower <= upper", "Exchange them?"
-            )
-        low, high = _without_words(low, high)
+            entry = "".join(f"[{k}]" for k in i)
+            got = f"{low[i]:g} above upper{entry} = {high[i]:g}"
+            raise ProblemError(f"Box.lower{entry}", got, "lower <= upper", "Exchange them?")
+        low, high = _with_infinities(low, high)
         assign(self, lower=frozen(low), upper=frozen(high))
 
     @property
     def dimension(self) -> int | None:
-        """Return n; None if a number holds for every component."""
         return self.lower.shape[-1] if self.lower.ndim else None
 
     @property
     def bounds(self) -> Bounds:
-        """Return both bounds."""
         return self.lower, self.upper
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
-        """Return nothing: there are bounds only."""
         return ()
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return nothing: there are bounds only."""
         return ()
 
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
-        """Return the bounds as rows with a price."""
         box, identity = self.at_dimension(dimension, "Soft"), np.eye(dimension)
         limits = np.concatenate([box.upper, -box.lower], axis=-1)
         return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), HalfSpaces(limits, weight)),)
 
     def extended(self, n: int, k: int) -> Box:
-        """Return the box of (x, w) with x in this one and w free."""
         box, free = self.at_dimension(n, "Box"), np.full(k, np.inf)
         return Box(np.append(box.lower, -free), np.append(box.upper, free))
 
@@ -137,26 +127,16 @@ class Box(ConvexSet):
         """Return the nearest point of the box."""
         return np.clip(v, self.lower, self.upper)
 
-    def support_terms(self, y: Array) -> Array:
-        """Return the terms y_i * (upper_i if y_i > 0 else lower_i) of the support function; inf where unbounded."""
-        bound = np.where(y > 0, self.upper, self.lower)
-        return np.where(y == 0, 0.0, y * np.where(y == 0, 0.0, bound))
-
     def support(self, y: Array) -> Array:
-        """Return sigma(y) = max over the box of <y, v>, for y (..., n)."""
-        return self.support_terms(y).sum(axis=-1)
+        """Return sigma(y) = max over the box of <y, v>, for y (..., n); inf where unbounded."""
+        bound = np.where(y > 0, self.upper, np.where(y < 0, self.lower, 0.0))
+        return (y * bound).sum(axis=-1)
 
     def normal_gap_terms(self, v: Array, y: Array) -> Array:
         """Return per component sigma_i(y_i) - y_i v_i, computed as y_i (bound - v_i): zero iff y_i is normal at v_i."""
-        distance = np.where(y > 0, self.upper - v, v - self.lower)
-        return np.where(y == 0, 0.0, np.abs(y) * np.where(y == 0, 0.0, distance))
-
-    def normal_gap(self, v: Array, y: Array) -> Array:
-        """Return sigma(y) - <y, v>: zero iff y lies in the normal cone of the box at v (v in the box)."""
-        return self.normal_gap_terms(v, y).sum(axis=-1)
+        return np.abs(y) * np.where(y > 0, self.upper - v, np.where(y < 0, v - self.lower, 0.0))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return it in words, for components of these names; see ``ConvexSet.describe``."""
         box = self.at_dimension(len(names), "names")
         bounds = np.atleast_2d(box.lower), np.atleast_2d(box.upper)
         parts = {name: intervals(*(bound[:, i] for bound in bounds)) for i, name in enumerate(names)}
@@ -176,6 +156,11 @@ class Point(Box):
     ----------
     value : (n,)
         The point; a number, if it has one component.
+
+    Examples
+    --------
+    >>> lfo.sets.Point([1.0, 2.0]).fixed
+    array([ True,  True])
     """
 
     def __init__(self, value: ArrayLike):
@@ -191,14 +176,20 @@ class Point(Box):
 
 
 class Everything(Box):
-    """No constraint at all."""
+    """No constraint at all.
+
+    Examples
+    --------
+    >>> bool(lfo.sets.Everything().contains([1e9, -1e9]))
+    True
+    """
 
     def __init__(self):
         super().__init__(None, None)
 
 
-def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
-    """Return one box per time: bounds of shape (times, dimension), from one set, a sequence of sets, or None."""
+def stacked(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
+    """Return the bounds of each time, (times, dimension), of one set, a sequence of sets, or None."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         expected = f"one set, or a sequence of {times} sets, one per time"
         if len(given) != times:
@@ -217,17 +208,19 @@ def stacked(field: str, given: Any, dimension: int, times: int) -> Box:
     return Box(np.broadcast_to(box.lower, (times, dimension)), np.broadcast_to(box.upper, (times, dimension)))
 
 
-def end_set(field: str, given: Any, dimension: int) -> ConvexSet:
+def end_set(field: str, given: ConvexSet | ArrayLike | None, dimension: int) -> ConvexSet:
     """Return the set of an end of the horizon, from a point, a set, or None."""
-    one = Everything() if given is None else given
-    one = one if isinstance(one, ConvexSet) else _point(field, one, dimension)
-    box = box_of(one).at_dimension(dimension, field)
+    if given is None or isinstance(given, ConvexSet):
+        convex_set = given or Everything()
+    else:
+        convex_set = _point(field, given, dimension)
+    box = box_of(convex_set).at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
-    return one if one.members else box
+    return convex_set if convex_set.members else box
 
 
-def _point(field: str, given: Any, dimension: int) -> Point:
+def _point(field: str, given: ArrayLike, dimension: int) -> Point:
     expected = f"numbers, one for each of the {dimension} states, a set, or None"
     try:
         point = one_component(real_array(field, given), dimension)
@@ -247,12 +240,12 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
     """
     lower, upper = np.maximum(end.lower, bounds.lower), np.minimum(end.upper, bounds.upper)
     excess = np.maximum(lower - upper, 0.0)
-    if not excess.any():
-        return _checked(frozen(lower), frozen(upper)), np.zeros(lower.shape, dtype=bool)
-    apart = excess > 0
-    beyond = excess > INSIDE * np.maximum(np.abs(lower), np.abs(upper))
-    kept = np.where(apart, end.lower, lower), np.where(apart, end.upper, upper)
-    return _checked(*map(frozen, kept)), beyond
+    if excess.any():
+        beyond = excess > END_TOLERANCE * np.maximum(np.abs(lower), np.abs(upper))
+        lower, upper = np.where(excess > 0, end.lower, lower), np.where(excess > 0, end.upper, upper)
+    else:
+        beyond = np.zeros(lower.shape, dtype=bool)
+    return _checked(frozen(lower), frozen(upper)), beyond
 
 
 def box_of(one: ConvexSet) -> Box:
@@ -261,16 +254,15 @@ def box_of(one: ConvexSet) -> Box:
 
 
 def _checked(lower: Array, upper: Array) -> Box:
-    """Return a box of bounds that are already known to be good, without looking at them again."""
+    """Return a box of bounds that need no check."""
     box = Box.__new__(Box)
     assign(box, lower=lower, upper=upper)
     return box
 
 
-def _without_words(low: Array, high: Array) -> tuple[Array, Array]:
+def _with_infinities(low: Array, high: Array) -> tuple[Array, Array]:
     """Return bounds that are infinite where they stand for none."""
-    words = (np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)
-    if not words.any():
+    if not ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():
         return low, high
     apart = low < high
     low, high = np.where(apart & (low <= -NO_BOUND), -np.inf, low), np.where(apart & (high >= NO_BOUND), np.inf, high)
@@ -295,7 +287,7 @@ def _bound(side: str, value: Bound, absent: float) -> Array:
     return bound
 
 
-def _without_none(value: Any, absent: float) -> Any:
+def _without_none(value: object, absent: float) -> ArrayLike:
     if isinstance(value, (list, tuple)):
         return [_without_none(entry, absent) for entry in value]
     return absent if value is None else value

@@ -1,3 +1,4 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
 """Convex sets beyond boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets."""
 
 from __future__ import annotations
@@ -9,11 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, brief, frozen, positive_number, real_array, with_columns
+from lin_freq_ocp.arrays import NO_BOUND, Array, assign, brief, frozen, positive_number, real_array, with_columns
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.sets.box import NO_BOUND
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
 
@@ -33,6 +33,12 @@ class Polyhedron(ConvexSet):
     ------
     ProblemError
         If shapes do not match or entries are not numbers.
+
+    Examples
+    --------
+    >>> triangle = lfo.sets.Polyhedron([[1.0, 1.0], [-1.0, 0.0], [0.0, -1.0]], [1.0, 0.0, 0.0])
+    >>> float(triangle.violation([1.0, 1.0]))
+    1.0
     """
 
     F: Array
@@ -57,19 +63,15 @@ class Polyhedron(ConvexSet):
 
     @property
     def dimension(self) -> int:
-        """Return n."""
         return self.F.shape[-1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return the rows."""
         return (Part(self.F, np.zeros(len(self.F)), HalfSpaces(self.g, HARD)),)
 
     def extended(self, n: int, k: int) -> Polyhedron:
-        """Return the polyhedron of (x, w), w in R^k."""
         return Polyhedron(with_columns(self.F, k), self.g)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return its rows."""
         return inequalities(self.F, self.g, names, f"F {signal} {AT_MOST} g")
 
 
@@ -80,10 +82,20 @@ class Ellipsoid(ConvexSet):
     Parameters
     ----------
     W : (rows, n)
-        What measures v; with fewer independent rows than n, the set is a cylinder. {v : v'P v <= 1} has W'W = P.
+        With fewer independent rows than n, the set is a cylinder. {v : v'P v <= 1} has W'W = P.
     radius : float
         Above zero.
     centre : float or (n,)
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, or the radius is not above zero.
+
+    Examples
+    --------
+    >>> bool(lfo.sets.Ellipsoid([[0.5, 0.0], [0.0, 1.0]]).contains([2.0, 0.0]))
+    True
     """
 
     W: Array
@@ -99,19 +111,15 @@ class Ellipsoid(ConvexSet):
 
     @property
     def dimension(self) -> int:
-        """Return n."""
         return self.W.shape[1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return |W v - W centre| <= radius."""
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
     def extended(self, n: int, k: int) -> Ellipsoid:
-        """Return the cylinder of (x, w), w in R^k."""
         return Ellipsoid(with_columns(self.W, k), self.radius, with_columns(np.broadcast_to(self.centre, n), k))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return what measures it, its radius and its centre."""
         inside = f"({signal} - {vector(self.centre)})" if self.centre.any() else signal
         return f"an ellipsoid: |W {inside}| {AT_MOST} {number(self.radius)} with {datum('W', self.W, 2)}"
 
@@ -125,6 +133,16 @@ class Ball(ConvexSet):
     radius : float
         Above zero, in the unit of all components.
     centre : float or (n,)
+
+    Raises
+    ------
+    ProblemError
+        If the radius is not above zero, or the centre is no vector.
+
+    Examples
+    --------
+    >>> float(lfo.sets.Ball(5.0).violation([6.0, 8.0]))
+    5.0
     """
 
     radius: float
@@ -136,19 +154,15 @@ class Ball(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        """Return n, if the centre says it."""
         return len(self.centre) if self.centre.ndim else None
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return |v - centre| <= radius."""
         return (Part(np.eye(dimension), -np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
     def extended(self, n: int, k: int) -> Ellipsoid:
-        """Return the cylinder of (x, w), w in R^k."""
         return Ellipsoid(np.eye(n), self.radius, self.centre).extended(n, k)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return its radius and its centre."""
         centre = vector(self.centre) if self.centre.any() else "the origin"
         return f"{signal} within {number(self.radius)} of {centre} (Euclidean norm)"
 
@@ -161,6 +175,17 @@ class SecondOrderCone(ConvexSet):
     ----------
     F : (rows, n), g : (rows,)
     h : (n,), d : float
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match.
+
+    Examples
+    --------
+    >>> cone = lfo.sets.SecondOrderCone(F=[[1.0, 0.0]], g=[0.0], h=[0.0, 2.0])
+    >>> cone.contains([[2.0, 1.0], [2.1, 1.0]])
+    array([ True, False])
     """
 
     F: Array
@@ -186,19 +211,15 @@ class SecondOrderCone(ConvexSet):
 
     @property
     def dimension(self) -> int:
-        """Return n."""
         return self.F.shape[1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return (h'v + d, F v + g) in the standard cone."""
         return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), StandardCone()),)
 
     def extended(self, n: int, k: int) -> SecondOrderCone:
-        """Return the cone of (x, w), w in R^k."""
         return SecondOrderCone(with_columns(self.F, k), self.g, with_columns(self.h, k), self.d)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return both sides of its inequality."""
         inner = f"|F {signal}{' + g' if self.g.any() else ''}|"
         outer = combination(self.h, names) if np.count_nonzero(self.h) <= MOST_ROWS else f"h' {signal}"
         constant = f" + {number(self.d)}" if self.d else ""
@@ -207,16 +228,26 @@ class SecondOrderCone(ConvexSet):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Soft(ConvexSet):
-    """A set that may be left, at a price: penalty times the excess over each of its constraints is added to the cost.
+    """A set that may be violated at a price: penalty times the excess over each of its constraints joins the cost.
 
     For a Box and a Polyhedron, the excess over every bound and row; for a Ball and an Ellipsoid, that of the norm over
-    the radius. If the set can be kept and the penalty exceeds its multipliers, it is kept exactly.
+    the radius. If the set can be satisfied and the penalty exceeds its multipliers, it is satisfied exactly.
 
     Parameters
     ----------
     soft_set : Box, Polyhedron, Ball or Ellipsoid
     penalty : float
         Above zero, in units of cost per unit of excess.
+
+    Raises
+    ------
+    ProblemError
+        If the set cannot be soft, or the penalty is not above zero.
+
+    Examples
+    --------
+    >>> lfo.sets.Soft(lfo.Box(-1, 1), penalty=10.0).soft
+    True
     """
 
     soft_set: ConvexSet
@@ -233,23 +264,18 @@ class Soft(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        """Return n, if the set says it."""
         return self.soft_set.dimension
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return the parts of the set, with a finite weight."""
         return self.soft_set.soft_parts(dimension, np.asarray(self.penalty))
 
     def extended(self, n: int, k: int) -> Soft:
-        """Return the soft set of (x, w), w in R^k."""
         return Soft(self.soft_set.extended(n, k), self.penalty)
 
     def widened(self, amount: float, dimension: int) -> Soft:
-        """Return it as it is: it may be left already."""
         return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return the set, and the price of leaving it."""
         return f"{self.soft_set.describe(names, signal)}{price(self.penalty)}"
 
 

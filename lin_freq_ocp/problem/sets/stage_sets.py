@@ -14,40 +14,23 @@ from lin_freq_ocp.problem.terms.term import LinearRows, Term
 
 @dataclass(frozen=True, eq=False)
 class StageSet:
-    """{v = (x, u) : lower <= v <= upper, matrix v <= limits}.
+    """{v = (x, u) : lower <= v <= upper, matrix v <= limits}."""
 
-    Attributes
-    ----------
-    lower, upper : (n + m,)
-    matrix : (rows, n + m), limits : (rows,)
-    """
-
-    lower: Array
-    upper: Array
-    matrix: Array
-    limits: Array
+    lower: Array  # (n + m,)
+    upper: Array  # (n + m,)
+    matrix: Array  # (rows, n + m)
+    limits: Array  # (rows,)
 
 
 @dataclass(frozen=True, eq=False)
 class StageSets:
-    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows that must hold; no balls, no cones.
+    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows that must hold; no balls, no cones."""
 
-    Attributes
-    ----------
-    states, controls : Box
-        Bounds (T+1, n) and (T, m).
-    tube : Box
-        The bounds of the states, with those of the ends.
-    rows : sequence of rows beyond the bounds
-    names : tuple of str
-        Of everything that the problem constrains or costs beyond bounds.
-    """
-
-    states: Box
-    controls: Box
-    tube: Box
-    rows: Sequence[LinearRows]
-    names: tuple[str, ...]
+    states: Box  # bounds (T+1, n)
+    controls: Box  # bounds (T, m)
+    tube: Box  # the bounds of the states, with those of the ends
+    rows: Sequence[LinearRows]  # beyond the bounds
+    names: tuple[str, ...]  # of all terms of the problem
 
     @property
     def horizon(self) -> int:
@@ -59,22 +42,17 @@ class StageSets:
         T = self.horizon
         lower = np.concatenate([self.states.lower[:T].min(0), self.controls.lower.min(0)])
         upper = np.concatenate([self.states.upper[:T].max(0), self.controls.upper.max(0)])
-        fixed_start = T > 1 and (self.tube.lower[0] == self.tube.upper[0]).all()  # which lies in all sets, unsaid
+        fixed_start = T > 1 and self.tube.fixed[0].all()  # the rows of its sets are no terms
         needed = set(range(int(fixed_start), T))
         lasting = [rows for rows in self.rows if len(rows.C) == 1 and needed <= set(rows.times.tolist())]
         return _stage_set(lower, upper, [(rows.C[0], rows.e.max(0)) for rows in lasting])
 
     def at(self, t: int) -> StageSet:
         """Return the set of one time."""
-        lower, upper = (
-            np.append(box, control)
-            for box, control in (
-                (self.tube.lower[t], self.controls.lower[t]),
-                (self.tube.upper[t], self.controls.upper[t]),
-            )
-        )
-        there = [(rows.matrix(int(k)), rows.e[k]) for rows in self.rows for k in np.flatnonzero(rows.times == t)]
-        return _stage_set(lower, upper, there)
+        lower = np.append(self.tube.lower[t], self.controls.lower[t])
+        upper = np.append(self.tube.upper[t], self.controls.upper[t])
+        held = [(rows.matrix(int(k)), rows.e[k]) for rows in self.rows for k in np.flatnonzero(rows.times == t)]
+        return _stage_set(lower, upper, held)
 
     @property
     def constant(self) -> bool:

@@ -1,3 +1,4 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
 """Frequency constraints: bands in rad/sample, Hz or DFT bins, which become bins when they meet a signal's length.
 
 A stop band sets DFT bins of this horizon to zero. What lies between the bins is small, but not zero.
@@ -8,7 +9,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import fft
@@ -16,17 +16,20 @@ from scipy import fft
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, real_array
 from lin_freq_ocp.errors import BandWarning, ProblemError
 from lin_freq_ocp.phrases import number, runs_in_words, runs_of
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices, component_words, listed
+from lin_freq_ocp.problem.spectrum.base import (
+    Constraints,
+    FrequencyConstraint,
+    Signal,
+    component_indices,
+    component_words,
+    entries_of,
+)
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
-MIRRORED = ", and their mirror images"
-"""What goes with every bin of a real signal."""
-
-BIN_TOLERANCE = 1e-9
-"""A cut-off within this distance of a bin (in bins, relative to the bin number above 1) falls on it, and keeps it."""
+BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Band(FrequencyConstraint):
 
     @property
     def removed(self) -> str:
-        """Return in words which bins it removes."""
+        """Return a text of the bins that it removes."""
         if self.unit == "bins":
             bins = np.unique([int(edge) for edge in self.edges])
             return f"bins {runs_in_words(runs_of(bins))}" if len(bins) > 1 else f"bin {bins[0]}"
@@ -71,9 +74,8 @@ class Band(FrequencyConstraint):
         }[self.kind]
 
     def describe(self, names: Sequence[str]) -> str:
-        """Return it in words, for a signal with components of these names."""
         kind = self.kind.replace("_", " ")
-        return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero{MIRRORED}"
+        return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero, and their mirror images"
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         """Yield the stopped bins of outputs as equations."""
@@ -96,7 +98,7 @@ class Band(FrequencyConstraint):
         return stopped
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
-        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it is about, (length//2 + 1,)."""
+        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it names, (length//2 + 1,)."""
         return self._listed(length, field) if self.unit == "bins" else self._between(length, sampling_time, field)
 
     def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
@@ -127,9 +129,8 @@ class Band(FrequencyConstraint):
         if self.unit == "rad/sample":
             return length / (2 * np.pi)
         if sampling_time is None:
-            raise ProblemError(
-                f"{field}", f"{self}", "a sampling time", "Give dynamics.sampling_time, or the edges in rad/sample."
-            )
+            advice = "Give dynamics.sampling_time, or the edges in rad/sample."
+            raise ProblemError(field, str(self), "a sampling time", advice)
         nyquist = 0.5 / sampling_time
         for edge in self.edges:
             if np.isfinite(edge) and edge > nyquist * (1 + BIN_TOLERANCE):
@@ -165,33 +166,41 @@ def low_pass(
     -------
     Band
 
+    Raises
+    ------
+    ProblemError
+        If not exactly one of the cut-offs is given, or it is out of range.
+
     Examples
     --------
     >>> lfo.low_pass(cutoff_hz=5)
     Band(...)
     """
-    edge, unit = _edge("low_pass", "cutoff", cutoff, cutoff_hz)
-    return Band("low_pass", (0.0, edge), unit, component)
+    edges, unit = _edges("low_pass", cutoff=(cutoff, cutoff_hz))
+    return Band("low_pass", (0.0, *edges), unit, component)
 
 
 def high_pass(
     cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
 ) -> Band:
-    """Keep the bins from the cut-off on and remove those below; see ``low_pass``.
+    """Keep the bins from the cut-off on and remove those below.
 
     Parameters
     ----------
-    cutoff, cutoff_hz : float
-        In rad/sample (0 .. pi) or in Hz; exactly one of them.
-    component : int or str, optional
-        Index or name of the component; default all.
+    cutoff, cutoff_hz, component
+        As for ``low_pass``.
 
     Returns
     -------
     Band
+
+    Examples
+    --------
+    >>> str(lfo.spectrum.high_pass(0.1))
+    'high_pass(0.1 rad/sample)'
     """
-    edge, unit = _edge("high_pass", "cutoff", cutoff, cutoff_hz)
-    return Band("high_pass", (edge, np.inf), unit, component)
+    edges, unit = _edges("high_pass", cutoff=(cutoff, cutoff_hz))
+    return Band("high_pass", (*edges, np.inf), unit, component)
 
 
 def band_pass(
@@ -202,7 +211,7 @@ def band_pass(
     upper_hz: float | None = None,
     component: int | str | None = None,
 ) -> Band:
-    """Keep the bins from ``lower`` to ``upper`` (both kept) and remove the others; see ``low_pass``.
+    """Keep the bins from ``lower`` to ``upper`` (both kept) and remove the others.
 
     Parameters
     ----------
@@ -216,16 +225,17 @@ def band_pass(
     Returns
     -------
     Band
+
+    Examples
+    --------
+    >>> str(lfo.spectrum.band_pass(0.1, 0.5))
+    'band_pass(0.1 .. 0.5 rad/sample)'
     """
-    low, unit = _edge("band_pass", "lower", lower, lower_hz)
-    high, other = _edge("band_pass", "upper", upper, upper_hz)
-    if unit != other:
-        raise ProblemError("band_pass", f"lower in {unit}, upper in {other}", "both in the same unit")
-    if low > high:
-        raise ProblemError(
-            "band_pass", f"lower {low:g} above upper {high:g} {unit}", "lower <= upper", "Exchange them?"
-        )
-    return Band("band_pass", (low, high), unit, component)
+    edges, unit = _edges("band_pass", lower=(lower, lower_hz), upper=(upper, upper_hz))
+    if edges[0] > edges[1]:
+        got = f"lower {edges[0]:g} above upper {edges[1]:g} {unit}"
+        raise ProblemError("band_pass", got, "lower <= upper", "Exchange them?")
+    return Band("band_pass", edges, unit, component)
 
 
 def notch(
@@ -236,7 +246,7 @@ def notch(
     width_hz: float | None = None,
     component: int | str | None = None,
 ) -> Band:
-    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others; see ``low_pass``.
+    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others.
 
     Parameters
     ----------
@@ -250,14 +260,16 @@ def notch(
     Returns
     -------
     Band
+
+    Examples
+    --------
+    >>> str(lfo.spectrum.notch(1.0, 0.2))
+    'notch(0.9 .. 1.1 rad/sample)'
     """
-    middle, unit = _edge("notch", "centre", centre, centre_hz)
-    span, other = _edge("notch", "width", width, width_hz)
-    if unit != other:
-        raise ProblemError("notch", f"centre in {unit}, width in {other}", "both in the same unit")
-    if span == 0:
+    edges, unit = _edges("notch", centre=(centre, centre_hz), width=(width, width_hz))
+    if edges[1] == 0:
         raise ProblemError("notch.width", "0", "a width above zero")
-    return Band("notch", (middle, span), unit, component)
+    return Band("notch", edges, unit, component)
 
 
 def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Band:
@@ -280,21 +292,17 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
     """
     listed = list(bins) if isinstance(bins, Iterable) else [bins]
     if not listed or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in listed):
-        raise ProblemError(
-            "stop_band.bins",
-            brief(listed),
-            "a list of at least one whole number",
-            "Leave the band out to remove nothing.",
-        )
+        advice = "Leave the band out to remove nothing."
+        raise ProblemError("stop_band.bins", brief(listed), "a list of at least one whole number", advice)
     return Band("stop_band", tuple(int(k) for k in listed), "bins", component)
 
 
 def stopped_bins(
-    field: str, given: Any, length: int, component_names: Sequence[str], sampling_time: float | None
+    field: str, given: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
 ) -> Mask:
     """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
-    for i, band in enumerate(listed(given)):
+    for i, band in enumerate(entries_of(given)):
         where = f"{field}[{i}]" if band is not given else field
         if not isinstance(band, FrequencyConstraint):
             expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
@@ -325,18 +333,23 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
     return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
 
 
-def _edge(kind: str, name: str, radians: float | None, hertz: float | None) -> tuple[float, str]:
-    if (radians is None) == (hertz is None):
-        got = "neither" if radians is None else "both"
-        raise ProblemError(f"{kind}.{name}", f"{got} of {name} and {name}_hz", "exactly one of them")
-    value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
-    if value.ndim or value < 0:
-        raise ProblemError(f"{kind}.{name}", brief(radians if hertz is None else hertz), "one number, zero or above")
-    if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
-        raise ProblemError(
-            f"{kind}.{name}",
-            f"{float(value):g} rad/sample",
-            "at most pi, the Nyquist frequency",
-            f"In Hz it is {name}_hz=.",
-        )
-    return float(value), "rad/sample" if hertz is None else "Hz"
+def _edges(kind: str, **given: tuple[float | None, float | None]) -> tuple[tuple[float, ...], str]:
+    """Return the edges and their unit, of pairs (in rad/sample, in Hz) of which one is None."""
+    edges, units = list[float](), list[str]()
+    for name, (radians, hertz) in given.items():
+        if (radians is None) == (hertz is None):
+            got = f"{'neither' if radians is None else 'both'} of {name} and {name}_hz"
+            raise ProblemError(f"{kind}.{name}", got, "exactly one of them")
+        value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
+        if value.ndim or value < 0:
+            got = brief(radians if hertz is None else hertz)
+            raise ProblemError(f"{kind}.{name}", got, "one number, zero or above")
+        if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
+            got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
+            raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")
+        edges.append(float(value))
+        units.append("rad/sample" if hertz is None else "Hz")
+    if len(set(units)) > 1:
+        got = ", ".join(f"{name} in {unit}" for name, unit in zip(given, units, strict=True))
+        raise ProblemError(kind, got, "both in the same unit")
+    return tuple(edges), units[0]

@@ -1,7 +1,7 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
 A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe`` and
-``terms``. To be written to problem files it is listed in ``interchange/problem_file/spectrum_tables.py``.
+``terms``. To be written to problem files it is listed in ``interchange/problem_file/spectrum.py``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -21,24 +21,13 @@ from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """The signal y_t = C x_t + D u_t that frequency constraints of one field are about.
-
-    Attributes
-    ----------
-    kind : TermKind
-    C : (components, n), or None; D : (components, m), or None
-    names : sequence of str
-        Of the components.
-    length : int
-        Number of samples, from time 0.
-    sampling_time : float or None
-    """
+    """The signal y_t = C x_t + D u_t that the frequency constraints of one field apply to."""
 
     kind: TermKind
-    C: Array | None
-    D: Array | None
-    names: Sequence[str]
-    length: int
+    C: Array | None  # (components, n)
+    D: Array | None  # (components, m)
+    names: Sequence[str]  # of the components
+    length: int  # number of samples, from time 0
     sampling_time: float | None
 
     def rows(self, field: str, component: int | str | None) -> Iterator[tuple[str, Array | None, Array | None]]:
@@ -50,11 +39,8 @@ class Signal:
 class FrequencyConstraint(ABC):
     """A constraint, or a price, on the spectrum of a signal."""
 
-    component: int | str | None = None
-    """Index or name of the component it is about; None: all."""
-
-    on_outputs: ClassVar[bool] = True
-    """Whether it may be asked of linear outputs."""
+    component: int | str | None = None  # index or name; None: all
+    on_outputs: ClassVar[bool] = True  # whether it may constrain linear outputs
 
     @abstractmethod
     def describe(self, names: Sequence[str]) -> str:
@@ -65,7 +51,7 @@ class FrequencyConstraint(ABC):
         """Yield its terms; errors name ``field``, and ``source`` is the entry of the problem's field."""
 
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
-        """Return constraints of the signal (x, w) that say the same of x in R^n; w in R^k."""
+        """Return the same constraints on x in R^n of the signal (x, w), w in R^k."""
         return []
 
     def widened(self, amount: float) -> FrequencyConstraint:
@@ -73,7 +59,11 @@ class FrequencyConstraint(ABC):
         return self
 
 
-def listed(given: Any) -> Sequence[Any]:
+Entry = TypeVar("Entry")
+Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # of states or controls, as a problem has them
+
+
+def entries_of(given: Entry | Sequence[Entry] | None) -> Sequence[Entry]:
     """Return the content of a field, one entry or several or None, as a sequence."""
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 

@@ -1,7 +1,8 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
 """Frequency constraints beyond stop bands: bounds on magnitudes and energies, and linear equations over all times.
 
 They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. On a finer
-grid than the DFT's (``oversampling``), or with a window, they are the cure for what leaks between the bins.
+grid than the DFT's (``oversampling``), or with a window, they also bound the spectrum between the bins.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,40 +40,38 @@ NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
     "could be proven. Ask for a reference instead: u_ref, x_ref."
 )
-"""Why there is none."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class _SpectrumBound(FrequencyConstraint):
-    """What MagnitudeBound and EnergyBound share: where they hold."""
+    """The bins, window and price that MagnitudeBound and EnergyBound share."""
 
+    label: ClassVar[str]
+    together: ClassVar[bool]  # whether one limit holds for all bins
     band: Band
     component: int | str | None
     penalty: float | None
-    window: Any
+    window: str | Array | None
     oversampling: int
 
-    def _place(
+    def _set_domain(
         self,
         bins: Iterable[int] | None,
         band: Band | None,
         component: int | str | None,
         penalty: float | None,
-        window: Any,
+        window: str | ArrayLike | None,
         oversampling: int,
     ) -> None:
         kind = type(self).__name__
         if (bins is None) == (band is None):
             got = "neither" if bins is None else "both"
-            raise ProblemError(f"{kind}", f"{got} of bins and band", "exactly one of them")
-        if band is not None and not isinstance(band, Band):
+            raise ProblemError(kind, f"{got} of bins and band", "exactly one of them")
+        domain = band if bins is None else stop_band(bins=bins)
+        if not isinstance(domain, Band):
             raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
-        where = band
-        if bins is not None:
-            where = stop_band(bins=bins)
-        assert where is not None  # one of them is there
-        if component is not None and where.component is not None:
-            got = f"{component!r}, and {where.component!r} from the band"
+        if component is not None and domain.component is not None:
+            got = f"{component!r}, and {domain.component!r} from the band"
             raise ProblemError(f"{kind}.component", got, "one component")
         if isinstance(window, str):
             _named_window(kind, window, 8)
@@ -80,48 +79,45 @@ class _SpectrumBound(FrequencyConstraint):
             window = real_array(f"{kind}.window", window)
         assign(
             self,
-            band=where,
-            component=where.component if component is None else component,
+            band=domain,
+            component=domain.component if component is None else component,
             penalty=None if penalty is None else positive_number(f"{kind}.penalty", penalty),
             window=window,
             oversampling=positive_integer(f"{kind}.oversampling", oversampling),
         )
 
     @abstractmethod
-    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
-        """Return the name of a term, whether its bins are together, and their limits."""
+    def limits(self, count: int, field: str) -> Array:
+        """Return the limit of the norm of each of ``count`` points of the grid, or of all together."""
 
     @property
     @abstractmethod
     def factor(self) -> float:
-        """Return what the limit is multiplied by on the grid."""
+        """Return the limit on the grid per unit of the given limit, or of its root."""
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        """Yield a bound on the norm of every bin, or of all together, for each component."""
         for name, C, D in signal.rows(field, self.component):
             bins = self.bins(signal.length, signal.sampling_time, field)
-            window, points = self.samples(signal.length, field), self.points(signal.length)
-            title, together, limits = self._limited(name, len(bins), field)
-            spectrum = SpectrumMap(C, D, window, points, bins, together)
-            ball = NormBall(2, limits, weight_of(self.penalty))
-            yield Term(title, signal.kind, spectrum, ball, source, self.factor)
+            window, points = self.samples(signal.length, field), self.oversampling * signal.length
+            spectrum = SpectrumMap(C, D, window, points, bins, self.together)
+            ball = NormBall(2, self.limits(len(bins), field), weight_of(self.penalty))
+            yield Term(f"{self.label} on {name}", signal.kind, spectrum, ball, source, self.factor)
 
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
         """Return the same bounds, each on a single component."""
         return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
 
-    def _with(self, **fields: Any) -> Self:
+    def _with(self, **fields: object) -> Self:
         changed = copy(self)
         assign(changed, **fields)
         return changed
 
     @property
     def where(self) -> str:
-        """Return in words where it holds: the bins, the window and the grid, and what leaving it costs."""
-        window = "given" if not isinstance(self.window, str) else self.window
-        windowed = "" if self.window is None else f"; window {window}"
+        """Return a text of the bins, the window and the grid."""
+        window = "" if self.window is None else f"; window {self.window if isinstance(self.window, str) else 'given'}"
         finer = "" if self.oversampling == 1 else f"; on a grid {self.oversampling} times as fine"
-        return f"{self.band.removed}{windowed}{finer}"
+        return f"{self.band.removed}{window}{finer}"
 
     def samples(self, length: int, field: str) -> Array:
         """Return the window of a signal, (length,)."""
@@ -133,21 +129,18 @@ class _SpectrumBound(FrequencyConstraint):
             raise ProblemError(f"{field}.window", f"shape {self.window.shape}", f"shape ({length},), one per sample")
         return self.window
 
-    def points(self, length: int) -> int:
-        """Return the number of points of the grid on the whole circle."""
-        return self.oversampling * length
-
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
-        """Return where on the grid it holds: indices within 0 .. points/2."""
+        """Return the bounded points of the grid: indices within 0 .. oversampling * length / 2."""
+        q, points = self.oversampling, self.oversampling * length
         if self.band.unit != "bins":
-            found = np.flatnonzero(self.band.at(self.points(length), sampling_time, f"{field}.band"))
+            found = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
             if not len(found):
                 raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
             return found
-        listed = np.flatnonzero(self.band.at(length, sampling_time, field))
-        grid, q = np.zeros(self.points(length) // 2 + 1, dtype=bool), self.oversampling
-        for k in listed:  # between neighbours, too; for odd N, the last bin's is its own conjugate
-            last = q * k + (q if k + 1 in listed or 2 * k + 1 == length else 0)
+        named = np.flatnonzero(self.band.at(length, sampling_time, field))
+        grid = np.zeros(points // 2 + 1, dtype=bool)
+        for k in named:  # between neighbours, too; for odd N, the last bin's is its own conjugate
+            last = q * k + (q if k + 1 in named or 2 * k + 1 == length else 0)
             grid[q * k : last + 1] = True
         return np.flatnonzero(grid)
 
@@ -192,6 +185,8 @@ class MagnitudeBound(_SpectrumBound):
     MagnitudeBound(...)
     """
 
+    label = "mask"
+    together = False
     limit: Array
     between: bool
 
@@ -213,14 +208,13 @@ class MagnitudeBound(_SpectrumBound):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
         assign(self, limit=_limit(limit, limit_db, reference), between=between)
-        self._place(bins, band, component, penalty, window, oversampling)
+        self._set_domain(bins, band, component, penalty, window, oversampling)
         if not isinstance(between, bool):
             raise ProblemError("MagnitudeBound.between", brief(between), "True or False")
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
 
     def describe(self, names: Sequence[str]) -> str:
-        """Return it in words, for a signal with components of these names."""
         low, high = (number(float(limit)) for limit in (self.limit.min(), self.limit.max()))
         limit = low if low == high else f"{low} to {high} (a limit for each bin)"
         between = " and between its points" if self.between else ""
@@ -228,7 +222,6 @@ class MagnitudeBound(_SpectrumBound):
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
-        """Return where on the grid it holds: indices within 0 .. points/2, in the order of the limits."""
         found = super().bins(length, sampling_time, field)
         listed = [int(k) for k in self.band.edges] if self.band.unit == "bins" and self.limit.ndim else []
         if listed and (listed != sorted(set(listed)) or not 0 <= listed[0] <= listed[-1] <= length // 2):
@@ -237,21 +230,15 @@ class MagnitudeBound(_SpectrumBound):
         return found
 
     def limits(self, count: int, field: str) -> Array:
-        """Return one limit for each of ``count`` bins."""
         if self.limit.shape not in ((), (count,)):
             raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
         return np.broadcast_to(self.factor * self.limit, (count,))
 
     def widened(self, amount: float) -> MagnitudeBound:
-        """Return it with higher limits."""
         return self._with(limit=self.limit + amount)
-
-    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
-        return f"mask on {name}", False, self.limits(count, field)
 
     @property
     def factor(self) -> float:
-        """Return what the limit is multiplied by on the grid."""
         return float(np.cos(np.pi / (2 * self.oversampling))) if self.between else 1.0
 
 
@@ -266,8 +253,20 @@ class EnergyBound(_SpectrumBound):
         Makes it soft: penalty * excess of the root of the energy over the root of the limit is added to the cost.
     bins, band, component, window, oversampling
         As for ``MagnitudeBound``.
+
+    Raises
+    ------
+    ProblemError
+        If a value is not of this kind.
+
+    Examples
+    --------
+    >>> lfo.spectrum.EnergyBound(0.5, band=lfo.low_pass(1.0)).describe(["thrust"])
+    'energy of thrust: sum of |DFT|² ≤ 0.5 over the bins above 1 rad/sample'
     """
 
+    label = "energy bound"
+    together = True
     limit: float
 
     def __init__(
@@ -285,25 +284,21 @@ class EnergyBound(_SpectrumBound):
         if energy.ndim or energy < 0:
             raise ProblemError("EnergyBound.limit", brief(limit), "one number, zero or above")
         assign(self, limit=float(energy))
-        self._place(bins, band, component, penalty, window, oversampling)
+        self._set_domain(bins, band, component, penalty, window, oversampling)
 
     def describe(self, names: Sequence[str]) -> str:
-        """Return it in words, for a signal with components of these names."""
         of, limit = component_words(self.component, names), f"{AT_MOST} {number(self.limit)}"
         square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
         return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
 
     def widened(self, amount: float) -> EnergyBound:
-        """Return it with a higher root of the energy."""
         return self._with(limit=(np.sqrt(self.limit) + amount) ** 2)
 
-    def _limited(self, name: str, count: int, field: str) -> tuple[str, bool, Array]:
-        """Return the limit of the Euclidean norm of all bounded points of the grid."""
-        return f"energy bound on {name}", True, np.asarray(self.factor * np.sqrt(self.limit))
+    def limits(self, count: int, field: str) -> Array:
+        return np.asarray(self.factor * np.sqrt(self.limit))
 
     @property
     def factor(self) -> float:
-        """Return what the root of the limit is multiplied by on the grid."""
         return float(np.sqrt(self.oversampling))
 
 
@@ -318,12 +313,18 @@ class LinearConstraint(FrequencyConstraint):
     constant : (rows,), optional
         Zero without.
     penalty : float, optional
-        Makes it soft: penalty times the Euclidean norm of what should be zero is added to the cost.
+        Makes it soft: penalty times the Euclidean norm of the left-hand side is added to the cost.
 
     Raises
     ------
     ProblemError
         If shapes do not match or entries are not finite.
+
+    Examples
+    --------
+    >>> mean = lfo.spectrum.LinearConstraint([[[0.25]]] * 4)  # of four controls
+    >>> mean.coefficients.shape
+    (4, 1, 1)
     """
 
     coefficients: Array
@@ -334,9 +335,8 @@ class LinearConstraint(FrequencyConstraint):
     def __init__(self, coefficients: ArrayLike, constant: ArrayLike | None = None, penalty: float | None = None):
         matrices = real_array("LinearConstraint.coefficients", coefficients)
         if matrices.ndim != 3 or 0 in matrices.shape:
-            raise ProblemError(
-                "LinearConstraint.coefficients", f"shape {matrices.shape}", "one matrix (rows, components) per time"
-            )
+            expected = "one matrix (rows, components) per time"
+            raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
         rows = matrices.shape[1]
         right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
         if right.shape != (rows,):
@@ -350,7 +350,6 @@ class LinearConstraint(FrequencyConstraint):
         assign(self, coefficients=matrices, constant=right, penalty=soft)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        """Yield the equations, or a price on their norm."""
         expected = (signal.length, self.coefficients.shape[1], len(signal.names))
         if self.coefficients.shape != expected:
             raise ProblemError(f"{field}.coefficients", f"shape {self.coefficients.shape}", f"shape {expected}")
@@ -359,11 +358,9 @@ class LinearConstraint(FrequencyConstraint):
         yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
 
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
-        """Return the same equations, w apart."""
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
     def describe(self, names: Sequence[str]) -> str:
-        """Return it in words, for a signal with components of these names."""
         rows = self.coefficients.shape[1]
         used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
         of = first_few(used) if used else "nothing"
@@ -373,7 +370,7 @@ class LinearConstraint(FrequencyConstraint):
         return f"{equations} in {of} over all times: constant + sum of coefficients_t v_t = 0{right}{cost}"
 
 
-def _limit(limit: Any, limit_db: Any, reference: Any) -> Array:
+def _limit(limit: ArrayLike | None, limit_db: ArrayLike | None, reference: float | None) -> Array:
     field = "MagnitudeBound.limit"
     if (limit is None) == (limit_db is None):
         raise ProblemError(field, "neither" if limit is None else "both", "exactly one of limit and limit_db")
@@ -397,6 +394,5 @@ def _named_window(field: str, name: str, length: int) -> Array:
     try:
         return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
     except ValueError:
-        raise ProblemError(
-            f"{field}.window", repr(name), "a window of scipy.signal, such as 'hann', or numbers"
-        ) from None
+        expected = "a window of scipy.signal, such as 'hann', or numbers"
+        raise ProblemError(f"{field}.window", repr(name), expected) from None

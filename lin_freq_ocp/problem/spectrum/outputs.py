@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, assign, brief, names, real_array, with_columns
 from lin_freq_ocp.errors import ProblemError
@@ -32,6 +32,12 @@ class OutputSpectrum:
     ------
     ProblemError
         If shapes do not match.
+
+    Examples
+    --------
+    >>> limited = lfo.spectrum.OutputSpectrum(C=[[1.0, -1.0]], constraints=lfo.low_pass(1.0))
+    >>> limited.output_names
+    ('y_0',)
     """
 
     C: Array | None
@@ -39,7 +45,13 @@ class OutputSpectrum:
     constraints: tuple[FrequencyConstraint, ...]
     output_names: tuple[str, ...]
 
-    def __init__(self, C: Any = None, D: Any = None, constraints: Any = (), output_names: Sequence[str] | None = None):
+    def __init__(
+        self,
+        C: ArrayLike | None = None,
+        D: ArrayLike | None = None,
+        constraints: FrequencyConstraint | Sequence[FrequencyConstraint] = (),
+        output_names: Sequence[str] | None = None,
+    ):
         matrices = [
             None if value is None else real_array(f"output_spectrum.{name}", value)
             for name, value in (("C", C), ("D", D))
@@ -48,30 +60,20 @@ class OutputSpectrum:
         if not given or any(matrix.ndim != 2 or 0 in matrix.shape or len(matrix) != len(given[0]) for matrix in given):
             shapes = ", ".join(str(matrix.shape) for matrix in given) or "neither C nor D"
             raise ProblemError("output_spectrum", shapes, "a matrix C or D, or both, with one row per output")
-        given_constraints = tuple(constraints) if isinstance(constraints, (list, tuple)) else (constraints,)
-        wrong = [one for one in given_constraints if not isinstance(one, FrequencyConstraint) or not one.on_outputs]
-        if wrong or not given_constraints:
+        entries = tuple(constraints) if isinstance(constraints, (list, tuple)) else (constraints,)
+        wrong = [one for one in entries if not isinstance(one, FrequencyConstraint) or not one.on_outputs]
+        if wrong or not entries:
             got = brief(wrong[0]) if wrong else "nothing"
             raise ProblemError("output_spectrum.constraints", got, "bands, MagnitudeBound or EnergyBound")
-        count = len(given[0])
-        assign(
-            self,
-            C=matrices[0],
-            D=matrices[1],
-            constraints=given_constraints,
-            output_names=names("output_spectrum.output_names", output_names, count, "y"),
-        )
+        checked_names = names("output_spectrum.output_names", output_names, len(given[0]), "y")
+        assign(self, C=matrices[0], D=matrices[1], constraints=entries, output_names=checked_names)
 
     def describe(self, signals: Sequence[str]) -> str:
         """Return the outputs that are constrained, for states and then controls of these names."""
-        used = list[int]()
-        for one in self.constraints:
-            used += component_indices("output_spectrum", one.component, self.output_names)
+        used = {j for one in self.constraints for j in component_indices("", one.component, self.output_names)}
         rows = np.hstack([part for part in (self.C, self.D) if part is not None])
         offset = len(signals) - rows.shape[1] if self.C is None else 0
-        parts = [
-            f"{short_name(self.output_names[j])} = {combination(rows[j], signals[offset:])}" for j in sorted(set(used))
-        ]
+        parts = [f"{short_name(self.output_names[j])} = {combination(rows[j], signals[offset:])}" for j in sorted(used)]
         text = ", ".join(parts)
         return text if len(text) <= MOST_TEXT else f"{plural(len(parts), 'linear combination')} of states and controls"
 

@@ -8,10 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, positive_number, real_array, shaped, times_vectors
+from lin_freq_ocp.arrays import (
+    NO_BOUND,
+    Array,
+    Mask,
+    assign,
+    brief,
+    frozen,
+    positive_number,
+    real_array,
+    shaped,
+    times_vectors,
+)
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import AT_MOST, inequalities, plural, price
-from lin_freq_ocp.problem.sets.box import NO_BOUND
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -17,13 +17,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import NO_BOUND, Array
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
 from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.phrases import NO_BOUND, number, short_name, split_unit
+from lin_freq_ocp.phrases import number, short_name, split_unit
 from lin_freq_ocp.report.figures.panels import (
     control_panel,
     frequency_axis,

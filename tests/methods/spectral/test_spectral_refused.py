@@ -88,7 +88,7 @@ def dual_balance(result: lfo.results.Result, u: np.ndarray) -> tuple[float, floa
     for box, weights in ((problem.state_tube, ray.mu), (problem.control_tube, ray.nu)):
         bounded = np.isfinite(np.where(weights > 0, box.upper, box.lower))
         assert np.abs(weights[~bounded]).max(initial=0.0) <= 1e-10 * np.abs(ray.mu).max()
-        allowed += float(box.support_terms(np.where(bounded, weights, 0.0)).sum())
+        allowed += float(box.support(np.where(bounded, weights, 0.0)).sum())
     for rows in problem.stage_rows:
         weights = ray.stage.get(rows.name, np.zeros((T, rows.rows)))
         assert weights.min() >= 0
