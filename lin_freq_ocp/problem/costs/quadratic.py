@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,11 +52,13 @@ class Cost(ABC):
             found += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
         return found
 
-    def __add__(self, other: object) -> CostSum:
+    def __add__(self, other: Cost) -> CostSum:
         return CostSum([self, other])
 
-    def __radd__(self, other: object) -> Cost:
-        return self if type(other) is int and other == 0 else CostSum([other, self])  # sum() begins with 0
+    def __radd__(self, other: Any) -> Cost:
+        if type(other) is int and other == 0:  # sum() begins with 0
+            return self
+        return CostSum([other, self])
 
 
 class NonsmoothCost(Cost):
@@ -310,7 +312,7 @@ class CostSum(Cost):
     smooth: QuadraticCost
     nonsmooth: tuple[NonsmoothCost, ...]
 
-    def __init__(self, costs: Sequence[object]):
+    def __init__(self, costs: Sequence[Cost]):
         if not isinstance(costs, (list, tuple)):
             raise ProblemError("cost", brief(costs), "a list of costs")
         for cost in costs:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -59,11 +59,10 @@ class FrequencyConstraint(ABC):
         return self
 
 
-Entry = TypeVar("Entry")
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # of states or controls, as a problem has them
 
 
-def entries_of(given: Entry | Sequence[Entry] | None) -> Sequence[Entry]:
+def entries_of(given: Any) -> Sequence[Any]:
     """Return the content of a field, one entry or several or None, as a sequence."""
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 

@@ -16,7 +16,7 @@ Their conic forms, with slacks s >= 0:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -94,7 +94,7 @@ class HalfSpaces(Penalty):
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
-    def stacked(self, others: list[Self]) -> Penalty:
+    def stacked(self, others: list[Any]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))
 
@@ -175,7 +175,7 @@ class NormBall(Penalty):
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, radius=self.radius + amount)
 
-    def stacked(self, others: list[Self]) -> Penalty:
+    def stacked(self, others: list[Any]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return NormBall(self.order, np.array([one.radius for one in others]), weights)
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -160,7 +159,7 @@ class Penalty(ABC):
         """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
-    def stacked(self, others: list[Self]) -> Penalty:
+    def stacked(self, others: list[Penalty]) -> Penalty:
         """Return a penalty of several groups, one for each of these, which share its signature."""
         return self
 
