@@ -17,7 +17,7 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from lin_freq_ocp.testing.checks.linear import Outcome, check
+from helpers.checks.linear import Outcome, check
 
 
 def check_all(seeds: Sequence[int], processes: int) -> list[Outcome]:

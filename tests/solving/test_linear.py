@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks import linear
 from helpers.checks.units import solved
 from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
-from lin_freq_ocp.testing.checks import linear
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(

@@ -1,1 +1,0 @@
-"""Linear problems against plain Clarabel: ``linear.check(seed)``."""
