@@ -5,8 +5,8 @@ D = sum_t min l_t over X_t x U_t - sum h*(lambda+),
 J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>
         + sum (h(L(x, u)) + h*(lambda+) - <lambda+, L(x, u)>).
 
-The last sum is over what a problem has beyond boxes and quadratic costs: h(L(x, u)) with multipliers lambda, of which
-lambda+ are the nearest that are subgradients of h somewhere; so D is a bound for multipliers of any sign.
+The last sum is over terms h(L(x, u)) with multipliers lambda, of which lambda+ are the nearest that are subgradients of
+h somewhere; so D is a bound for multipliers of any sign.
 
 Each minimum is bounded from below by the tangent of l_t at (x_t, u_t), plus a diagonal curvature that l_t has at least:
 exact for a diagonal Hessian. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
@@ -23,19 +23,10 @@ from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-EIGENVALUE_ERROR = 1e-12
-"""What a computed smallest eigenvalue of a correlation matrix may be too large by."""
-
-NUMERICAL_REACH = 10.0
-"""Where nothing bounds a component: how far, in multiples of its size, a merely numerical bound looks."""
-
-NEVER_NEGATIVE = "a cost that is never negative"
-"""Where the bound 0 follows from."""
-
-ARITHMETIC = 16 * float(np.finfo(np.float64).eps)
-"""Rounding of the few operations in double precision that follow, relative to what they add."""
+NEVER_NEGATIVE = "a cost that is never negative"  # what the bound 0 follows from
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +93,7 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
 def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     """Return D for normal multipliers, or None if the cost is not convex.
 
-    Parameters
-    ----------
-    extremal : Extremal
-    allowed : float
-        Difference of cost and bound from which no better one is looked for.
+    No better bound is computed once its difference from the cost is at most ``allowed``.
     """
     curvatures = _stage_curvatures(extremal)
     if curvatures is None:
@@ -118,26 +105,24 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return proven
     nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
-        proven = _better(proven, _evaluate(extremal, curvatures, nearby, cost, "rigorous")[0])
+        other, _ = _evaluate(extremal, curvatures, nearby, cost, "rigorous")
+        proven = other if other.value > proven.value else proven
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut(problem, curvatures, _around(extremal), f"{NUMERICAL_REACH:g} times the trajectory")
+    x, u = trajectory_sizes(problem, extremal.trajectory)
+    largest = NUMERICAL_REACH * x, NUMERICAL_REACH * u
+    near = _cut(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
     numerical, _ = _evaluate(extremal, curvatures, near, cost, "numerical")
     return numerical if numerical.value - proven.value > allowed else proven
 
 
 def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
-    """Return D for eta_C = 0: above 0, it proves that no trajectory satisfies all constraints.
+    """Return D for eta_C = 0 from any trajectory: above 0, it proves that none satisfies all constraints.
 
-    Parameters
-    ----------
-    extremal : Extremal
-        Its trajectory is any point to evaluate at.
-    largest : (n,), (m,)
-        Where neither the stated nor implied sets bound a component, a "numerical" bound excludes only trajectories
-        whose components stay below these.
+    Where neither the stated nor implied sets bound a component, a "numerical" bound excludes only trajectories whose
+    components stay below ``largest``, (n,) and (m,).
     """
     uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
     proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, "rigorous")
@@ -147,10 +132,6 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
         return proven
     practical = _cut(extremal.problem, uncurved, largest, "what is practical")
     return _evaluate(extremal, uncurved, practical, 0.0, "numerical")[0]
-
-
-def _better(one: Bound, other: Bound) -> Bound:
-    return other if other.value > one.value else one
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
@@ -169,10 +150,10 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
     ):
         low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
-        error = unit * size.astype(np.float64) + ARITHMETIC * np.abs(slope)
+        error = unit * size.astype(np.float64) + ARITHMETIC_ROUNDING * np.abs(slope)
         stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
         pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
-        losses.append(ARITHMETIC * np.abs(slope * signal) - np.minimum(*pessimistic))
+        losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
     residual = extended(x)[1:] - extremal.problem.linear.successors(extended(x), extended(u))
     dynamics_term = float((extremal.multipliers.eta * residual).sum())
@@ -182,14 +163,13 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
     finite = bool(np.isfinite(certain))
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
-    last = unit * summed + ARITHMETIC * (others + (abs(gap) if finite else 0.0))
+    last = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
     unlost = cost + dynamics_term + frequency_term - stage_term
     value = min(unlost - certain - last, box.level) if finite else -np.inf
     rounding = certain - gap + last if finite else np.inf
     bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
-    return bound, Deviations(
-        (steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), float(cost - unlost) + last
-    )
+    deviations = Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), float(cost - unlost) + last)
+    return bound, deviations
 
 
 def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
@@ -216,12 +196,6 @@ def _stage_curvatures(extremal: Extremal) -> Pair | None:
         return None
     stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
     return np.vstack([stage[:, :n], terminal]), stage[:, n:]
-
-
-def _around(extremal: Extremal) -> Pair:
-    """Return how far to look around the trajectory, per state and control component."""
-    x, u = trajectory_sizes(extremal.problem, extremal.trajectory)
-    return NUMERICAL_REACH * x, NUMERICAL_REACH * u
 
 
 def _cut(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:

@@ -15,24 +15,21 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm
-from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors, floors
+from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
+from lin_freq_ocp.certificate.sizes import Floors, floors
+from lin_freq_ocp.certificate.tolerances import (
+    CONDITION_TOLERANCE,
+    MAXIMISATION_REACH,
+    MISFIT_SHARE,
+    SCALE_FLOOR,
+    TRIVIALITY,
+)
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Trajectory
 
-CONDITION_TOLERANCE = 1e-6
-"""Residual over scale. Good solvers reach 1e-9; an error in a sign, an index or a row gives 1e-3 or more."""
-
-MISFIT_SHARE = 1e-2
-"""How much a wrong direction of a multiplier counts: its cost is of second order, and an interior-point method that
-ends with a gap of 1e-10 has directions to 1e-5."""
-
-FAR = 10.0
-"""Multiple of the sizes of the controls within which the Hamiltonian is maximised: it is concave."""
-
-TRIVIAL = 1e-9
-"""What is smaller than this part of the largest multiplier of a set or a row is rounding."""
-
+# By kind of term: the labels of the condition that it holds, and of that on its multipliers
 LABELS = {
     "state set": ("S-x", "N-x"),
     "control set": ("S-u", "N-u"),
@@ -43,12 +40,11 @@ LABELS = {
     "stage cost": ("", "N-c"),
     "terminal cost": ("", "N-c"),
 }
-"""By kind of term: the labels of the condition that it holds, and of that on its multipliers."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One checked condition: it passes iff residual <= tolerance * scale.
+    """A checked condition: it passes iff residual <= tolerance * scale.
 
     Attributes
     ----------
@@ -57,8 +53,8 @@ class Condition:
     residual, scale, tolerance : float
         In the units of the condition; of the worst component.
     time, component : int or None
-        Where it is worst; for a frequency constraint, time is the bin. None: the condition is one number, or (the
-        component) that of a vector.
+        Where it is worst; for a frequency constraint, time is the bin. None for a condition that is a single number,
+        or a vector without components.
     """
 
     label: str
@@ -75,7 +71,7 @@ class Condition:
         return bool(self.residual <= self.tolerance * self.scale < np.inf)
 
     def within(self, tolerance: float) -> Condition:
-        """Return the condition with another tolerance; one that allows for nothing or is of regions keeps its own."""
+        """Return the condition with another tolerance; exact conditions and that of regions keep theirs."""
         if self.tolerance == 0 or self.label == "S-f":
             return self
         return replace(self, tolerance=tolerance)
@@ -95,7 +91,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
     return (
         non_negativity(extremal),
         non_triviality(extremal),
-        state_equation(extremal, least),
+        state_equation(problem, extremal.trajectory, least),
         *adjoint_and_transversality(extremal, least),
         stationarity_in_u(extremal, least),
         *hamiltonian_maximum(extremal, least),
@@ -108,7 +104,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
         *(
             condition
             for priced, size in zip(extremal.terms, least.terms, strict=True)
-            for condition in term_conditions(priced, extremal.multipliers.eta_C, level, size)
+            for condition in term_conditions(priced, level, size)
         ),
     )
 
@@ -125,15 +121,15 @@ def non_triviality(extremal: Extremal) -> Condition:
     spectra = [one.weights for one in extremal.terms if one.term.kind.is_spectrum]
     counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
     rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in extremal.terms))
-    trivial = multipliers.eta_C == 0 and counted <= TRIVIAL * rest
+    trivial = multipliers.eta_C == 0 and counted <= TRIVIALITY * rest
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
-def state_equation(extremal: Extremal, least: Floors) -> Condition:
+def state_equation(problem: OptimalControlProblem, trajectory: Trajectory, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t)."""
-    x, u = np.abs(extremal.trajectory.x), np.abs(extremal.trajectory.u)
-    terms = x[1:] + extremal.problem.linear.magnitudes().successors(x, u)
-    residual = np.abs(extremal.state_residual)
+    x, u = np.abs(trajectory.x), np.abs(trajectory.u)
+    terms = x[1:] + problem.linear.magnitudes().successors(x, u)
+    residual = np.abs(state_residual(problem, trajectory))
     return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
 
 
@@ -162,8 +158,8 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     """C-v, where H is concave in u: max over U_t of H_t exceeds H_t(u_t) by 0 (paper, corollary for linear systems).
 
     The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. H is concave: what holds for
-    all v that differ from u_t by no more than FAR times the sizes of its components holds for all of U_t. How far away
-    a bound is that is not active, or whether there is one, says nothing.
+    all v that differ from u_t by no more than MAXIMISATION_REACH times the sizes of its components holds for all of
+    U_t. Bounds that are not active do not matter.
     With joint rows, the maximum over {v in U_t : D v <= e - C x_t} of H is at most the maximum over U_t of
     H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
     slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. The same with the gaps of other terms of u_t.
@@ -172,7 +168,7 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     curvature = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.R)
     if curvature is None:
         return []
-    tube, reach = problem.control_tube, FAR * least.u / SCALE_FLOOR
+    tube, reach = problem.control_tube, MAXIMISATION_REACH * least.u / SCALE_FLOOR
     low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
     excess = -box_minimum(-extremal.in_u, curvature, low, np.maximum(low, high))
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
@@ -204,8 +200,7 @@ def normal_cone(
 ) -> Condition:
     """N-x, N-u: sigma(mu_t) - <mu_t, x_t> = 0; compared with the largest <|mu_t|, |x_t|>, or the cost.
 
-    A multiplier against a bound that is farther away than the component is large, or does not exist, counts as if the
-    bound were that far away.
+    A bound that does not exist, or is farther away than the size of the component, counts as if it were that far away.
     """
     reach = np.maximum(np.abs(signal).max(0), least)
     gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), np.abs(normal) * reach)
@@ -214,16 +209,16 @@ def normal_cone(
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
-def worth_of_residuals(extremal: Extremal) -> float:
-    """Return what residuals of the constraints are worth, at their multipliers, in units of the cost.
+def cost_of_residuals(extremal: Extremal) -> float:
+    """Return the residuals of the constraints times their multipliers, in units of the cost.
 
     Where the optimal cost is differentiable, J differs from that of the nearest feasible problem by this, to first
-    order: a residual that is small for its component is not always small for the cost. Those of one constraint
-    add up with their signs.
+    order: a residual that is small for its component is not always small for the cost. Residuals of the same
+    constraint add up with their signs.
     """
     multipliers, (x, u) = extremal.multipliers, (extremal.trajectory.x, extremal.trajectory.u)
     tubes = (x, multipliers.mu, extremal.problem.state_tube), (u, multipliers.nu, extremal.problem.control_tube)
-    parts = [multipliers.eta * extremal.state_residual, extremal.control_signal * u]
+    parts = [multipliers.eta * state_residual(extremal.problem, extremal.trajectory), extremal.control_signal * u]
     parts += [extremal.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
     parts += [
         np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)
@@ -233,8 +228,8 @@ def worth_of_residuals(extremal: Extremal) -> float:
     return sum(abs(float(part.sum())) for part in parts)
 
 
-def term_conditions(priced: PricedTerm, eta_C: float, level: float, least: Array) -> list[Condition]:
-    """Judge one term: that it holds, if it must, and that its multipliers are subgradients."""
+def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:
+    """Judge a term: that it holds, if it must, and that its multipliers are subgradients."""
     term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))
     holds, fits = LABELS[term.kind]
     subgradient = term_subgradient(fits, priced, level, least)
@@ -247,13 +242,13 @@ def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
     scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if priced.term.kind == "stage rows" else "holds"
-    return _at_place(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
+    return _located(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
 
 
 def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:
     """N-...: lambda is a subgradient of h at L(x, u); compared with the largest <|lambda|, its terms>, or J.
 
-    What of lambda is no subgradient of h anywhere counts as if its value were as large as the largest of that entry.
+    The part of lambda that is no subgradient of h anywhere counts with the largest value of that entry.
     """
     scales = _scales(priced.sizes, least)
     never = np.abs(priced.given - priced.weights) * scales
@@ -263,10 +258,10 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     t, row = _argmax(gap.astype(np.float64))
     what = "row multipliers complementary" if priced.term.kind == "stage rows" else "multipliers are subgradients"
     name = f"{what}: {priced.term.name}"
-    return _at_place(priced.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
+    return _located(priced.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
 
 
-def _at_place(term: Term, condition: Condition) -> Condition:
+def _located(term: Term, condition: Condition) -> Condition:
     """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
     places = term.map.places
     time = None if condition.time is None or len(places) != term.shape[0] else int(places[condition.time])

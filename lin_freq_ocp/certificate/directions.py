@@ -13,8 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.certificate.scales import SCALE_FLOOR
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import SCALE_FLOOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.maps import AffineMap

@@ -25,21 +25,10 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 class PricedTerm:
     """One term along a trajectory; arrays are (groups, dim), (groups, 1) where they are of whole groups.
 
-    Attributes
-    ----------
-    term : Term
-    given : (groups, dim)
-        The multipliers, whatever they are.
-    weights : (groups, dim)
-        lambda+, the nearest ones that are subgradients of h somewhere.
-    values : (groups, dim)
-        L(x, u), in extended precision.
-    sizes : (groups, dim)
-        The sums of the absolute values of its terms: what its rounding errors are relative to.
-    gap : (groups, dim or 1)
-        h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v.
-    misfit : (groups, dim or 1)
-        What the gap sees to second order only: how far the directions of lambda+ and v differ.
+    ``given`` are the multipliers, ``weights`` lambda+, the nearest that are subgradients of h somewhere, ``values``
+    L(x, u) in extended precision and ``sizes`` the sums of the absolute values of its terms. ``gap`` is
+    h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v; ``misfit`` is what the gap sees to
+    second order only: how far the directions of lambda+ and v differ.
     """
 
     term: Term
@@ -59,23 +48,19 @@ class PricedTerm:
 
 @dataclass(frozen=True, eq=False)
 class Extremal:
-    """A trajectory with its multipliers, and everything that several conditions need of them.
+    """A trajectory with its multipliers, and what several conditions need of them.
 
     Signals and derivatives are in extended precision: they are what is left of terms that cancel.
 
     Attributes
     ----------
-    problem, trajectory, multipliers
-        What is judged.
     state_signal : (T+1, n), control_signal : (T, m)
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
-    in_x : (T+1, n)
-        D_x H_t for t < T, with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
-    in_u : (T, m)
-        D_u H_t, with the terms.
+    in_x : (T+1, n), in_u : (T, m)
+        D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
     in_x_terms, in_u_terms
         The sums of the absolute values of the terms of in_x and in_u: what their rounding errors are relative to.
-    terms : tuple of PricedTerm
+    terms : list of PricedTerm
         Everything beyond the quadratic cost, boxes and stop bands.
     """
 
@@ -88,17 +73,12 @@ class Extremal:
     in_u: Array
     in_x_terms: Array
     in_u_terms: Array
-    terms: tuple[PricedTerm, ...]
+    terms: list[PricedTerm]
 
     @property
     def eta_before(self) -> Array:
-        """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0, where there is none."""
+        """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0."""
         return np.vstack([np.zeros(self.problem.state_dim), self.multipliers.eta])
-
-    @property
-    def state_residual(self) -> Array:
-        """Return x_{t+1} - f_t(x_t, u_t), shape (T, n)."""
-        return state_residual(self.problem, self.trajectory)
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
@@ -113,10 +93,9 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     T = problem.horizon
     x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
     eta_C = multipliers.eta_C
-    state_signal = time_signal(extended(multipliers.rho_x), T + 1)
-    control_signal = time_signal(extended(multipliers.rho_u), T)
+    signals = time_signal(extended(multipliers.rho_x), T + 1), time_signal(extended(multipliers.rho_u), T)
     cost_x, cost_u = problem.quadratic.gradient(x, u)
-    in_x, in_u = -eta_C * cost_x - state_signal, -eta_C * cost_u - control_signal
+    in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
     cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
@@ -129,19 +108,16 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     terms = _priced_terms(problem, trajectory, multipliers)
     shapes = x.shape, u.shape
     for priced in terms:
-        for signal, pulled in zip((in_x, in_u), priced.term.map.pull_back(priced.weights, shapes), strict=True):
-            signal -= pulled
-        sizes = priced.term.map.pulled_sizes(priced.weights, shapes)
-        for signal, pulled in zip((in_x_terms, in_u_terms), sizes, strict=True):
-            signal += pulled
-    return Extremal(
-        problem, trajectory, multipliers, state_signal, control_signal, in_x, in_u, in_x_terms, in_u_terms, terms
-    )
+        pulled_x, pulled_u = priced.term.map.pull_back(priced.weights, shapes)
+        in_x -= pulled_x
+        in_u -= pulled_u
+        size_x, size_u = priced.term.map.pulled_sizes(priced.weights, shapes)
+        in_x_terms += size_x
+        in_u_terms += size_u
+    return Extremal(problem, trajectory, multipliers, *signals, in_x, in_u, in_x_terms, in_u_terms, terms)
 
 
-def _priced_terms(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[PricedTerm, ...]:
+def _priced_terms(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> list[PricedTerm]:
     x, u = extended(trajectory.x), extended(trajectory.u)
     priced: list[PricedTerm] = []
     for term in problem.terms:
@@ -150,7 +126,7 @@ def _priced_terms(
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
         priced.append(PricedTerm(term, given, weights, values, sizes, gap, term.penalty.misfit(values, weights)))
-    return tuple(priced)
+    return priced
 
 
 def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:

@@ -9,44 +9,28 @@ from scipy.linalg import solve_triangular
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.hamiltonian import state_residual
+from lin_freq_ocp.certificate.tolerances import (
+    INVERSE_TOLERANCE,
+    MAX_STEPS,
+    MAX_UNKNOWN,
+    NEGLIGIBLE_SHARE,
+    POWER_BLOCK,
+    RADIUS_MARGIN,
+)
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-OUTWARD = 1.0 + 1e-9
-"""Factor by which computed radii are enlarged to cover their own rounding."""
-
-DETERMINED = 1e-9
-"""A left inverse of the columns of unknown components is one up to this; OUTWARD covers it."""
-
-NEGLIGIBLE_SHARE = 1e-2
-"""Losses of all stated bounds that add up to less than this part of the gap that is allowed are left as they are."""
-
-BLOCK = 1024
-"""Powers of A that are kept at a time."""
-
-MOST_STEPS = 20_000
-"""Horizons up to which radii are looked for step by step, which takes 0.1 ms each."""
-
-MOST_UNKNOWN = 1000
-"""Components whose radii are looked for all at once, by a dense matrix, which takes a second."""
-
 Pair = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """A box around every optimum.
+    """A box (lower, upper) around every optimum: x (T+1, n), u (T, m).
 
-    Attributes
-    ----------
-    x, u : pairs (lower, upper) of (T+1, n) and of (T, m)
-    level : float
-        An optimum lies in the box, or costs at least this much; inf: it lies in the box.
-    follows_from : str
-        What the box follows from.
+    An optimum lies in it or costs at least ``level``; inf: it lies in the box. ``follows_from`` says why, in words.
     """
 
     x: Pair
@@ -57,15 +41,13 @@ class Enclosure:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """What a bound loses on every state and control, to say how far a trajectory that costs no more can be away.
+    """Losses of a bound on every state (T+1, n) and control (T, m): they say how far a better trajectory can be away.
 
     Attributes
     ----------
-    slopes : (T+1, n), (T, m)
-        |slope| of l_t, rounding errors included.
-    curvatures : (T+1, n), (T, m)
-        Diagonal curvature that l_t has at least.
-    losses : (T+1, n), (T, m)
+    slopes, curvatures : Pair
+        |slope| of l_t, rounding errors included, and diagonal curvature that l_t has at least.
+    losses : Pair
         l_t at the trajectory less its minimum over the stated sets; inf where there is none.
     left : float
         The cost of the trajectory less the bound without any of these losses.
@@ -95,7 +77,7 @@ def reachable_bounds(problem: OptimalControlProblem) -> Enclosure:
 def nearby_bounds(
     problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, allowed: float
 ) -> Enclosure | None:
-    """Return a box around all trajectories that cost no more than the one given, or None if none follows.
+    """Return a box around all trajectories that cost no more than the given trajectory, or None if none follows.
 
     A bound D adds up what l_t loses on every component. Of a feasible trajectory at distances d that costs no more,
 
@@ -104,22 +86,21 @@ def nearby_bounds(
 
     so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature. The dynamics turn these radii into those of the
     others, all of the form alpha + beta q; then q^2 <= left + losses + a + b q, and q is at most the larger root.
-    Nothing is asked of the unknown bounds: that far away the cost is higher.
+    The unknown bounds do not matter: that far away the cost is higher.
     """
     known, radii = _known_radii(problem, trajectory, deviations, allowed)
-    if not _propagated(problem, trajectory, known, radii):
+    if not _propagated(problem, trajectory, radii):
         return None
-    loss = deviations.left
-    a, b = np.zeros(2)
+    loss, a, b = deviations.left, 0.0, 0.0
     for slope, lost, mask, (alpha, beta) in zip(deviations.slopes, deviations.losses, known, radii, strict=True):
         loss += float(lost[mask].sum())
         a += float((slope * alpha)[~mask].sum())
         b += float((slope * beta)[~mask].sum())
-    q = OUTWARD * (b + np.sqrt(b * b + 4 * max(loss + a, 0.0))) / 2
+    q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * max(loss + a, 0.0))) / 2
     pairs = list[Pair]()
     boxes = (problem.state_tube, problem.control_tube)
     for signal, box, (alpha, beta) in zip((trajectory.x, trajectory.u), boxes, radii, strict=True):
-        radius = OUTWARD * (alpha + beta * q) + (OUTWARD - 1) * np.abs(signal)
+        radius = RADIUS_MARGIN * (alpha + beta * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
         if not np.isfinite(radius).all():
             return None
         pairs.append(_within((box.lower, box.upper), (signal - radius, signal + radius)))
@@ -127,21 +108,20 @@ def nearby_bounds(
 
 
 def _within(bounds: Pair, others: Pair) -> Pair:
-    """Return the intersection of two boxes; where they do not meet, and nothing is left, one of the first."""
+    """Return the intersection of two boxes; where it is empty, the nearest point of the first."""
     lower, upper = np.maximum(bounds[0], others[0]), np.minimum(bounds[1], others[1])
     nearest = np.clip(others[0], *bounds)
     return np.where(lower > upper, nearest, lower), np.where(lower > upper, nearest, upper)
 
 
-Radii = list[Pair]
-"""alpha and beta of |d| <= alpha + beta q, for the states and for the controls."""
-
-
 def _known_radii(
     problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, allowed: float
-) -> tuple[list[Mask], Radii]:
-    """Return which components are curved, or lose next to nothing over their bounds, with the radii of those."""
-    known, radii = list[Mask](), Radii()
+) -> tuple[list[Mask], Pair]:
+    """Return which components are curved, or lose a negligible part over their bounds, with their radii.
+
+    Radii are alpha and beta of |d| <= alpha + beta q, stacked: (2, T+1, n) and (2, T, m); inf where unknown.
+    """
+    known, radii = list[Mask](), list[Array]()
     share = NEGLIGIBLE_SHARE * allowed / sum(lost.size for lost in deviations.losses)
     boxes = (problem.state_tube, problem.control_tube)
     for signal, box, slope, curvature, lost in zip(
@@ -149,41 +129,39 @@ def _known_radii(
     ):
         far = np.maximum(np.abs(box.lower - signal), np.abs(box.upper - signal))
         curved = (curvature > 0) & (far > 0)
-        per = np.where(curved, curvature, 1.0)
-        alpha = np.where(curved, 2 * slope / per, far)
-        beta = np.where(curved, np.sqrt(2 / per), 0.0)
+        divisor = np.where(curved, curvature, 1.0)
+        radius = np.where(curved, [2 * slope / divisor, np.sqrt(2 / divisor)], [far, np.zeros_like(far)])
         mask = curved | (lost <= share)
         known.append(mask)
-        radii.append((np.where(mask, alpha, np.inf), np.where(mask, beta, np.inf)))
-    return known, radii
+        radii.append(np.where(mask, radius, np.inf))
+    return known, (radii[0], radii[1])
 
 
-def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, known: list[Mask], radii: Radii) -> bool:
-    """Fill in the radii that the dynamics imply of those known; whether none is left."""
+def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
+    """Fill in the radii that the dynamics imply; whether none is unknown."""
+    x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
-    residual += (OUTWARD - 1) * np.abs(trajectory.x[1:])
+    residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _two_sided_rows(problem, trajectory)
-    _one_step(problem.linear.at(0)[:2], residual[0], rows.get(0, []), 0, radii)
-    (alpha_x, beta_x), (alpha_u, beta_u) = radii
-    if np.isfinite(alpha_u).all() and np.isfinite(alpha_x[0]).all():
-        unknown = np.isinf(alpha_x)
+    _one_step(problem.linear, residual, rows, 0, radii)
+    if np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
+        unknown = np.isinf(x[0])
         if unknown.any():
-            along_alpha = _spread(problem.linear, alpha_x[0], alpha_u, residual)
-            along_beta = _spread(problem.linear, beta_x[0], beta_u, np.zeros_like(residual))
-            alpha_x[unknown], beta_x[unknown] = along_alpha[unknown], along_beta[unknown]
-        return bool(np.isfinite(alpha_x).all() and np.isfinite(beta_x).all())
-    if problem.horizon > MOST_STEPS:
+            for side, moved in enumerate((residual, np.zeros_like(residual))):
+                x[side, unknown] = _spread(problem.linear, x[side, 0], u[side], moved)[unknown]
+        return bool(np.isfinite(x).all())
+    if problem.horizon > MAX_STEPS:
         return False
     steps = range(problem.horizon)
     for times in (steps, reversed(steps), steps):
         for t in times:
-            _one_step(problem.linear.at(t)[:2], residual[t], rows.get(t, []), t, radii)
+            _one_step(problem.linear, residual, rows, t, radii)
     _all_steps(problem.linear, residual, radii)
-    return all(bool(np.isfinite(part).all()) for pair in radii for part in pair)
+    return all(bool(np.isfinite(part).all()) for part in radii)
 
 
 def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[int, list[tuple[Array, float]]]:
-    """Return, per time, rows of (x_t, u_t) whose values cannot move farther than the distance that stands with them.
+    """Return, per time, rows of (x_t, u_t) whose values cannot move farther than the distance beside them.
 
     These are the rows around norm balls, and those of half-spaces of which there are two, opposite.
     """
@@ -191,75 +169,64 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
-        if rows is None:
-            continue
-        for group, t in enumerate(rows.times):
+        for group, t in enumerate(() if rows is None else rows.times):
             matrix = rows.matrix(group)
-            distances = _opposite(matrix, np.maximum(rows.e[group] - matrix @ signals[t], 0.0))
-            found.setdefault(int(t), []).extend((row, one) for row, one in distances if np.isfinite(one) and row.any())
+            slack = np.maximum(rows.e[group] - matrix @ signals[t], 0.0)
+            for i, row in enumerate(matrix):
+                for j in range(i + 1, len(matrix)):
+                    distance = max(float(slack[i]), float(slack[j]))
+                    if np.array_equal(row, -matrix[j]) and np.isfinite(distance) and row.any():
+                        found.setdefault(int(t), []).append((row, distance))
     return found
 
 
-def _opposite(matrix: Array, slack: Array) -> list[tuple[Array, float]]:
-    """Return rows of which the opposite is a row, too, with the larger of both slacks."""
-    return [
-        (row, max(float(slack[i]), float(slack[j])))
-        for i, row in enumerate(matrix)
-        for j in range(i + 1, len(matrix))
-        if np.array_equal(row, -matrix[j])
-    ]
-
-
-def _one_step(matrices: Pair, residual: Array, rows: list[tuple[Array, float]], t: int, radii: Radii) -> None:
-    """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step say of the others."""
-    A, B = matrices
-    columns = np.hstack([A, B, -np.eye(len(A))])
-    if rows:
-        columns = np.vstack([columns, [np.append(row, np.zeros(len(A))) for row, _ in rows]])
-        residual = np.append(residual, [distance for _, distance in rows])
-    (alpha_x, beta_x), (alpha_u, beta_u) = radii
-    alpha = np.concatenate([alpha_x[t], alpha_u[t], alpha_x[t + 1]])
-    unknown = np.isinf(alpha)
-    if not unknown.any() or unknown.sum() > len(columns):
-        return
-    inverse = np.linalg.pinv(columns[:, unknown])
-    if np.abs(inverse @ columns[:, unknown] - np.eye(int(unknown.sum()))).max() > DETERMINED:
-        return
-    size, given = OUTWARD * np.abs(inverse), np.abs(columns[:, ~unknown])
-    beta = np.concatenate([beta_x[t], beta_u[t], beta_x[t + 1]])
-    alpha[unknown] = size @ (given @ alpha[~unknown] + residual)
-    beta[unknown] = size @ (given @ beta[~unknown])
+def _one_step(
+    dynamics: LinearDynamics, residual: Array, rows: dict[int, list[tuple[Array, float]]], t: int, radii: Pair
+) -> None:
+    """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply."""
+    A, B, _ = dynamics.at(t)
     n, m = B.shape
-    for part, values in ((alpha_x, alpha), (beta_x, beta)):
-        part[t], part[t + 1] = values[:n], values[n + m :]
-    alpha_u[t], beta_u[t] = alpha[n : n + m], beta[n : n + m]
+    x, u = radii
+    values = np.concatenate([x[:, t], u[:, t], x[:, t + 1]], axis=1)
+    if not np.isinf(values[0]).any():
+        return
+    given = rows.get(t, [])
+    columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in given)])
+    if _determined(columns, np.append(residual[t], [distance for _, distance in given]), values):
+        x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
 
 
-def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Radii) -> None:
+def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
     """Fill in what the equations of all steps together determine, as a free state whose ends are fixed in part."""
-    (alpha_x, beta_x), (alpha_u, beta_u) = radii
-    unknown = np.isinf(np.concatenate([alpha_x.ravel(), alpha_u.ravel()]))
-    if not 0 < unknown.sum() <= min(MOST_UNKNOWN, residual.size):
+    x, u = radii
+    values = np.concatenate([part.reshape(2, -1) for part in radii], axis=1)
+    if not 0 < np.isinf(values[0]).sum() <= MAX_UNKNOWN:
         return
     T, n = residual.shape
-    columns, of_u = np.zeros((T, n, len(unknown))), (T + 1) * n + np.arange(T * alpha_u.shape[1]).reshape(T, -1)
+    columns, of_u = np.zeros((T, n, values.shape[1])), (T + 1) * n + np.arange(u[0].size).reshape(T, -1)
     for t in range(T):
         A, B, _ = dynamics.at(t)
         columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
-    matrix = columns.reshape(T * n, -1)
-    Q, R = np.linalg.qr(matrix[:, unknown])
-    if np.abs(np.diag(R)).min() <= DETERMINED * np.abs(R).max():
-        return
+    if _determined(columns.reshape(T * n, -1), residual.ravel(), values):
+        x[:], u[:] = values[:, : x[0].size].reshape(x.shape), values[:, x[0].size :].reshape(u.shape)
+
+
+def _determined(columns: Array, residual: Array, values: Array) -> bool:
+    """Fill in unknown radii, values (2, k), that |columns d| <= residual implies; whether it does, for all of them."""
+    unknown = np.isinf(values[0])
+    if unknown.sum() > len(columns):
+        return False
+    Q, R = np.linalg.qr(columns[:, unknown])
+    if not np.diag(R).all():
+        return False
     inverse = solve_triangular(R, Q.T)
-    if np.abs(inverse @ matrix[:, unknown] - np.eye(int(unknown.sum()))).max() > DETERMINED:
-        return
-    size, given = OUTWARD * np.abs(inverse), np.abs(matrix[:, ~unknown])
-    for of_x, of_controls, moved in ((alpha_x, alpha_u, residual.ravel()), (beta_x, beta_u, np.zeros(T * n))):
-        values = np.concatenate([of_x.ravel(), of_controls.ravel()])
-        values[unknown] = size @ (given @ values[~unknown] + moved)
-        of_x[:] = values[: of_x.size].reshape(of_x.shape)
-        of_controls[:] = values[of_x.size :].reshape(of_controls.shape)
+    if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
+        return False
+    moved = np.stack([residual, np.zeros_like(residual)])
+    bounds = values[:, ~unknown] @ np.abs(columns[:, ~unknown]).T + moved
+    values[:, unknown] = bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
+    return True
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
@@ -275,10 +242,10 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     except NumericalError:
         return None
     none = np.zeros((problem.horizon, problem.state_dim))
-    radius = OUTWARD * _spread(problem.linear, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2, none)
+    radius = RADIUS_MARGIN * _spread(problem.linear, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2, none)
     if not np.isfinite(radius).all():
         return None
-    rounding = (OUTWARD - 1) * (np.abs(centre) + radius)
+    rounding = (RADIUS_MARGIN - 1) * (np.abs(centre) + radius)
     return centre - radius - rounding, centre + radius + rounding
 
 
@@ -305,7 +272,7 @@ def _spread_step_by_step(dynamics: LinearDynamics, radius_0: Array, inputs: Arra
 def _spread_in_blocks(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:
     """Return the same for constant dynamics and radii of inputs (m + n,), with powers of A by blocks."""
     A, B, _ = dynamics.at(0)
-    n, count = len(A), min(BLOCK, T + 1)
+    n, count = len(A), min(POWER_BLOCK, T + 1)
     powers = np.empty((count, n, n))
     powers[0] = np.eye(n)
     for k in range(1, count):

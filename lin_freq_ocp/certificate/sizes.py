@@ -1,4 +1,4 @@
-"""How large the components of a trajectory are: what residuals, floors and deviations are measured by.
+"""Sizes of the components of a trajectory, and the scales that residuals, gaps and slopes are compared with.
 
 Sizes come from the trajectory, from fixed ends, references and offsets, never from bounds: a bound may stand for none.
 They change with the units of the components and with nothing else.
@@ -6,60 +6,52 @@ They change with the units of the components and with nothing else.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.tolerances import (
+    DATA_ROUNDING,
+    GAP_TOLERANCE,
+    INSIGNIFICANT_GAIN,
+    SCALE_FLOOR,
+    ZERO_COMPONENT,
+)
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.problem.trajectory import Trajectory
-
-INSIGNIFICANT_GAIN = 1e-14
-"""Entries of a row of [A, B] below this part of its largest one are rounding, as in a linearisation where a state is
-zero up to rounding: no size follows from them."""
-
-NOTHING = 1e-20
-"""Components that are nowhere larger are zero, as bounds of 1e20 and more are none."""
-
-GAP_TOLERANCE = 1e-6
-"""Relative gap (J - D)/S up to which a feasible point is called globally optimal."""
-
-DATA_ROUNDING = 1e-12
-"""Deviations of states and controls, relative to their sizes, that solvers and printed data leave: where the cost is
-zero up to what they cost, a gap of that much is none."""
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), all above zero.
 
-    A component is as large as its largest value, its fixed ends, references and offsets. One that has no data of its
-    own and stays near zero is as large as what changes the others by their own sizes within the horizon (a state, no
-    larger than what the others make of it in a step), else as what changes the cost by all that it adds up to. 1 where
-    the trajectory is zero and nothing else is said.
+    A component is as large as its largest value, its fixed ends, references and offsets. A component without data of
+    its own that stays near zero is as large as what changes the others by their own sizes within the horizon (a state,
+    no larger than what the others make of it in a step), else as what changes the cost by its whole value. 1 where the
+    trajectory is zero and there are no data.
     """
     n = problem.state_dim
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
     own = _own_sizes(problem, offset)
     known = np.maximum(own, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
-    known = np.where(known > NOTHING, known, 0.0)
+    known = np.where(known > ZERO_COMPONENT, known, 0.0)
     gain = np.hstack([A, B])
     gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     anchored = (own > 0) | _has_slope(problem)
     needed = _needed(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
     caused = gain @ sizes
-    most = np.where(caused > 0, caused, np.where(needed[:n] > 0, needed[:n], 0.0))
+    most = np.where(caused > 0, caused, needed[:n])
     sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
-    sizes = np.where(alone, np.maximum(sizes, _priced(problem, trajectory)), sizes)
+    sizes = np.where(alone, np.maximum(sizes, _sizes_by_cost(problem, trajectory)), sizes)
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
 
-def _priced(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+def _sizes_by_cost(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return what a component must be to cost what all terms of the cost add up to, 0 if it costs nothing."""
     cost = problem.quadratic
     curvature = np.concatenate(
@@ -72,8 +64,8 @@ def _priced(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
 def _needed(effect: Array, known: Array, anchored: Mask) -> Array:
     """Return what a component must be to change those that are anchored in data by their sizes, 0 where it cannot.
 
-    effect : (n, n + m), the change of states within the horizon per unit of a component. Components that act on the
-    anchored ones are anchors of others in turn.
+    effect : (n, n + m), the change of states within the horizon per unit of a component. Components that act on
+    anchored components are anchors of others in turn.
     """
     n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
     effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
@@ -90,12 +82,19 @@ def _needed(effect: Array, known: Array, anchored: Mask) -> Array:
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return S, what the terms of the cost add up to in absolute value: what gaps are relative to.
+    """Return S, the sum of the absolute values of the terms of the cost: what gaps are relative to.
 
-    Its quadratic part is one term at each time, every linear term and every penalty one of its own. At least what
-    deviations of DATA_ROUNDING cost, over GAP_TOLERANCE.
+    The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
+    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory.
     """
-    return max(_sum_of_terms(problem, trajectory), _cost_of_rounding(problem, trajectory) / GAP_TOLERANCE)
+    x, u = trajectory.x, trajectory.u
+    sizes = zip((x, u), trajectory_sizes(problem, trajectory), strict=True)
+    in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in sizes)
+    rounding = problem.quadratic.magnitudes().value(in_x, in_u)
+    for term in problem.terms:
+        for sign in (-1, 1):
+            rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
+    return max(_sum_of_terms(problem, trajectory), rounding / GAP_TOLERANCE)
 
 
 def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
@@ -105,26 +104,6 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
     total = float(np.abs(cost.stage_values(x, u) - linear).sum() + np.abs(x[-1] * cost.p).sum())
     total += float(np.abs(x[:-1] * cost.q).sum() + np.abs(u * cost.r).sum())
     return total + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
-
-
-def _cost_of_rounding(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return what deviations of DATA_ROUNDING cost: squares from the references, all else from the trajectory."""
-    x, u = trajectory.x, trajectory.u
-    moved = [
-        np.broadcast_to(DATA_ROUNDING * size, signal.shape)
-        for signal, size in zip((x, u), trajectory_sizes(problem, trajectory), strict=True)
-    ]
-    changes = [
-        float(np.abs(term.cost(x + sign * moved[0], u + sign * moved[1]) - term.cost(x, u)).sum())
-        for term in problem.terms
-        for sign in (-1, 1)
-    ]
-    return problem.quadratic.magnitudes().value(*moved) + sum(changes)
-
-
-def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
-    """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*trajectory_sizes(problem, trajectory))
 
 
 def _own_sizes(problem: OptimalControlProblem, offset: Array) -> Array:
@@ -141,3 +120,54 @@ def _has_slope(problem: OptimalControlProblem) -> Mask:
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     in_x = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p)
     return np.append(in_x, np.abs(cost.r).reshape(-1, m).max(0)) > 0
+
+
+def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
+    """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
+    return problem.piecewise.arrays(problem.horizon).with_sizes(*trajectory_sizes(problem, trajectory))
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
+
+    Attributes
+    ----------
+    x : (n,), u : (m,)
+        Of states and controls.
+    level : float
+        What multipliers times signals are compared with: S of ``cost_scale``, but at least SCALE_FLOOR of what a stage
+        costs with states and controls of their natural sizes; for eta_C = 0, which has no unit of cost, SCALE_FLOOR of
+        the largest terms of the Hamiltonian.
+    in_x : (n,), in_u : (m,)
+        Of multipliers in the adjoint equation and in D_u H: what changes the cost of a stage by its own size.
+    terms : tuple of (dim,)
+        Of values of terms, one entry per term, with states and controls of their natural sizes.
+    """
+
+    x: Array
+    u: Array
+    level: float
+    in_x: Array
+    in_u: Array
+    terms: tuple[Array, ...]
+
+
+def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None) -> Floors:
+    """Return the least scales along a trajectory whose components have these sizes, (n,) and (m,).
+
+    The default are those of the extremal's own problem; of a problem with modes, the extremal knows the average only.
+    """
+    problem, T = extremal.problem, extremal.problem.horizon
+    x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
+    steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
+    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0) for priced in extremal.terms)
+    if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
+        before = np.abs(extremal.eta_before) + extremal.in_x_terms
+        level = stage = SCALE_FLOOR * float(max((before @ x).max(), (extremal.in_u_terms @ u).max()))
+    else:
+        in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
+        stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+        level = max(cost_scale(problem, extremal.trajectory), stage)
+    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)

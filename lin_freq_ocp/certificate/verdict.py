@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, lower_bound
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition, all_conditions, worth_of_residuals
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
-from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.clarke import Judgement, SwitchingFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
-from lin_freq_ocp.certificate.rounded import Rounded
-from lin_freq_ocp.certificate.sizes import GAP_TOLERANCE, cost_scale
+from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.dynamics.base import entry_for
@@ -31,6 +30,38 @@ from lin_freq_ocp.status import Status
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
 
 
+@dataclass(frozen=True)
+class Rounded:
+    """What the rounding of a trajectory explains.
+
+    Attributes
+    ----------
+    decimals : int
+        All states and controls are whole multiples of 10^-decimals.
+    satisfied_to : float
+        The least of 1e-5, 1e-4, 1e-3, 1e-2 that all conditions of the maximum principle are satisfied to.
+    """
+
+    decimals: int
+    satisfied_to: float
+
+    def __str__(self) -> str:
+        level = round(-np.log10(self.satisfied_to))
+        return (
+            f"satisfied to 1e-{level}: the trajectory has {self.decimals} decimals, "
+            "and rounding is the likely reason for the rest"
+        )
+
+
+def decimals_of(trajectory: Trajectory) -> int | None:
+    """Return how many decimals the states and controls have, or None where they have more than MAX_DECIMALS."""
+    values = np.concatenate([trajectory.x.ravel(), trajectory.u.ravel()])
+    values = values[values != 0]
+    if len(values) < MIN_ROUNDED:
+        return None
+    return next((count for count in range(MAX_DECIMALS + 1) if (np.round(values, count) == values).all()), None)
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """What is proven of a trajectory with multipliers.
@@ -38,7 +69,7 @@ class Certificate:
     Attributes
     ----------
     pmp : str
-        "satisfied", "violated" or "not_applicable" (the map jumps across a border of modes: see ``borders``).
+        "satisfied", "violated" or "not_applicable" (the map jumps across a switching facet: see ``borders``).
     normal : bool or None
         Whether eta_C = 1.
     conditions : tuple of Condition
@@ -46,12 +77,12 @@ class Certificate:
     cost : float
         J of the trajectory.
     cost_scale : float
-        S, what the terms of the cost add up to in absolute value: what the gap is relative to.
+        S, the sum of the absolute values of the terms of the cost: what the gap is relative to.
     worth_of_residuals : float
-        What residuals of constraints are worth, at their multipliers: to first order, what the cost owes to them.
+        Residuals of constraints times their multipliers: to first order, by how much they lower the cost.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
-        search over modes may add one, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
+        search over modes may add its own, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
     descent : Direction or None
         A verified direction of descent. Of a linear problem, it shows that no normal multipliers exist; where modes
         meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
@@ -98,11 +129,7 @@ class Certificate:
     @property
     def feasible(self) -> bool:
         """Whether every constraint of the problem holds within tolerance."""
-        return all(
-            condition.passed
-            for condition in self.conditions
-            if condition.label in FEASIBILITY_LABELS or condition.name in FEASIBILITY_LABELS
-        )
+        return not any({condition.label, condition.name} & set(FEASIBILITY_LABELS) for condition in self.failed)
 
     @property
     def globally_optimal(self) -> bool:
@@ -112,16 +139,16 @@ class Certificate:
     def proven_within(self, gap: float) -> bool:
         """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
 
-        A numerical bound says nothing of what lies outside its box, and proves nothing. Residuals must not be worth
-        more than the gap, either, nor the cost be below the bound by more: then residuals pay for it.
+        A numerical bound proves nothing outside its box. The cost of residuals must not be more than the gap, nor may
+        the cost be below the bound by more: then residuals lower it.
         """
         if self.bound is None or self.gap is None or self.bound.kind != "rigorous" or not self.feasible:
             return False
         return abs(self.gap) <= gap and self.worth_of_residuals <= gap * self.cost_scale
 
     def within(self, tolerance: float) -> Certificate:
-        """Return the certificate with another tolerance of its conditions; what is said of borders stays."""
-        conditions = tuple(one.within(tolerance) for one in self.conditions)
+        """Return the certificate with another tolerance of its conditions; facts about ``borders`` stay."""
+        conditions = tuple(condition.within(tolerance) for condition in self.conditions)
         pmp = self.pmp if self.pmp == "not_applicable" else _principle(conditions)
         return replace(self, conditions=conditions, pmp=pmp)
 
@@ -166,7 +193,7 @@ class Certificate:
     def _repr_html_(self) -> str:
         lines = [line.partition(" ")[::2] for line in str(self).splitlines()]
         rows = [(term, text.strip()) for term, text in lines]
-        rows += [(one.label, f"fails: {one.name}, {one.relative:.1e} relative") for one in self.failed]
+        rows += [(failed.label, f"fails: {failed.name}, {failed.relative:.1e} relative") for failed in self.failed]
         return html_table("Certificate", rows)
 
     @property
@@ -189,31 +216,31 @@ def judge(
     trajectory : Trajectory
     multipliers : Multipliers
     tolerance : float
-        Residuals over scales up to which conditions hold. Facts about borders of modes keep theirs.
+        Residuals over scales up to which conditions hold. Facts about switching facets keep theirs.
 
-    With piecewise-affine dynamics, the state equation is that of a mode that holds, and all else is said of the linear
-    dynamics averaged by ``multipliers.weights``, or, where they are None, by those that fit best (docs/borders.md).
+    With piecewise-affine dynamics, the state equation is that of an active mode, and all other conditions are those of
+    the linear dynamics averaged by ``multipliers.weights``, if None by the weights that fit best (docs/borders.md).
 
     Raises
     ------
     ProblemError
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not pass
-        found = Judgement(*entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers))
-        conditions, borders, bound = found.conditions, found.borders, None
+    with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
+        found = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
+        scale, bound = cost_scale(problem, trajectory), None
         if found.extremal is not None and multipliers.eta_C == 1:
-            bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * cost_scale(problem, trajectory))
-        pmp = _principle(conditions)
+            bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
+        jumps = found.borders is not None and found.borders.jumping is not None
         certificate = Certificate(
-            pmp=pmp if borders is None or borders.jumping is None else "not_applicable",
+            pmp="not_applicable" if jumps else _principle(found.conditions),
             normal=multipliers.eta_C == 1,
-            conditions=conditions,
+            conditions=found.conditions,
             cost=problem.value(trajectory.x, trajectory.u),
-            cost_scale=cost_scale(problem, trajectory),
-            worth_of_residuals=found.worth,
+            cost_scale=scale,
+            worth_of_residuals=found.cost_of_residuals,
             bound=bound,
-            borders=borders,
+            borders=found.borders,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
 
@@ -226,33 +253,15 @@ def _number(value: float | None, form: str = ".12g") -> str:
     return "none" if value is None else format(value, form)
 
 
-class Judgement(NamedTuple):
-    """What is judged of a trajectory, by the kind of dynamics.
-
-    Attributes
-    ----------
-    conditions, borders, worth
-        As ``Certificate`` has them.
-    extremal : Extremal or None
-        If a global bound follows from the multipliers.
-    """
-
-    conditions: tuple[Condition, ...]
-    borders: SwitchingFacts | None
-    worth: float
-    extremal: Extremal | None = None
-
-
 def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     if multipliers.weights is not None:
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
-    return Judgement(all_conditions(extremal), None, worth_of_residuals(extremal), extremal)
+    return Judgement(all_conditions(extremal), None, cost_of_residuals(extremal), extremal)
 
 
-JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], tuple[Any, ...]]] = {
+JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {
     LinearDynamics: _judge_linear,
     PiecewiseAffineDynamics: judge_modes,
     PiecewiseSmoothDynamics: judge_smooth,
 }
-"""The judge of each kind of dynamics; what it returns are the fields of ``Judgement``."""

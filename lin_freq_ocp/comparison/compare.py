@@ -9,7 +9,7 @@ from functools import cached_property
 from lin_freq_ocp.analysis.measures import Measures, measure
 from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.modes.kinks import Kink, kinks
+from lin_freq_ocp.certificate.modes.smooth import Kink, kinks
 from lin_freq_ocp.comparison.filters import (
     FILTERS,
     can_be_filtered,

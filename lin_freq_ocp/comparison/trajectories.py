@@ -9,8 +9,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.measures import Measures, one_step_residual, stated_sizes, stopband_peak
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.sizes import measured_modes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
-from lin_freq_ocp.certificate.rounded import Rounded, decimals_of
-from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem

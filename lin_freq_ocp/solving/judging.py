@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -196,10 +196,10 @@ def test_halved_cells_cover_the_kept_ones_and_know_where_they_come_from():
     assert len(fine.cells) == 4 * kept.sum()
     assert (np.abs(fine.centres - lattice.centres[parents]) <= lattice.width / 4 * (1 + 1e-12)).all()
     points = lattice.centres[kept] + rng.uniform(-0.49, 0.49, size=(kept.sum(), 2)) * lattice.width
-    found = fine.numbers(fine.places(points))
+    found = fine.numbers(fine.indices(points))
     np.testing.assert_array_equal(parents[found], np.flatnonzero(kept))
     slopes = rng.normal(size=(len(parents), 2, 2))
-    most = value.most(parents, fine.centres, fine.width, slopes)
+    most = value.most(parents, fine, slopes)
     for _ in range(20):
         x = fine.centres + rng.uniform(-0.5, 0.5, size=fine.centres.shape) * fine.width
         tilted = value.at(x)[:, None] - np.einsum("psn,pn->ps", slopes, x - fine.centres)

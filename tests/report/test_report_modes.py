@@ -22,7 +22,7 @@ from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.certificate.modes.kinks import kinks
+from lin_freq_ocp.certificate.modes.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
 from lin_freq_ocp.problem.description import problem_facts

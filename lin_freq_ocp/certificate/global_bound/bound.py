@@ -8,12 +8,11 @@ with any slopes; D is the least of V_0 over X_0. c_t holds the signals of freque
 over a feasible trajectory, so that for any multipliers D is a bound; its distance to the optimum is then at least the
 duality gap of the frequency constraint. The minimum is taken over boxes of (x, u), modes, and cells that the image of a
 box meets, each bounded by Taylor's formula of second order with enclosures of f, its gradient and its Hessian. Boxes
-are bisected where that says too little. Where a cell has no width, as a fixed end, the slope is free: it is chosen so
-that the bound is best.
+with weak bounds are bisected. Where a cell has no width, as a fixed end, the slope is chosen so that the bound is best.
 
-What a box costs beyond V_t is its reduced cost, and a trajectory costs D and the reduced costs of the boxes that it
-goes through, at least. Boxes that only trajectories above the cost wanted go through are excluded, and what is left is
-cut into halves and bounded again: soon that is a tube around the best trajectories, however fine the lattice.
+What a box costs beyond V_t is its reduced cost; a trajectory costs at least D and the reduced costs of its boxes. Boxes
+that only trajectories above the cutoff go through are dropped, and the cells that are left are halved and bounded
+again: soon they are a tube around the best trajectories, however fine the lattice.
 """
 
 from __future__ import annotations
@@ -26,52 +25,30 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.global_bound.costs import StageCosts, stage_costs
-from lin_freq_ocp.certificate.global_bound.grid import FINEST, CostToGo, Lattice
-from lin_freq_ocp.certificate.global_bound.samples import arrivals
-from lin_freq_ocp.certificate.global_bound.stages import Stages
+from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, index_tuples
+from lin_freq_ocp.certificate.global_bound.samples import costs_to_come
+from lin_freq_ocp.certificate.global_bound.stages import StageCosts, Stages, stage_costs
 from lin_freq_ocp.certificate.global_bound.step import Boxes, Step, met_cells
-from lin_freq_ocp.certificate.global_bound.taylor import ROUNDING
+from lin_freq_ocp.certificate.global_bound.tolerances import (
+    CUTOFF_MARGIN,
+    FINEST_CELL,
+    FIRST_BOXES,
+    FIRST_CELLS,
+    FIRST_LOSS,
+    MAX_LATTICE,
+    MAX_STATES,
+    ROUNDING,
+    STEP_SHARE,
+)
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-MOST_STATES = 3
-"""Cells are as many as a power of this: four states would need hours."""
-
-FIRST_CELLS = {1: 50, 2: 8, 3: 4}
-"""Cells of each state to begin with, by the number of states."""
-
-MOST_PLACES = 4_000_000
-"""Of a lattice, cells or not: what is kept for each of them fits into memory."""
-
-FIRST_BOXES = 16
-"""Boxes of the controls of a cell to begin with, for one control; the root of it for each of two."""
-
-CUT_MARGIN = 5e-2
-"""Part of the cost by which what it costs to come to a cell may be overestimated at first."""
-
-FIRST_LOSS = 1e-2
-"""Part of the cost that the first level is expected to lose."""
-
-STEP_SHARE = 0.25
-"""Part of the gap of a level, or of the gap wanted, that all steps together may lose in the search for the least."""
-
 
 @dataclass(frozen=True, eq=False)
 class ValueBound:
-    """What one level says.
-
-    Attributes
-    ----------
-    value : float
-        D <= J for every feasible trajectory.
-    path : Trajectory or None
-        Cells and controls that lead to D, nearly: where a better trajectory would have to be looked for.
-    sequence : (T,) or None
-        Its modes.
-    """
+    """D of one level, with cells and controls that nearly lead to it and their modes (T,): a start for a search."""
 
     value: float
     path: Trajectory | None = None
@@ -92,9 +69,9 @@ def value_bounds(
     Parameters
     ----------
     multipliers : Multipliers
-        Those of frequency constraints and terms; eta is not looked at.
+        Those of frequency constraints and terms; eta is not used.
     cost : float
-        Of a trajectory; inf if none is known. D is a bound whatever it is, but never more than cost - gap / 2.
+        Of a trajectory; inf if none is known. D is a bound for any value, but never more than cost - gap / 2.
     gap : float
         Wanted distance from the cost.
     deadline : float
@@ -108,13 +85,13 @@ def value_bounds(
     Raises
     ------
     UnsupportedError
-        If there are more than three states, or a state or control is not bounded, nor by what it may cost.
+        If there are more than three states, or a state or control is not bounded, nor by its cost.
     OutOfTimeError
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
     scale = scale or max(abs(cost), gap)
-    cut, best = cost - gap / 2 - costs.constant, -np.inf
-    stages = Stages.below(problem, costs, cut)
+    cutoff, best = cost - gap / 2 - costs.constant, -np.inf
+    stages = Stages.below(problem, costs, cutoff)
     level, count = _first_level(stages, cost - costs.constant, scale), 0
     while level:
         count += 1
@@ -123,8 +100,8 @@ def value_bounds(
         done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
-        level = _next_level(done, cut)
-        least = cut if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cut)
+        level = _next_level(done, cutoff)
+        least = cutoff if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cutoff)
         best = max(best, least + costs.constant - slack)
         yield ValueBound(best, *_cheapest(done))
         if best >= cost - gap or least == np.inf:
@@ -133,53 +110,63 @@ def value_bounds(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What there is to do at one time.
+    """What is to be bounded at one time.
 
     Attributes
     ----------
     boxes : Boxes
         None at the last time.
-    excluded : function of slopes (cells, pieces, n)
-        Returns (cells, pieces): what c + V - slopes (x - centre) is at least on a trajectory that is not looked at.
-    hoped : (cells,)
-        Estimate of c + V on such trajectories: boxes above are not bisected.
+    target : (cells,)
+        Estimate of c + V on trajectories below the cutoff: boxes above it are not bisected.
+    left : (cells,) or None
+        The cutoff less the least cost-to-come of the level before, None on the first level.
+    before, parents : CostToGo or None, (cells,)
+        V_t of the level before, and its cells; None at t = 0, where nothing is paid before.
     """
 
     lattice: Lattice
     boxes: Boxes
-    excluded: Callable[[Array], Array]
-    hoped: Array
+    target: Array
+    left: Array | None = None
+    before: CostToGo | None = None
+    parents: Indices | None = None
+
+    def cutoff(self, slopes: Array) -> Array:
+        """Return c + V - slopes (x - centre) of trajectories above the cutoff at least, (cells, pieces).
+
+        They cost the cost-to-come less V_t(x) before t, at least, with V_t of the level before.
+        """
+        if self.left is None:
+            return np.full(slopes.shape[:2], np.inf)
+        if self.before is None or self.parents is None:
+            return self.left[:, None] + self.lattice.variation(slopes)
+        return self.left[:, None] + self.before.most(self.parents, self.lattice, slopes)
 
 
 @dataclass(frozen=True, eq=False)
 class _Done:
-    """V_t, boxes, and what a trajectory through each costs beyond V_t from there on, at least: (boxes,), (cells,)."""
+    """V_t, boxes, and the least reduced cost-to-go from each box and each cell: (boxes,), (cells,)."""
 
     value: CostToGo
     boxes: Boxes
-    beyond: Array
-    beyond_of_cells: Array
+    to_go: Array
+    to_go_of_cells: Array
 
 
 def _first_level(stages: Stages, cost: float, scale: float) -> list[_Task]:
     lattices = _lattices(stages)
     tasks: list[_Task] = []
-    for t, (lattice, spent) in enumerate(zip(lattices, arrivals(stages, lattices), strict=True)):
-        hoped = cost - spent + CUT_MARGIN * scale if np.isfinite(cost) else np.full(len(spent), np.inf)
-        boxes = _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice)
-        tasks.append(_Task(lattice, boxes, _nothing, hoped))
+    for t, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+        target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
+        tasks.append(_Task(lattice, _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice), target))
     return tasks
-
-
-def _nothing(slopes: Array) -> Array:
-    return np.full(slopes.shape[:2], np.inf)
 
 
 def _lattices(stages: Stages) -> list[Lattice]:
     """Return cells over what can be reached at each time."""
     problem, n = stages.problem, stages.problem.state_dim
-    if n > MOST_STATES:
-        raise UnsupportedError(f"a global bound: got {n} states; expected at most {MOST_STATES}.")
+    if n > MAX_STATES:
+        raise UnsupportedError(f"a global bound: got {n} states; expected at most {MAX_STATES}.")
     lower, upper, bounds = stages.lowest[0], stages.highest[0], list[tuple[Array, Array]]()
     for t in range(problem.horizon + 1):
         for j in np.flatnonzero(~np.isfinite(lower) | ~np.isfinite(upper)):
@@ -193,8 +180,8 @@ def _lattices(stages: Stages) -> list[Lattice]:
         images = [interval_jets(mode.f, box[0], box[1]).values for mode in problem.smooth_pieces.modes]
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
-        upper = np.maximum(lower, upper)  # where nothing is left, no image will meet the cell
-    finest = FINEST * np.abs(bounds).max(axis=(0, 1))
+        upper = np.maximum(lower, upper)  # where that is empty, no image will meet the cell
+    finest = FINEST_CELL * np.abs(bounds).max(axis=(0, 1))
     return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
 
 
@@ -202,15 +189,16 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
     problem, m = stages.problem, stages.problem.control_dim
     each = max(1, round(FIRST_BOXES ** (1 / m)))
     width = (stages.upper[t] - stages.lower[t]) / each
-    parts = np.stack(np.meshgrid(*[np.arange(each)] * m, indexing="ij"), axis=-1).reshape(-1, m)
-    u, x, modes = stages.lower[t] + (parts + 0.5) * width, lattice.centres, len(problem.smooth_pieces.modes)
+    u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
+    x, modes = lattice.centres, len(problem.smooth_pieces.modes)
     centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-    radius = np.concatenate([lattice.width, width]) / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre)
+    widths = np.concatenate([lattice.width, width])
+    radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
     return Boxes.unbounded(
         np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
         np.repeat(np.arange(modes), len(centre)),
         np.tile(centre, (modes, 1)),
-        np.tile(np.where(np.concatenate([lattice.width, width]) > 0, radius, 0.0), (modes, 1)),
+        np.tile(radius, (modes, 1)),
         problem.state_dim,
     )
 
@@ -226,17 +214,15 @@ def _backward(
         task, after = level[t], done[-1]
         step = Step(stages, t, task.lattice, after.value, deadline)
         slopes, reached = step.slopes(task.boxes)
-        hoped = task.hoped[:, None] + (np.abs(slopes) * task.lattice.width / 2).sum(axis=2)
-        value, boxes = step.values(
-            task.boxes, slopes, np.minimum(reached - tolerance, hoped), task.excluded(slopes), tolerance
-        )
-        beyond = np.full(len(boxes.cell), np.inf)
+        target = np.minimum(reached - tolerance, task.target[:, None] + task.lattice.variation(slopes))
+        value, boxes = step.values(task.boxes, slopes, target, task.cutoff(slopes), tolerance)
+        to_go = np.full(len(boxes.cell), np.inf)
         for box, cell in met_cells(boxes, after.value):
-            np.minimum.at(beyond, box, after.beyond_of_cells[cell])
-        beyond += boxes.reduced
+            np.minimum.at(to_go, box, after.to_go_of_cells[cell])
+        to_go += boxes.reduced
         of_cells = np.full(len(value.values), np.inf)
-        np.minimum.at(of_cells, boxes.cell, beyond)
-        done.append(_Done(value, boxes, beyond, of_cells))
+        np.minimum.at(of_cells, boxes.cell, to_go)
+        done.append(_Done(value, boxes, to_go, of_cells))
         if progress is not None:
             progress(1 - t / stages.problem.horizon)
     return done[::-1]
@@ -253,18 +239,18 @@ def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
 
 
 def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
-    """Return the centres of cells, controls and modes of boxes along which nothing is paid beyond D, or the least."""
+    """Return the centres of cells, controls and modes of boxes with the least reduced cost-to-go."""
     cell = int(np.argmin(done[0].value.least))
     x, u, modes = [done[0].value.lattice.centres[cell]], list[Array](), list[int]()
     for now, after in pairwise(done):
-        rows = np.flatnonzero((now.boxes.cell == cell) & np.isfinite(now.beyond))
+        rows = np.flatnonzero((now.boxes.cell == cell) & np.isfinite(now.to_go))
         if not len(rows):
             return None, None
-        box = now.boxes.take(rows[[int(np.argmin(now.beyond[rows]))]])
+        box = now.boxes.take(rows[[int(np.argmin(now.to_go[rows]))]])
         cells = np.concatenate([cell for _, cell in met_cells(box, after.value)])
         centres = after.value.lattice.centres[cells]
         far = np.abs(centres - 0.5 * (box.low + box.high)).sum(axis=1)
-        nearest = np.lexsort([far, after.beyond_of_cells[cells]])[0]
+        nearest = np.lexsort([far, after.to_go_of_cells[cells]])[0]
         cell = int(cells[nearest])
         x.append(centres[nearest])
         u.append(box.centre[0, len(x[0]) :])
@@ -272,59 +258,38 @@ def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, Non
     return Trajectory(np.array(x), np.array(u)), np.array(modes, dtype=np.intp)
 
 
-def _next_level(done: list[_Done], cut: float) -> list[_Task] | None:
-    """Return the halves of cells that a trajectory below ``cut`` may go through; none are left, or None: too many."""
-    spent = done[0].value.least
+def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
+    """Return the halves of cells that a trajectory below the cutoff may go through; [] if none, None if too many."""
+    to_come = done[0].value.least
     tasks: list[_Task] = []
     for t, (now, following) in enumerate(zip(done, [*done[1:], None], strict=True)):
-        kept = spent[now.boxes.cell] + now.beyond < cut
-        boxes = now.boxes.take(kept)
-        alive = np.zeros(len(spent), dtype=bool)
+        boxes = now.boxes.take(to_come[now.boxes.cell] + now.to_go < cutoff)
+        alive = np.zeros(len(to_come), dtype=bool)
         alive[boxes.cell] = True
         if following is None:
-            alive = spent < cut
+            alive = to_come < cutoff
         if not alive.any():
             return []
         lattice, parents = now.value.lattice.halved(alive)
-        if lattice.shape.prod() > MOST_PLACES:
+        if lattice.shape.prod() > MAX_LATTICE:
             return None
-        before = np.zeros(len(parents)) if t == 0 else spent[parents]
-        limit = _Limit(now.value, lattice, parents, cut - before, t == 0)
-        none = np.full(len(parents), np.inf)
-        tasks.append(_Task(lattice, _halved(boxes, now.value.lattice, lattice, alive), limit, none))
+        halves, target = _halved(boxes, now.value.lattice, lattice, alive), np.full(len(parents), np.inf)
+        if t == 0:
+            tasks.append(_Task(lattice, halves, target, np.full(len(parents), cutoff)))
+        else:
+            tasks.append(_Task(lattice, halves, target, cutoff - to_come[parents], now.value, parents))
         if following is not None:
             reached = np.full(len(following.value.values), np.inf)
             for box, cell in met_cells(boxes, following.value):
-                np.minimum.at(reached, cell, (spent[boxes.cell] + boxes.reduced)[box])
-            spent = reached
+                np.minimum.at(reached, cell, (to_come[boxes.cell] + boxes.reduced)[box])
+            to_come = reached
     return tasks
-
-
-@dataclass(frozen=True, eq=False)
-class _Limit:
-    """What c + V - slopes (x - centre) is at least in a cell on trajectories that cost ``cut`` or more.
-
-    Before t they cost at least spent - V_t(x), with V_t of the level before, and nothing at t = 0.
-    """
-
-    value: CostToGo
-    lattice: Lattice
-    parents: Indices
-    left: Array
-    first: bool
-
-    def __call__(self, slopes: Array) -> Array:
-        if self.first:
-            return self.left[:, None] + (np.abs(slopes) * self.lattice.width / 2).sum(axis=2)
-        most = self.value.most(self.parents, self.lattice.centres, self.lattice.width, slopes)
-        return self.left[:, None] + most
 
 
 def _halved(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
     """Return the parts of boxes in each half of their cells."""
-    n = len(coarse.width)
-    split = coarse.split
-    corners = np.stack(np.unravel_index(np.arange(int(split.prod())), tuple(split)), axis=1)
+    n, split = len(coarse.width), coarse.split
+    corners = index_tuples(split)
     rank = np.cumsum(alive) - 1
     whole = (boxes.radius[:, :n] > coarse.width / 3) & (split > 1)
     side = boxes.centre[:, :n] > coarse.centres[boxes.cell]
@@ -332,9 +297,8 @@ def _halved(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
     for i, corner in enumerate(corners):
         rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (split == 1)).all(axis=1))
         cell = rank[boxes.cell[rows]] * len(corners) + i
-        part = boxes.take(rows)
+        part, own = boxes.take(rows), whole[rows]
         half = fine.width / 2 * (1 + ROUNDING) + ROUNDING * np.abs(fine.centres[cell])
-        own = whole[rows]
         part.centre[:, :n] = np.where(own, fine.centres[cell], part.centre[:, :n])
         part.radius[:, :n] = np.where(own, half, part.radius[:, :n])
         parts.append(Boxes.unbounded(cell, part.mode, part.centre, part.radius, n))

@@ -1,4 +1,9 @@
-"""The stages that value_bound.py works on: their costs, and bounds of states and controls, some by the cost."""
+"""The stages of the global bound: costs with constraints priced by multipliers, bounds of states and controls.
+
+For any multipliers, every feasible trajectory has J >= constant + sum_t c_t(x_t, u_t) + c_T(x_T), where the quadratics
+c_t hold the signals of the frequency multipliers, which vanish in the sum, and the affine minorants <lambda+, L> - h*
+of terms h(L(x, u)) (hamiltonian.py).
+"""
 
 from __future__ import annotations
 
@@ -7,27 +12,61 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.global_bound.costs import StageCosts
+from lin_freq_ocp.certificate.global_bound.tolerances import FLATNESS, SHADOW_WIDENING
+from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.trajectory import Multipliers
 
-FLAT = 1e-12
-"""A direction whose curvature is smaller than this part of the largest is flat, as is a slope relative to all of it."""
 
-WIDER = 1e-6
-"""Part by which bounds that follow from the cost are widened: far more than their rounding errors."""
+@dataclass(frozen=True, eq=False)
+class StageCosts:
+    """Quadratics 1/2 y'H y + b'y of y = (x_t, u_t), with a constant for all of them together.
+
+    hessians : (T, n + m, n + m), linear : (T, n + m), terminal_hessian : (n, n), terminal_linear : (n,);
+    ``size`` is the sum of the absolute values of what the constant is summed from.
+    """
+
+    hessians: Array
+    linear: Array
+    terminal_hessian: Array
+    terminal_linear: Array
+    constant: float
+    size: float
+
+
+def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> StageCosts:
+    """Return the stage costs of a problem with its frequency multipliers and those of its terms."""
+    T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
+    require_fitting(problem, multipliers)
+    x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
+    y_ref = np.hstack([x_ref[:T], u_ref])
+    hessians = np.array(np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m)))
+    of_reference = np.einsum("tij,tj->ti", hessians, y_ref)
+    own = np.concatenate([np.broadcast_to(cost.q, (T, n)), np.broadcast_to(cost.r, (T, m))], axis=1)
+    terminal = cost.P @ x_ref[T]
+    constants = [*(0.5 * (y_ref * of_reference).sum(1)), float(0.5 * x_ref[T] @ terminal)]
+    in_x, in_u = time_signal(multipliers.rho_x, T + 1), time_signal(multipliers.rho_u, T)
+    for term in problem.terms:
+        values = term.map.values(x_ref, u_ref)
+        weights = term.penalty.subgradient(multipliers.stage.get(term.name, np.zeros(term.shape)), 1.0)
+        pulled_x, pulled_u = term.map.pull_back(weights, (x_ref.shape, u_ref.shape))
+        in_x, in_u = in_x + pulled_x, in_u + pulled_u
+        constants += [*term.penalty.cost(values).ravel(), *(-term.penalty.gap(values, weights, 1.0)).ravel()]
+        constants += [-float((pulled_x * x_ref).sum()), -float((pulled_u * u_ref).sum())]
+    linear = own - of_reference + np.hstack([in_x[:T], in_u])
+    terminal_linear = cost.p - terminal + in_x[T]
+    size = float(np.abs(constants).sum() + np.abs(in_x * x_ref).sum() + np.abs(in_u * u_ref).sum())
+    parts = (np.asarray(part, dtype=np.float64) for part in (linear, cost.P, terminal_linear))
+    return StageCosts(hessians, *parts, float(np.sum(constants)), size)
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
     """A problem with priced costs and bounds: a trajectory that is not within them costs too much or is not feasible.
 
-    Attributes
-    ----------
-    lower, upper : (T, m)
-        Of the controls.
-    lowest, highest : (T+1, n)
-        Of the states.
+    lower, upper : (T, m), of the controls; lowest, highest : (T+1, n), of the states.
     """
 
     problem: OptimalControlProblem
@@ -40,13 +79,13 @@ class Stages:
     @classmethod
     def below(cls, problem: OptimalControlProblem, costs: StageCosts, level: float) -> Stages:
         """Return the stages of trajectories below a level of the cost without its constant."""
-        n, states, controls = problem.state_dim, problem.state_tube, problem.control_tube
+        n = problem.state_dim
         forms = [QuadraticForm(*parts) for parts in zip(costs.hessians, costs.linear, strict=True)]
         forms.append(QuadraticForm(costs.terminal_hessian, costs.terminal_linear))
         left = level - sum(form.least for form in forms)
         shadows = [form.shadow(max(left, 0.0) if np.isfinite(left) else np.inf) for form in forms]
         x, u = np.array([shadow[:, :n] for shadow in shadows]), np.array([shadow[:, n:] for shadow in shadows[:-1]])
-        return cls(problem, costs, *_meet(controls, u), *_meet(states, x))
+        return cls(problem, costs, *_clipped(u, problem.control_tube), *_clipped(x, problem.state_tube))
 
     def cost(self, t: int, y: Array) -> Array:
         """Return c_t of pairs (points, n + m)."""
@@ -54,20 +93,14 @@ class Stages:
 
 
 class QuadraticForm:
-    """The quadratic 1/2 y'H y + b'y with H >= 0.
-
-    Attributes
-    ----------
-    least : float
-        Its minimum, or -inf.
-    """
+    """The quadratic 1/2 y'H y + b'y with H >= 0; ``least`` is its minimum, or -inf."""
 
     def __init__(self, hessian: Array, linear: Array):
         values, vectors = np.linalg.eigh(hessian)
-        curved = values > FLAT * max(float(values[-1]), 0.0)
+        curved = values > FLATNESS * max(float(values[-1]), 0.0)
         along = vectors.T @ linear
-        flat = np.abs(along[~curved]).max(initial=0.0) <= FLAT * float(np.abs(linear).max(initial=0.0))
-        self._flat_in = np.abs(vectors[:, ~curved]).max(axis=1, initial=0.0) > FLAT
+        flat = np.abs(along[~curved]).max(initial=0.0) <= FLATNESS * float(np.abs(linear).max(initial=0.0))
+        self._flat_in = np.abs(vectors[:, ~curved]).max(axis=1, initial=0.0) > FLATNESS
         inverse = vectors[:, curved] / values[curved]
         self._centre, self._inverse = -inverse @ along[curved], (inverse * vectors[:, curved]).sum(axis=1)
         self.least = -0.5 * float((along[curved] ** 2 / values[curved]).sum()) if flat else -np.inf
@@ -77,11 +110,11 @@ class QuadraticForm:
         if above == np.inf:
             return np.stack([np.full(len(self._centre), -np.inf), np.full(len(self._centre), np.inf)])
         radius = np.sqrt(2 * above * self._inverse)
-        radius = np.where(self._flat_in, np.inf, (1 + WIDER) * radius + WIDER * np.abs(self._centre))
+        widened = (1 + SHADOW_WIDENING) * radius + SHADOW_WIDENING * np.abs(self._centre)
+        radius = np.where(self._flat_in, np.inf, widened)
         return np.stack([self._centre - radius, self._centre + radius])
 
 
-def _meet(box: Box, shadow: Array) -> tuple[Array, Array]:
-    """Return what is in a box and in shadows (times, 2, .); the nearest of the box where nothing is."""
-    lower, upper = np.asarray(box.lower, dtype=float), np.asarray(box.upper, dtype=float)
-    return np.clip(shadow[:, 0], lower, upper), np.clip(shadow[:, 1], lower, upper)
+def _clipped(shadow: Array, box: Box) -> tuple[Array, Array]:
+    """Return the intersection of shadows (times, 2, .) with a box; the nearest of the box where it is empty."""
+    return np.clip(shadow[:, 0], box.lower, box.upper), np.clip(shadow[:, 1], box.lower, box.upper)

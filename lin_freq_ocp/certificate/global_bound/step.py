@@ -12,29 +12,21 @@ from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.certificate.global_bound.stages import Stages
-from lin_freq_ocp.certificate.global_bound.taylor import ROUNDING, least_of, possible
-from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
+from lin_freq_ocp.certificate.global_bound.taylor import enclosed, least_of, possible
+from lin_freq_ocp.certificate.global_bound.tolerances import (
+    BOXES_PER_CELL,
+    MAX_PAIRS,
+    MAX_SPAN,
+    ROUNDING,
+    ROUNDS,
+    SMALL_BATCH,
+)
+from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
-
-ROUNDS = 10
-"""Times that boxes are cut at one time of a level: what stays weak then is the next level's work."""
-
-BOXES_PER_CELL = 100
-"""Boxes bounded at one time of a level, beside ``FEW``, before what is weak is left to the next level."""
-
-FEW = 2000
-"""Boxes that are bounded in the time that it takes to begin: fewer are cut into four."""
-
-MOST_SPANNED = {1: 12, 2: 12, 3: 5}
-"""Boxes whose image meets more places along a state are bisected before they are bounded by each of them; by the number
-of states."""
-
-MOST_PAIRS = 400_000
-"""Boxes and cells bounded at once: some hundred megabytes."""
 
 
 class OutOfTimeError(Exception):
-    """The time is over; no bound was found."""
+    """The deadline has passed; no bound was found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +40,7 @@ class Boxes:
     low, high : (boxes, n)
         Bounds of the states that the box leads to.
     reduced : (boxes,)
-        What a trajectory through the box costs at least beyond V_t: c + V_{t+1}(f) >= V_t + reduced.
+        Reduced cost: c + V_{t+1}(f) >= V_t + reduced in the box.
     """
 
     cell: Indices
@@ -61,7 +53,7 @@ class Boxes:
 
     @classmethod
     def unbounded(cls, cell: Indices, mode: Indices, centre: Array, radius: Array, n: int) -> Boxes:
-        """Return boxes of which nothing is known yet."""
+        """Return boxes with no bounds of their images yet."""
         far = np.full((len(cell), n), np.inf)
         return cls(cell, mode, centre, radius, -far, far, np.zeros(len(cell)))
 
@@ -76,28 +68,36 @@ class Boxes:
 
     def bisected(self, steep: Array) -> tuple[Boxes, Array]:
         """Return both halves of every box along its steepest direction, and how steep they are, (boxes, n + m)."""
-        rows, along = np.arange(len(steep)), np.argmax(steep, axis=1)
+        rows, steepest = np.arange(len(steep)), np.argmax(steep, axis=1)
         radius, shift, less = self.radius.copy(), np.zeros_like(self.centre), steep.copy()
-        radius[rows, along] /= 2
-        shift[rows, along] = radius[rows, along]
-        radius[rows, along] *= 1 + ROUNDING
-        less[rows, along] /= 2
+        radius[rows, steepest] /= 2
+        shift[rows, steepest] = radius[rows, steepest]
+        radius[rows, steepest] *= 1 + ROUNDING
+        less[rows, steepest] /= 2
         image = self.low, self.high, self.reduced
         halves = [Boxes(self.cell, self.mode, self.centre + side * shift, radius, *image) for side in (-1, 1)]
         return Boxes.joined(halves), np.tile(less, (2, 1))
 
+    def extremes(self, cells: int, part: slice) -> tuple[Array, Array]:
+        """Return the least and largest values of components of (x, u) over the boxes of each cell, (cells, .)."""
+        centre, radius = self.centre[:, part], self.radius[:, part]
+        lower, upper = np.full((cells, centre.shape[1]), np.inf), np.full((cells, centre.shape[1]), -np.inf)
+        np.minimum.at(lower, self.cell, centre - radius)
+        np.maximum.at(upper, self.cell, centre + radius)
+        return lower, upper
+
 
 def met_cells(boxes: Boxes, after: CostToGo) -> Iterator[tuple[Indices, Indices]]:
-    """Yield numbers of boxes with numbers of cells of t + 1 that they may lead to, some at a time."""
+    """Yield numbers of boxes with numbers of cells of t + 1 that they may lead to, in batches."""
     lattice = after.lattice
-    first, final = lattice.places(boxes.low, -1), lattice.places(boxes.high, 1)
+    first, final = lattice.indices(boxes.low, -1), lattice.indices(boxes.high, 1)
     for rows in _batches(np.flatnonzero(_meets(boxes, lattice)), first, final):
         yield _pairs(rows, first, final, boxes, after)
 
 
 def _meets(boxes: Boxes, lattice: Lattice) -> Mask:
-    beyond = ROUNDING * (np.abs(lattice.lower) + np.abs(lattice.upper))
-    meets = (boxes.high >= lattice.lower - beyond) & (boxes.low <= lattice.upper + beyond)
+    margin = ROUNDING * (np.abs(lattice.lower) + np.abs(lattice.upper))
+    meets = (boxes.high >= lattice.lower - margin) & (boxes.low <= lattice.upper + margin)
     return np.asarray(meets.all(axis=1))
 
 
@@ -113,73 +113,64 @@ class Step:
 
     def slopes(self, boxes: Boxes) -> tuple[Array, Array]:
         """Return slopes for the pieces of every cell, and the value at its centre that samples of its boxes allow."""
-        cells, n = len(self._lattice.cells), self._n
-        lower, upper = np.full((cells, boxes.centre.shape[1]), np.inf), np.full((cells, boxes.centre.shape[1]), -np.inf)
-        np.minimum.at(lower, boxes.cell, boxes.centre - boxes.radius)
-        np.maximum.at(upper, boxes.cell, boxes.centre + boxes.radius)
         ends = self._stages.lower[self._t], self._stages.upper[self._t]
-        lower, upper = (np.clip(bounds[:, n:], *ends) for bounds in (lower, upper))
-        samples = Samples(self._stages, self._t, self._lattice, lower, upper, self._after)
-        return samples.slopes()
+        controls = boxes.extremes(len(self._lattice.cells), slice(self._n, None))
+        lower, upper = (np.clip(bounds, *ends) for bounds in controls)
+        return Samples(self._stages, self._t, self._lattice, lower, upper, self._after).slopes()
 
     def values(
-        self, boxes: Boxes, slopes: Array, enough: Array, excluded: Array, tolerance: float
+        self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float
     ) -> tuple[CostToGo, Boxes]:
-        """Return V_t with given slopes, and boxes that cover what a trajectory that is not excluded goes through.
+        """Return V_t with given slopes, and boxes that cover what a trajectory below the cutoff goes through.
 
         Parameters
         ----------
         boxes : Boxes
-            All that is to be looked at.
+            All that are looked at.
         slopes : (cells, pieces, n)
-        enough, excluded : (cells, pieces)
-            Boxes whose bound is larger than this are not bisected any more, and not looked at any more.
+        target, cutoff : (cells, pieces)
+            Boxes whose bound is larger than these are not bisected any more, and are dropped.
         tolerance : float
-            Nor are boxes whose bound is so near to what is reached at the centre of one.
+            Nor are boxes bisected whose bound is this near to the value at the centre of one.
         """
-        lattice, n, enough = self._lattice, self._n, enough.copy()
-        lowest = np.full(enough.shape, np.inf)
+        lattice, target = self._lattice, target.copy()
+        lowest = np.full(target.shape, np.inf)
         kept: list[Boxes] = []
         bounds_kept: list[Array] = []
-        total, most = 0, FEW + BOXES_PER_CELL * len(lowest)
+        total, most = 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
         for round_ in range(ROUNDS):
             total += len(boxes.cell)
             final = round_ == ROUNDS - 1 or total > most
             boxes, bounds, reached, steep = self._bounded(boxes, slopes)
-            np.minimum.at(enough, boxes.cell, reached - tolerance)
-            looked_at = np.flatnonzero(~(bounds >= excluded[boxes.cell]).any(axis=1))
+            np.minimum.at(target, boxes.cell, reached - tolerance)
+            looked_at = np.flatnonzero(~(bounds >= cutoff[boxes.cell]).any(axis=1))
             boxes, bounds, steep = boxes.take(looked_at), bounds[looked_at], steep[looked_at]
-            weak = np.asarray((bounds < enough[boxes.cell]).any(axis=1) & (not final))
+            weak = np.asarray((bounds < target[boxes.cell]).any(axis=1) & (not final))
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
-            weak &= (bounds < np.minimum(enough, lowest)[boxes.cell]).any(axis=1)
+            weak &= (bounds < np.minimum(target, lowest)[boxes.cell]).any(axis=1)
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
             kept.append(boxes.take(~weak))
             bounds_kept.append(bounds[~weak])
             boxes, steep = boxes.take(weak).bisected(steep[weak])
-            if len(boxes.cell) < FEW:
+            if len(boxes.cell) < SMALL_BATCH:
                 boxes, _ = boxes.bisected(steep)
             if not len(boxes.cell):
                 break
         cover = Boxes.joined(kept)
         with np.errstate(invalid="ignore"):
             cover.reduced[:] = np.nan_to_num((np.concatenate(bounds_kept) - lowest[cover.cell]).min(axis=1))
-        first, last = np.full(lattice.centres.shape, np.inf), np.full(lattice.centres.shape, -np.inf)
-        np.minimum.at(first, cover.cell, cover.centre[:, :n] - cover.radius[:, :n])
-        np.maximum.at(last, cover.cell, cover.centre[:, :n] + cover.radius[:, :n])
-        return CostToGo(lattice, lowest, slopes, first, last), cover
+        return CostToGo(lattice, lowest, slopes, *cover.extremes(len(lowest), slice(self._n))), cover
 
     def _bounded(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
-        """Return the boxes in which something holds, with bounds, what centres reach, and losses per direction."""
-        pieces = slopes.shape[1]
-        found = [
-            (boxes.take(np.zeros(0, dtype=np.intp)), np.zeros((0, pieces)), np.zeros((0, pieces)), boxes.radius[:0])
-        ]
+        """Return the boxes in which their mode can hold, with bounds, values at centres, and losses per direction."""
+        none = np.zeros((0, slopes.shape[1]))
+        found = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]
         for i, mode in enumerate(self._modes):
             rows = np.flatnonzero(boxes.mode == i)
-            for start in range(0, len(rows), MOST_PAIRS // 8):
+            for start in range(0, len(rows), MAX_PAIRS // 8):
                 if time.perf_counter() > self._deadline:
                     raise OutOfTimeError
-                found.append(self._of_mode(mode, boxes.take(rows[start : start + MOST_PAIRS // 8]), slopes))
+                found.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
         parts, *arrays = zip(*found, strict=True)
         bounds, reached, steep = (np.concatenate(array) for array in arrays)
         return Boxes.joined(parts), bounds, reached, steep
@@ -189,37 +180,30 @@ class Step:
         boxes = boxes.take(possible(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
         y, r = boxes.centre, boxes.radius
         whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
-        mean = mean_value(centre.values, whole.slopes, r)
-        boxes.low[:], boxes.high[:] = np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
+        boxes.low[:], boxes.high[:] = enclosed(centre, whole, r)
         meets = _meets(boxes, after)
-        first, final = after.places(boxes.low, -1), after.places(boxes.high, 1)
+        first, final = after.indices(boxes.low, -1), after.indices(boxes.high, 1)
         span = (final - first + 1).max(axis=1)
         own = slopes[boxes.cell]
         gradient = np.repeat((y @ self._hessian + self._stages.costs.linear[self._t])[:, None], own.shape[1], axis=1)
         gradient[:, :, : self._n] -= own
-        offset = self._stages.cost(self._t, y)[:, None] - np.einsum(
-            "psn,pn->ps", own, y[:, : self._n] - self._lattice.centres[boxes.cell]
-        )
+        from_centre = y[:, : self._n] - self._lattice.centres[boxes.cell]
+        offset = self._stages.cost(self._t, y)[:, None] - np.einsum("psn,pn->ps", own, from_centre)
         change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
         bounds = offset - (change * r[:, None]).sum(axis=2) + self._minima.least(first, final)[:, None]
         bounds[~meets] = np.inf
-        for rows in _batches(np.flatnonzero(meets & (span <= MOST_SPANNED[self._n])), first, final):
+        for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final):
             pair, cell = _pairs(rows, first, final, boxes, self._after)
             closer = np.full(bounds.shape, np.inf)
             for s in range(own.shape[1]):
                 found = self._second_order(pair, cell, boxes, gradient[:, s], offset[:, s], centre, whole)
                 np.minimum.at(closer[:, s], pair, found)
             bounds[rows] = np.fmax(bounds[rows], closer[rows])
-        steep = np.where(
-            np.isfinite(whole.slopes[0]), np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])), 1e3
-        )
+        largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1]))
+        largest = np.where(np.isfinite(whole.slopes[0]), largest, 1e3).sum(axis=1)
+        steep = (change.max(axis=1) + largest * (1 + self._minima.steepest)) * r
         reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
-        return (
-            boxes,
-            bounds,
-            offset + reached[:, None],
-            (change.max(axis=1) + steep.sum(axis=1) * (1 + self._minima.steepest)) * r,
-        )
+        return boxes, bounds, offset + reached[:, None], steep
 
     def _second_order(
         self,
@@ -252,22 +236,22 @@ class Step:
 
 
 def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
-    """Yield rows whose pairs are at most MOST_PAIRS together."""
-    counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MOST_PAIRS
+    """Yield rows whose pairs are at most MAX_PAIRS each time."""
+    counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MAX_PAIRS
     for k in np.unique(counts):
         yield rows[counts == k]
 
 
 def _pairs(rows: Indices, first: Indices, final: Indices, boxes: Boxes, after: CostToGo) -> tuple[Indices, Indices]:
-    """Return boxes with each cell that their image meets where trajectories go on."""
+    """Return boxes with each cell that their image meets and from which trajectories go on."""
     sizes = final[rows] - first[rows] + 1
     counts = sizes.prod(axis=1)
     pair = np.repeat(rows, counts)
     local = np.arange(len(pair)) - np.repeat(np.cumsum(counts) - counts, counts)
-    repeated, places = np.repeat(sizes, counts, axis=0), np.empty((len(pair), sizes.shape[1]), dtype=np.intp)
+    repeated, indices = np.repeat(sizes, counts, axis=0), np.empty((len(pair), sizes.shape[1]), dtype=np.intp)
     for j in range(sizes.shape[1] - 1, -1, -1):
-        local, places[:, j] = np.divmod(local, repeated[:, j])
-    cell = after.lattice.numbers(np.repeat(first[rows], counts, axis=0) + places)
+        local, indices[:, j] = np.divmod(local, repeated[:, j])
+    cell = after.lattice.numbers(np.repeat(first[rows], counts, axis=0) + indices)
     pair, cell = pair[cell >= 0], cell[cell >= 0]
     met = ((boxes.low[pair] <= after.last[cell]) & (boxes.high[pair] >= after.first[cell])).all(axis=1)
     return pair[met], cell[met]

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.certificate.global_bound.tolerances import ROUNDING
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
-
-ROUNDING = 64 * float(np.finfo(np.float64).eps)
-"""Of the sum of absolute terms that a bound is made of, what is subtracted from it; boxes are wider by this part."""
 
 
 def least_of(
@@ -47,15 +45,20 @@ def least_of(
             reached = _scaled(s, centre.values[0][box, j], centre.values[1][box, j])
             value = value + reached[0] - s * at[:, j]
             terms += np.abs(reached[0]) + np.abs(s * at[:, j])
-            for total, jets in ((slope, centre.slopes), (wide, whole.slopes)):
-                more = _scaled(s[:, None], jets[0][box, j], jets[1][box, j])
-                total[0], total[1] = total[0] + more[0], total[1] + more[1]
-            more = _scaled(s[:, None, None], whole.curvatures[0][box, j], whole.curvatures[1][box, j])
-            bend[0], bend[1] = bend[0] + more[0], bend[1] + more[1]
-        best = np.fmax(_of_second_order(slope, bend, r), _of_first_order(wide, r))
-    nothing = np.isposinf(given)
-    terms = np.where(nothing, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
-    return np.where(nothing, np.inf, value + best - ROUNDING * terms)
+            for total, (low, high) in ((slope, centre.slopes), (wide, whole.slopes), (bend, whole.curvatures)):
+                factor = s.reshape(-1, *[1] * (low.ndim - 2))
+                for side, more in enumerate(_scaled(factor, low[box, j], high[box, j])):
+                    total[side] = total[side] + more
+        best = np.fmax(_second_order(slope, bend, r), _first_order(wide, r))
+    infinite = np.isposinf(given)
+    terms = np.where(infinite, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
+    return np.where(infinite, np.inf, value + best - ROUNDING * terms)
+
+
+def enclosed(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array, Array]:
+    """Return bounds of values over |z| <= r: the intersection with those of the mean value theorem."""
+    mean = mean_value(centre.values, whole.slopes, r)
+    return np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
 
 
 def possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
@@ -65,14 +68,13 @@ def possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
     for formulas, sign in ((mode.region, 1.0), (mode.domain, -1.0)):
         if formulas:
             whole, centre = (interval_jets(formulas, *box, curved=False) for box in ((lower, upper), (middle, middle)))
-            mean = mean_value(centre.values, whole.slopes, radius)
-            low, high = np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
+            low, high = enclosed(centre, whole, radius)
             excluded = low > 0 if sign > 0 else high <= 0
             possible &= ~excluded.any(axis=1)
     return possible
 
 
-def _of_second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
+def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
     """Return the least of slope z + 1/2 z' bend z over |z| <= r, both known to lie between two bounds."""
     at_most = np.maximum(np.abs(slope[0]), np.abs(slope[1]))
     largest = np.maximum(np.abs(bend[0]), np.abs(bend[1]))
@@ -86,7 +88,7 @@ def _of_second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) ->
     return np.where(np.isnan(found), -np.inf, found)
 
 
-def _of_first_order(slope: Sequence[Array], r: Array) -> Array:
+def _first_order(slope: Sequence[Array], r: Array) -> Array:
     """Return the least of slope z over |z| <= r, with any slope between two bounds."""
     found = np.where(r > 0, -np.maximum(np.abs(slope[0]), np.abs(slope[1])) * r, 0.0).sum(axis=1)
     return np.where(np.isnan(found), -np.inf, found)

@@ -6,7 +6,7 @@ For any multipliers, and any mask of modes with the boxes of its reach,
         l_t(x, u) - <eta_t, A_i x + B_i u + d_i> + <lambda_i, G_i x + H_i u - h_i>    (lambda_i >= 0),
 
 with l_t of bound.py without its map. The leaves of a tree cover all sequences, so the least D of all leaves bounds
-the cost of every trajectory. Nothing that the search says of itself is taken but masks and multipliers.
+the cost of every trajectory. Only masks and multipliers are taken from the search.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.bound import (
-    ARITHMETIC,
     NEVER_NEGATIVE,
     Bound,
     box_minimum,
@@ -27,14 +26,11 @@ from lin_freq_ocp.certificate.bound import (
     diagonal_curvature,
 )
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.modes.reach import FINITE, IntervalReach, Stages
+from lin_freq_ocp.certificate.modes.reach import IntervalReach, Stages
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, MINIMISATION_SWEEPS
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-
-SWEEPS = 30
-"""Rounds of minimising over one component after the other, where a Hessian is not diagonal: any point bounds, the
-minimiser bounds best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +65,14 @@ class TreeBound:
         """Return the bound of the tree, or that of a cost that is never negative, whichever is better."""
         if self.value < 0 and cost_is_never_negative(problem):
             return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
-        words = f"a search tree of {self.leaves} {'leaf' if self.leaves == 1 else 'leaves'}, each checked"
-        return Bound(self.value, "rigorous", sets=words) if np.isfinite(self.value) else None
+        source = f"a search tree of {self.leaves} {'leaf' if self.leaves == 1 else 'leaves'}, each checked"
+        return Bound(self.value, "rigorous", sets=source) if np.isfinite(self.value) else None
 
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
     """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
 
-    Leaves that are not looked at until ``end``, by ``time.perf_counter``, prove nothing.
-
-    Raises
-    ------
-    ProblemError
-        If multipliers do not have the problem's shape.
+    Leaves that are not reached until ``end``, by ``time.perf_counter``, prove nothing.
     """
     reached, covers = _covered(problem, tree)
     parents = {node.parent for node in tree.nodes}
@@ -196,7 +187,7 @@ class _LeafJudge:
         rounding += float(size_x[-1].astype(np.float64) @ largest) + abs(float(last)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
         rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
-        return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC * rounding
+        return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC_ROUNDING * rounding
 
 
 def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -208,7 +199,7 @@ def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple
     v = np.zeros_like(slope)
     if not np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1)):
         v = np.clip(v, low, high)
-        for _ in range(SWEEPS):
+        for _ in range(MINIMISATION_SWEEPS):
             for j in range(slope.shape[-1]):
                 gradient = slope[..., j] + (hessian[..., j, :] * v).sum(-1)
                 step = np.where(diagonal[..., j] > 0, gradient / np.where(diagonal[..., j] > 0, diagonal[..., j], 1), 0)

@@ -1,8 +1,8 @@
-"""What the maximum principle says of piecewise-affine dynamics where modes meet (docs/borders.md).
+"""What the maximum principle says of piecewise-affine dynamics where several modes are active (docs/borders.md).
 
-At (x_t, u_t), with I the modes that meet there, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to
-first order, p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the
-same without the normals to the sets of the stage:
+At (x_t, u_t), with I the active modes, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first order,
+p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same without
+the normals to the sets of the stage:
 
     joint     p_t = sum_i alpha_i a_i, one set of weights alpha >= 0, sum alpha = 1, for x and u alike   (Clarke's rule)
     flip      <a_i - b_t, d> <= 0 for all i in I, and all d with G_i d <= 0 in the tangent cone of the sets of the stage
@@ -10,7 +10,7 @@ same without the normals to the sets of the stage:
     regular   <a_i - a_k, d> <= 0 for all i, k in I and G_i d <= 0: -<eta_t, f_t> is Clarke-regular
 
 By Farkas' lemma an inequality for all d of a polyhedral cone says that a vector is a nonnegative sum of the cone's
-rows: nonnegative least squares decides, and what is left over is the residual.
+rows: nonnegative least squares decides, and its residual is that of the condition.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from lin_freq_ocp.arrays import Array, Indices, Mask, extended
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
+from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import Extremal
-from lin_freq_ocp.certificate.scales import SCALE_FLOOR, Floors
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.regions import Border
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-SHOWN_FLIPS = 4
-"""Flips that the words name; all are in the data."""
+SHOWN_FLIPS = 4  # flips in the text; all are in the data
 
 
 class Flip(NamedTuple):
@@ -41,13 +40,12 @@ class Flip(NamedTuple):
 
     Attributes
     ----------
-    time, mode : int
     rate : float
         First-order fall of the cost per unit of the steepest direction into the mode that was found, whose largest
         entry is 1 in the sizes of the data.
     improves : bool or None
         True: a direction of descent in that mode was verified. False: the mode sequence with this flip has multipliers
-        of its own (the given ones are not the only ones), so the flip does not improve to first order. None: not tried.
+        of its own, so the flip does not improve to first order. None: not tried.
     """
 
     time: int
@@ -61,9 +59,8 @@ class NormKink(NamedTuple):
 
     Attributes
     ----------
-    time : int
     norm : str
-        In words.
+        As text.
     selection : (components,)
         xi, |xi| <= 1: the derivative of the norm that fits best is xi' Dq, the same in x and u.
     rate : float
@@ -76,39 +73,38 @@ class NormKink(NamedTuple):
     rate: float
 
     def describe(self) -> str:
-        """Return the kink in words."""
+        """Return the kink as text."""
         xi = ", ".join(f"{part:.4g}" for part in self.selection)
         return f"{self.norm} = 0 at t = {self.time} with xi = ({xi})"
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingFacts:
-    """What holds where modes meet, with the multipliers that were judged.
+    """What holds where several modes are active, with the multipliers that were judged.
 
     Attributes
     ----------
     elsewhere : bool
-        Whether all conditions that do not depend on borders hold, and stationarity where one mode holds alone. The
+        Whether all conditions that do not depend on weights hold, and stationarity where a single mode is active. The
         following facts but ``regular`` include it; without it, flips mean nothing.
     joint : bool
         Clarke's multiplier rule, the necessary condition.
     flip_stationary : bool
-        Joint in x and u, along directions: then no trajectory in any sequence of the modes that meet is better.
+        Joint in x and u, along directions: then no trajectory in any sequence of the active modes is better.
     flips : tuple of Flip
         Where it fails, the steepest first.
     printed : bool
         The paper's C-iii to C-v, apart in x and u.
     regular : bool
-        Whether -<eta_t, f_t> is Clarke-regular wherever modes meet, as the printed form needs.
+        Whether -<eta_t, f_t> is Clarke-regular wherever several modes are active, as the printed form needs.
     times : tuple of int
-        Where modes meet.
+        Where several modes are active.
     weights : (len(times), modes)
         alpha there.
     jumping : Border or None
         Where the map jumps most, if it does: then the theorem does not apply.
     conditions : tuple of Condition
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
-    mode_names : tuple of str
     norms : tuple of NormKink
         Where the arguments of norms are zero.
     """
@@ -153,22 +149,29 @@ class SwitchingFacts:
 
 
 @dataclass(frozen=True, eq=False)
+class Judgement:
+    """What is judged of a trajectory, for any dynamics; ``extremal`` if a global bound follows from the multipliers."""
+
+    conditions: tuple[Condition, ...]
+    borders: SwitchingFacts | None
+    cost_of_residuals: float
+    extremal: Extremal | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class SwitchingStage:
-    """A time at which modes meet; vectors are in (x, u), n + m entries.
+    """A time at which several modes are active; vectors are in (x, u), n + m entries.
 
     Attributes
     ----------
-    time : int
-    modes : (k,)
-        Those that meet.
-    slopes : (k, n + m)
-        a_i.
+    modes, slopes : (k,), (k, n + m)
+        The active modes and their a_i.
     required : (n + m,)
         p_t.
-    normals : (count, n + m), with ``held`` (count,)
-        Of the active bounds and rows of the stage, and their multipliers in p_t.
+    normals, held : (count, n + m), (count,)
+        The active bounds and rows of the stage, and their multipliers in p_t.
     facets : tuple of (n + m, rows)
-        Of each mode, the rows of its region that touch, as columns.
+        Of each mode, the active rows of its region, as columns.
     scale : (n + m,)
         What a residual is compared with.
     states : int
@@ -219,26 +222,26 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
 
 
-def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, meeting: Mask) -> list[SwitchingStage]:
-    """Return every time at which several modes meet; the extremal is of any averaged dynamics, meeting (T, modes)."""
+def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask) -> list[SwitchingStage]:
+    """Return every time with several active modes (T, modes); the extremal is of any averaged dynamics."""
     trajectory, multipliers = extremal.trajectory, extremal.multipliers
     required, n = required_slopes(extremal), extremal.problem.state_dim
-    touching = arrays.touching(trajectory.x, trajectory.u)
+    active_facets = arrays.touching(trajectory.x, trajectory.u)
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
     terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
-    scale = np.maximum(stationarity_scale(extremal, least), np.where(meeting[..., None], terms, 0.0).max(axis=(0, 1)))
+    scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
     stages = list[SwitchingStage]()
-    for t in np.flatnonzero(meeting.sum(axis=1) > 1):
-        modes, (normals, held) = np.flatnonzero(meeting[t]), active_normals(extremal, least, int(t))
-        facets = tuple(rows[t, i, touching[t, i]].T for i in modes)
+    for t in np.flatnonzero(active.sum(axis=1) > 1):
+        modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
+        facets = tuple(rows[t, i, active_facets[t, i]].T for i in modes)
         stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
     return stages
 
 
 def required_slopes(extremal: Extremal) -> Array:
-    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, whatever dynamics the extremal is of."""
+    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, for the extremal of any dynamics."""
     through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
     in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
     return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
@@ -274,7 +277,7 @@ def switching_facts(
     joint: bool,
     elsewhere: bool,
 ) -> SwitchingFacts:
-    """Return the facts; ``joint`` is whether all conditions hold, ``elsewhere`` whether those not of borders do."""
+    """Return the facts; ``joint``: all conditions hold, ``elsewhere``: those that do not depend on weights do."""
     sizes = np.concatenate(trajectory_sizes(problem, trajectory))
     flips = [flip for stage in stages for flip in _flips(stage, sizes)]
     checks = (
@@ -285,7 +288,7 @@ def switching_facts(
     )
     conditions = tuple(_worst(label, name, stages, of) for label, name, of in checks) if stages else ()
     passed = [condition.passed for condition in conditions] or [True] * len(checks)
-    jumping = [border for border in problem.borders if not border.continuous]
+    jumping = [facet for facet in problem.borders if not facet.continuous]
     return SwitchingFacts(
         elsewhere=elsewhere,
         joint=joint,
@@ -295,7 +298,7 @@ def switching_facts(
         regular=passed[3],
         times=tuple(stage.time for stage in stages),
         weights=weights[[stage.time for stage in stages]],
-        jumping=max(jumping, key=lambda border: border.jump, default=None),
+        jumping=max(jumping, key=lambda facet: facet.jump, default=None),
         conditions=conditions,
         mode_names=problem.piecewise.mode_names,
     )
@@ -366,13 +369,10 @@ def _regular_residuals(stage: SwitchingStage) -> list[Array]:
 
 
 def _outside(vector: Array, generators: Array, scale: Array) -> Array:
-    """Return what is left of a vector after the nearest nonnegative sum of generators, both divided by the scale."""
+    """Return the residual of a vector from the nearest nonnegative sum of generators, both divided by the scale."""
     from scipy.optimize import nnls  # slow to import
 
     scaled, columns = vector / scale, generators / scale[:, None]
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 0] / norms[norms > 0]
-    if not columns.shape[1]:
-        return scaled
-    coefficients, _ = nnls(columns, scaled)
-    return scaled - columns @ coefficients
+    return scaled - columns @ nnls(columns, scaled)[0] if columns.shape[1] else scaled

@@ -1,7 +1,7 @@
-"""The conditions of a problem with piecewise-affine dynamics: those of the averaged linear one, and those of its modes.
+"""The conditions of a problem with piecewise-affine dynamics: those of the averaged linear problem, and of its modes.
 
 With weights alpha, the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and
-stationarity in u of the linear problem with these dynamics, if the sum is a convex one of modes that meet.
+stationarity in u of the linear problem with these dynamics, if the sum is a convex combination of active modes.
 """
 
 from __future__ import annotations
@@ -11,52 +11,63 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.conditions import (
-    CONDITION_TOLERANCE,
-    Condition,
-    all_conditions,
-    worst_condition,
-    worth_of_residuals,
-)
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.modes.clarke import (
-    SwitchingFacts,
+    Judgement,
     nearest_weights,
     stationarity_scale,
     switching_facts,
     switching_stages,
 )
-from lin_freq_ocp.certificate.scales import Floors, floors
-from lin_freq_ocp.certificate.sizes import measured_modes, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, floors, measured_modes, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE, ModeArrays
+from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-OF_BORDERS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
-"""Conditions that depend on the weights: at times where only one mode holds they are looked at apart."""
+# Conditions that depend on the weights: at times where only one mode is active they are checked apart
+OF_WEIGHTS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
 
 
-def judge_modes(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], SwitchingFacts, float]:
-    """Return the conditions of a trajectory of affine modes, the facts about borders, and what residuals are worth."""
+def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+    """Judge a trajectory of affine modes."""
     problem.require(trajectory)
-    arrays = measured_modes(problem, trajectory)
-    sequence, meeting = arrays.sequence(trajectory.x, trajectory.u), arrays.meeting(trajectory.x, trajectory.u)
-    weights = _weights(problem, trajectory, multipliers, arrays, sequence, meeting)
+    arrays, sizes = measured_modes(problem, trajectory), trajectory_sizes(problem, trajectory)
+    sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(arrays, trajectory, sizes)
+    active = arrays.meeting(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
+    active[np.arange(len(sequence)), sequence] = True
+    weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
-    least = floors(extremal, trajectory_sizes(problem, trajectory))
-    own = _state_equation(problem, trajectory, sequence, least)
-    linear = [own if one.name == own.name else one for one in all_conditions(extremal, least)]
-    added = _mode_holds(arrays, trajectory, sequence), _weights_of_modes(weights, meeting)
-    stages = switching_stages(extremal, least, arrays, meeting)
-    others = all(one.passed for one in (*linear, added[0]) if one.name not in OF_BORDERS)
+    least = floors(extremal, sizes)
+    own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
+    linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
+    active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
+    stages = switching_stages(extremal, least, arrays, active)
+    others = all(given.passed for given in (*linear, active_mode) if given.name not in OF_WEIGHTS)
     elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
-    conditions = (*linear, *added)
-    joint = all(one.passed for one in conditions)
+    conditions = (*linear, active_mode, of_weights)
+    joint = all(given.passed for given in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, joint, elsewhere)
-    return conditions, facts, worth_of_residuals(extremal)
+    return Judgement(conditions, facts, cost_of_residuals(extremal))
+
+
+def region_distance(arrays: ModeArrays, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
+    """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes).
+
+    The judge's own: of ``arrays``, only the data are used.
+    """
+    x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
+    n = x.shape[1]
+    rows, maps = np.concatenate([arrays.G, arrays.H], axis=-1), np.concatenate([arrays.A, arrays.B], axis=-1)
+    images = np.einsum("tkij,tj->tki", np.abs(maps), np.abs(y)) + np.abs(arrays.offset)
+    largest = np.maximum(np.abs(y).max(axis=0), SCALE_FLOOR * np.concatenate(sizes))
+    largest[:n] = np.maximum.reduce([largest[:n], np.abs(x[-1]), images.min(axis=1).max(axis=0)])
+    limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
+    scale = (np.abs(rows) @ largest + limits).max(axis=0)
+    violation = (np.einsum("tkrj,tj->tkr", rows, y) - arrays.h) / np.where(scale > 0, scale, 1.0)
+    return np.maximum(violation.max(axis=2), 0.0)
 
 
 def _averaged(problem: OptimalControlProblem, weights: Array) -> OptimalControlProblem:
@@ -69,45 +80,33 @@ def _weights(
     multipliers: Multipliers,
     arrays: ModeArrays,
     sequence: Indices,
-    meeting: Mask,
+    active: Mask,
 ) -> Array:
     """Return the weights that were given, or those that fit best, (T, modes)."""
-    T, modes = meeting.shape
+    T, modes = active.shape
     if multipliers.weights is not None:
         if multipliers.weights.shape != (T, modes):
             raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
         return multipliers.weights
-    weights = np.zeros((T, modes))
-    weights[np.arange(T), sequence] = 1.0
+    weights = np.eye(modes)[sequence]
     extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
-    for stage in switching_stages(extremal, floors(extremal, trajectory_sizes(problem, trajectory)), arrays, meeting):
+    for stage in switching_stages(extremal, floors(extremal, trajectory_sizes(problem, trajectory)), arrays, active):
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)
     return weights
 
 
-def _state_equation(
-    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, least: Floors
-) -> Condition:
-    """C-iii: x_{t+1} = f_t(x_t, u_t), with the mode that holds."""
-    x, u = np.abs(trajectory.x), np.abs(trajectory.u)
-    dynamics = problem.piecewise.along(sequence)
-    terms = x[1:] + dynamics.magnitudes().successors(x, u)
-    residual = np.abs(trajectory.x[1:] - dynamics.successors(trajectory.x, trajectory.u))
-    return worst_condition("C-iii", "state equation", residual, np.maximum(terms.max(0), least.x))
-
-
-def _mode_holds(arrays: ModeArrays, trajectory: Trajectory, sequence: Indices) -> Condition:
+def _mode_is_active(distance: Array, sequence: Indices) -> Condition:
     """S-f: (x_t, u_t) lies in the region of the mode that leads to x_{t+1}; relative to the terms of its rows."""
-    distance = arrays.distance(trajectory.x, trajectory.u)[np.arange(len(sequence)), sequence]
-    t = int(np.argmax(distance))
+    own = distance[np.arange(len(sequence)), sequence]
+    t = int(np.argmax(own))
     name = "a mode holds that leads to the next state"
-    return Condition("S-f", name, float(distance[t]), 1.0, BORDER_TOLERANCE, t, int(sequence[t]))
+    return Condition("S-f", name, float(own[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
 
 
-def _weights_of_modes(weights: Array, meeting: Mask) -> Condition:
-    """N-f: weights are >= 0, 0 for modes that do not meet there, and sum to 1."""
-    wrong = np.maximum(-weights, np.where(meeting, 0.0, np.abs(weights)))
+def _weights_of_modes(weights: Array, active: Mask) -> Condition:
+    """N-f: weights are >= 0, 0 for modes that are not active, and sum to 1."""
+    wrong = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
     wrong = np.maximum(wrong, np.abs(weights.sum(axis=1, keepdims=True) - 1))
     t, mode = (int(i) for i in np.unravel_index(np.argmax(wrong), wrong.shape))
     name = "weights >= 0, sum 1, of modes that hold"

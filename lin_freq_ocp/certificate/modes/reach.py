@@ -11,32 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.certificate.tolerances import FINITE, INFINITE, INTERVAL_ROUNDING
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-
-INFINITE = 1e100
-"""Stands for infinity in intervals, so that its product with zero is zero."""
-
-FINITE = 1e90
-"""Interval ends beyond this stem from INFINITE."""
-
-INTERVAL_ROUNDING = 1e-13
-"""Part of the absolute terms of a sum that intervals are widened by: 100 times the rounding of 10 terms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What can be reached at one time.
+    """What can be reached at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count, too.
 
-    Attributes
-    ----------
-    lower, upper : (n,)
-        Bounds of the state.
-    centre, generators : (n,), (n, count)
-        The state lies in centre + generators [-1, 1]^count, too.
-    modes : (modes,)
-        Which modes can hold; none at the last time.
-    pair_lower, pair_upper : (modes, n + m)
-        Bounds of (x, u) in the region of each mode.
+    ``modes`` (modes,) can be active; pair_lower, pair_upper (modes, n + m) bound (x, u) in their regions.
     """
 
     lower: Array
@@ -48,8 +31,7 @@ class Stage:
     pair_upper: Array
 
 
-Stages = tuple[Stage, ...]
-"""T + 1 stages."""
+Stages = tuple[Stage, ...]  # T + 1 of them; the last has no modes
 
 
 class IntervalReach:
@@ -72,16 +54,16 @@ class IntervalReach:
         self._divisors = np.where(self._rows == 0, 1.0, self._rows)
 
     def whole(self) -> Stages | None:
-        """Return the stages of all mode sequences, or None if none has a trajectory."""
+        """Return the stages of all mode sequences, or None if there is no trajectory."""
         (lower, upper), modes, stages = self._x, self._rows.shape[1], list[Stage]()
         for t in range(self._problem.horizon + 1):
-            controls = [side[min(t, len(side) - 1)] for side in self._u]  # the last stage has none that count
+            controls = [side[min(t, len(side) - 1)] for side in self._u]  # those of the last stage are not used
             pairs = (np.tile(np.append(x[t], u), (modes, 1)) for x, u in zip(self._x, controls, strict=True))
             stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
         return self._forward(stages, 0, known=False)
 
     def restricted(self, before: Stages, t: int, modes: Mask) -> Stages | None:
-        """Return the stages with only these modes (modes,) at time t, or None if nothing is left."""
+        """Return the stages with only these modes (modes,) at time t, or None if they are empty."""
         stages = list(before)
         stages[t] = replace(stages[t], modes=stages[t].modes & modes)
         return self._forward(stages, t, known=True)
@@ -99,7 +81,7 @@ class IntervalReach:
         return tuple(stages)
 
     def _step(self, t: int, now: Stage, after: Stage) -> tuple[Stage, Stage] | None:
-        """Return a stage without modes that lead nowhere, and the next one cut to what the others lead to."""
+        """Return a stage without modes that lead nowhere, and the next stage cut to what the others lead to."""
         n = len(now.lower)
         low, high = now.pair_lower.copy(), now.pair_upper.copy()
         np.maximum(low[:, :n], now.lower, out=low[:, :n])
@@ -134,7 +116,7 @@ class IntervalReach:
         return np.minimum(low, high), high, (room >= 0).all(axis=1)
 
     def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return boxes (modes, n) around what the modes make of boxes (modes, k)."""
+        """Return boxes (modes, n) around the images of boxes (modes, k)."""
         rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
         size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
         low, high, rounding = low[..., None], high[..., None], INTERVAL_ROUNDING * size

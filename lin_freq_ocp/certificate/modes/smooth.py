@@ -10,39 +10,44 @@ regular there iff c <= 0; with c > 0 the printed form has no solution, and a ste
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.certificate.conditions import CONDITION_TOLERANCE, Condition
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.modes.clarke import NormKink, SwitchingFacts, required_slopes, stationarity_scale
+from lin_freq_ocp.certificate.modes.clarke import (
+    Judgement,
+    NormKink,
+    SwitchingFacts,
+    required_slopes,
+    stationarity_scale,
+)
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
-from lin_freq_ocp.certificate.scales import floors
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.sizes import floors, measured_modes, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
-def judge_smooth(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
-) -> tuple[tuple[Condition, ...], SwitchingFacts, float]:
-    """Return the conditions of a trajectory of smooth pieces, the facts about kinks, and what residuals are worth."""
+def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+    """Judge a trajectory of smooth pieces."""
     problem.require(trajectory)
-    selections, kinks = _selections(problem, trajectory, multipliers)
-    conditions, facts, worth = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
-    rising = any(kink.rate > 0 for kink in kinks)
+    selections, norms = _selections(problem, trajectory, multipliers)
+    found = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
+    facts, rising = found.borders, any(kink.rate > 0 for kink in norms)
+    if facts is None:
+        return found
     facts = replace(
         facts,
-        norms=kinks,
+        norms=norms,
         flip_stationary=facts.flip_stationary and not rising,
         printed=facts.printed and not rising,
         regular=facts.regular and not rising,
     )
-    return conditions, facts, worth
+    return replace(found, borders=facts)
 
 
 def _selections(
@@ -52,28 +57,30 @@ def _selections(
     found: dict[Formula, Array] = {}
     kinks: list[NormKink] = []
     dynamics = problem.smooth_pieces
-    labels = [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)]
-    for one, at_zero in dynamics.at_zero(trajectory.x, trajectory.u).items():
-        count = len(one.arguments)
-        selection = np.full((problem.horizon, count), np.nan)
-        found[one] = selection
-        if not at_zero.any():
+    for norm, active in dynamics.at_zero(trajectory.x, trajectory.u).items():
+        selection = found[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
+        if not active.any():
             continue
-        selection[at_zero] = 0.0
+        selection[active] = 0.0
         linear = problem.affine_at(trajectory, found)
         sequence = linear.piecewise.sequence_of(trajectory.x, trajectory.u)
         extremal = extremal_at(replace(linear, dynamics=linear.piecewise.along(sequence)), trajectory, multipliers)
         least = floors(extremal, trajectory_sizes(linear, trajectory))
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
-        slopes = np.stack([_slopes(problem, trajectory, multipliers, found, one, at_zero, j) for j in range(-1, count)])
-        for t in np.flatnonzero(at_zero):
-            columns, missing = ((slopes[1:, t] - slopes[0, t]) / scale).T, (required[t] - slopes[0, t]) / scale
-            selection[t] = nearest_in_ball(columns, missing)
+        base, columns = _norm_slopes(problem, trajectory, multipliers, found, norm)
+        for t in np.flatnonzero(active):
+            mode = int(sequence[t])
+            missing = (required[t] - base[t, mode]) / scale
+            selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
             here = np.append(trajectory.x[t], trajectory.u[t])
-            pull = dynamics.pull_of_norm(one, here, int(sequence[t]), multipliers.eta[t])
+            pull = dynamics.pull_of_norm(norm, here, mode, multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
-            kinks.append(NormKink(int(t), text_of(one, labels), tuple(float(part) for part in selection[t]), rate))
+            kinks.append(NormKink(int(t), _text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return found, tuple(kinks)
+
+
+def _text(problem: OptimalControlProblem, norm: Formula) -> str:
+    return text_of(norm, [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)])
 
 
 def _slopes(
@@ -81,18 +88,26 @@ def _slopes(
     trajectory: Trajectory,
     multipliers: Multipliers,
     selections: Mapping[Formula, Array],
-    one: Formula,
-    at_zero: Mask,
-    component: int,
 ) -> Array:
-    """Return D <eta_t, f_t>, (T, n + m), with the selection of a norm a unit vector, or zero (component -1)."""
-    changed = selections[one].copy()
-    changed[at_zero] = 0.0
-    if component >= 0:
-        changed[at_zero, component] = 1.0
-    affine = problem.smooth_pieces.affine_at(trajectory.x, trajectory.u, {**selections, one: changed})
-    linear = affine.along(affine.sequence_of(trajectory.x, trajectory.u))
-    return np.einsum("tij,ti->tj", np.concatenate([linear.A, linear.B], axis=-1), multipliers.eta)
+    """Return D <eta_t, f_i> of every mode, (T, modes, n + m)."""
+    arrays = problem.affine_at(trajectory, selections).piecewise.arrays(problem.horizon)
+    return np.einsum("tkij,ti->tkj", np.concatenate([arrays.A, arrays.B], axis=-1), multipliers.eta)
+
+
+def _norm_slopes(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    selections: Mapping[Formula, Array],
+    norm: Formula,
+) -> tuple[Array, Array]:
+    """Return D <eta_t, f_i> for xi = 0 of a norm, and its change per component of xi, (components, T, modes, .)."""
+    zero = np.where(np.isfinite(selections[norm]), 0.0, np.nan)
+    base, *changed = (
+        _slopes(problem, trajectory, multipliers, {**selections, norm: zero + unit})
+        for unit in np.vstack([np.zeros(zero.shape[1]), np.eye(zero.shape[1])])
+    )
+    return base, np.stack(changed) - base
 
 
 def nearest_in_ball(columns: Array, wanted: Array) -> Array:
@@ -112,3 +127,54 @@ def nearest_in_ball(columns: Array, wanted: Array) -> Array:
     least = 1e-14 * max(float(values[-1]), largest)
     shift = brentq(excess, least, largest) if excess(least) > 0 else least
     return np.asarray(vectors @ (along / (values + shift)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Kink:
+    """A time at which several modes are active or the arguments of a norm are zero.
+
+    Attributes
+    ----------
+    lower, upper : (n,)
+        The least and the largest of each component of D_x <eta_t, f_i> over the active modes i and, at the zero of a
+        norm, over all its selections |xi| <= 1.
+    required : (n,)
+        p_t in x: what the adjoint equation requires.
+    """
+
+    time: int
+    lower: Array
+    upper: Array
+    required: Array
+
+    def of(self, i: int) -> Array:
+        """Return the three values of component i, (3,)."""
+        return np.array([self.lower[i], self.upper[i], self.required[i]])
+
+
+def kinks(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, facts: SwitchingFacts
+) -> tuple[Kink, ...]:
+    """Return the kinks of judged switching facts along a trajectory, in time."""
+    times = sorted({*facts.times, *(kink.time for kink in facts.norms)})
+    if not times:
+        return ()
+    n, x, u = problem.state_dim, trajectory.x, trajectory.u
+    judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
+    selections: dict[Formula, Array] = {}
+    for norm, active in problem.dynamics.at_zero(x, u).items():
+        selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
+        for t in np.flatnonzero(active):
+            selections[norm][t] = judged.get((_text(problem, norm), int(t)), 0.0)
+    affine = problem.affine_at(trajectory, selections)
+    arrays = measured_modes(affine, trajectory)
+    alone = replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u)))
+    required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
+    centre, radius = _slopes(problem, trajectory, multipliers, selections), 0.0
+    for norm, selection in selections.items():
+        columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)[1]
+        centre = centre - np.einsum("jtki,tj->tki", columns, np.nan_to_num(selection))
+        radius = radius + np.linalg.norm(columns, axis=0)  # the largest of columns @ xi, |xi| <= 1
+    lower, upper = (centre - radius)[..., :n], (centre + radius)[..., :n]
+    modes = arrays.meeting(x, u)
+    return tuple(Kink(t, lower[t, modes[t]].min(axis=0), upper[t, modes[t]].max(axis=0), required[t]) for t in times)

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.certificate.modes.kinks import Kink
+from lin_freq_ocp.certificate.modes.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_names

@@ -20,7 +20,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import one_step_residual, stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.verdict import GAP_TOLERANCE, judge
+from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.testing.random_lti import kind_of, with_witness

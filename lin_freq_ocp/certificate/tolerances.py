@@ -1,0 +1,37 @@
+"""Tolerances of the judge. All are relative, and none depends on the units of a problem."""
+
+import numpy as np
+
+# What counts as satisfied
+CONDITION_TOLERANCE = 1e-6  # residual over scale: good solvers reach 1e-9, a wrong sign or row gives 1e-3 or more
+GAP_TOLERANCE = 1e-6  # (J - D)/S up to which a feasible point is called globally optimal
+TRIVIALITY = 1e-9  # multipliers below this part of the largest of a set or row are rounding
+MISFIT_SHARE = 1e-2  # weight of a wrong direction of a multiplier: at gaps of 1e-10, directions are right to 1e-5
+MAXIMISATION_REACH = 10.0  # sizes of the controls within which the Hamiltonian, which is concave, is maximised
+
+# Sizes and scales
+SCALE_FLOOR = 1e-4  # part of its size below which no component is measured: there it consists of rounding errors
+INSIGNIFICANT_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
+ZERO_COMPONENT = 1e-20  # components that are nowhere larger are zero, as bounds of 1e20 and more are none
+DATA_ROUNDING = 1e-12  # deviations relative to sizes that solvers and printed data leave: a gap of their cost is none
+
+# Bounds
+ARITHMETIC_ROUNDING = 16 * float(np.finfo(np.float64).eps)  # of a few operations in double precision, of what they add
+EIGENVALUE_ERROR = 1e-12  # by which a computed smallest eigenvalue of a correlation matrix may be too large
+NUMERICAL_REACH = 10.0  # sizes of an unbounded component that a merely numerical bound covers
+RADIUS_MARGIN = 1.0 + 1e-9  # factor by which computed radii are enlarged to cover their own rounding
+INVERSE_TOLERANCE = 1e-9  # error of a left inverse that counts as one; RADIUS_MARGIN covers it
+NEGLIGIBLE_SHARE = 1e-2  # part of the allowed gap that all losses of stated bounds may cost without being reduced
+POWER_BLOCK = 1024  # powers of A that are kept at a time
+MAX_STEPS = 20_000  # horizon up to which radii are computed step by step, at 0.1 ms each
+MAX_UNKNOWN = 1000  # components whose radii are computed at once, by a dense matrix, in a second
+MINIMISATION_SWEEPS = 30  # coordinate descents where a Hessian is not diagonal: any point bounds, the minimiser best
+
+# Interval arithmetic over modes
+INFINITE = 1e100  # stands for infinity in intervals, so that its product with zero is zero
+FINITE = 1e90  # larger interval ends stem from INFINITE
+INTERVAL_ROUNDING = 1e-13  # of the absolute terms of a sum, by which intervals widen: 100 times that of 10 terms
+
+# Printed trajectories
+MAX_DECIMALS = 8  # numbers with more are not rounded
+MIN_ROUNDED = 4  # nonzero values below which few decimals are chance
