@@ -21,7 +21,7 @@ CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(valu
 ERRORS = {name for name, value in CLASSES.items() if issubclass(value, (Exception, lfo.results.Status))}
 LITERATURE = ("certify", "solve", "SpectralSolver")
 """What rests on the paper or on literature."""
-SHOWN = ("costs", "sets", "spectrum")
+SHOWN = ("costs", "dynamics", "formulas", "sets", "spectrum")
 """Namespaces whose names all have an example."""
 EXAMPLES = TOP + [name for name in PUBLIC if name.split(".")[0] in SHOWN]
 

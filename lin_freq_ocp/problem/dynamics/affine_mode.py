@@ -126,6 +126,14 @@ class SmoothPiece:
     name : str
     params, state_scale, control_scale, integrator
         As for ``LinearDynamics.linearised``.
+
+    Examples
+    --------
+    >>> import control
+    >>> model = control.nlsys(lambda t, x, u, params: [x[0] ** 2 + u[0]], None, states=1, inputs=1, dt=0.1)
+    >>> piece = lfo.dynamics.SmoothPiece(model, [1.0], [0.0], name="near 1")
+    >>> lfo.PiecewiseAffineDynamics.linearised([piece]).mode_names
+    ('near 1',)
     """
 
     system: Any

@@ -44,6 +44,13 @@ class SmoothMode:
         but not be zero.
     name : str
         As reports show it; default "mode i".
+
+    Examples
+    --------
+    >>> left = lfo.dynamics.SmoothMode(["x_0**2 + u_0"], region=["x_0"], name="left")
+    >>> right = lfo.dynamics.SmoothMode(["u_0"], region=["-x_0"], name="right")
+    >>> lfo.PiecewiseSmoothDynamics([left, right], 1, 1).mode_names
+    ('left', 'right')
     """
 
     f: Any  # Formulas as given; tuples of Formula in the modes of PiecewiseSmoothDynamics
