@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import import_module
@@ -109,17 +110,29 @@ def from_casadi(
 
 
 def _translate(casadi: Any, made: Any, found: DifferentiableFunction, smooth: bool) -> None:
-    """Let a function make formulas where these have all its operations."""
-    program = made if made.is_a("SXFunction") else _expanded(made)
+    """Let a function make formulas where these have all its operations; else it must not have kinks."""
+    program = made
+    if not made.is_a("SXFunction"):
+        with suppress(RuntimeError):  # it calls a function that has no scalar operations
+            program = made.expand()
     codes = {program.instruction_id(k) for k in range(program.n_instructions())}
     kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]
-    translation = None if smooth and kinked else _translation(casadi, program)
-    if translation is not None:
-        assign(found, translation=translation)
-    elif kinked and not smooth:
+    known = {casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT, *_operations(casadi)}
+    if program.is_a("SXFunction") and codes <= known and not (smooth and kinked):
+        translation, n = _Translation(program, _serialized(program)), program.size1_in(0)
+        with suppress(ProblemError):  # a power that formulas do not have
+            translation([one for part in signals(n, program.size1_in(1)) for one in part], n)
+            assign(found, translation=translation)
+            return
+    if kinked and not smooth:
         advice = "Write a mode for each side of a kink, or say smooth=True if there is none."
         got = f"{', '.join(kinked).lower()}, beside operations that formulas do not have"
         raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
+
+
+def _operations(casadi: Any) -> dict[int, Callable[..., Any]]:
+    """Return ``OPERATIONS`` by the codes of CasADi."""
+    return {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
 
 
 def _casadi() -> Any:
@@ -163,39 +176,12 @@ def _serialized(made: Any) -> str:
         return str(made)
 
 
-def _translation(casadi: Any, program: Any) -> _Translation | None:
-    """Return the function as one that makes formulas, if they have all its operations."""
-    named = {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
-    known = {*named, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT}
-    codes = (program.instruction_id(k) for k in range(program.n_instructions()))
-    if not program.is_a("SXFunction") or not known.issuperset(codes):
-        return None
-    n, m = program.size1_in(0), program.size1_in(1)
-    translation = _Translation(program, _serialized(program))
-    try:
-        translation([one for part in signals(n, m) for one in part], n)
-    except ProblemError:  # a power that formulas do not have
-        return None
-    return translation
-
-
-def _expanded(made: Any) -> Any:
-    """Return a function in scalar operations if it has such ones, else itself."""
-    try:
-        return made.expand()
-    except RuntimeError:  # it calls what has none
-        return made
-
-
 @dataclass(frozen=True)
 class _Compiled:
-    """Values and derivatives of a function at points, x (points, n) and u (points, m).
-
-    The text tells functions apart, in other processes, too.
-    """
+    """Values and derivatives of a function at points, x (points, n) and u (points, m)."""
 
     function: Any = field(compare=False)
-    text: str
+    text: str  # by which functions differ, also in other processes
 
     def __call__(self, what: str, x: Array, u: Array) -> Array:
         function = self._functions[what]
@@ -208,19 +194,15 @@ class _Compiled:
 
     @cached_property
     def _functions(self) -> dict[str, Any]:
-        return _with_derivatives(self.function)
-
-
-def _with_derivatives(made: Any) -> dict[str, Any]:
-    """Return functions of (x, u) for the values (k, 1), the Jacobian (k, n + m), the Hessians (k (n + m), n + m)."""
-    casadi = _casadi()
-    kind = casadi.SX if made.is_a("SXFunction") else casadi.MX
-    x, u = kind.sym("x", made.size1_in(0)), kind.sym("u", made.size1_in(1))
-    y, value = casadi.vertcat(x, u), made(x, u)
-    jacobian = casadi.jacobian(value, y)
-    hessian = casadi.jacobian(casadi.vec(jacobian.T), y)  # row after row: of output 0 by all arguments, of output 1 ...
-    outputs = {"value": value, "jacobian": jacobian, "hessian": hessian}
-    return {what: casadi.Function(what, [x, u], [casadi.densify(one)]) for what, one in outputs.items()}
+        """Functions of (x, u): values (k, 1), Jacobian (k, n + m), Hessians (k (n + m), n + m)."""
+        casadi, made = _casadi(), self.function
+        kind = casadi.SX if made.is_a("SXFunction") else casadi.MX
+        x, u = kind.sym("x", made.size1_in(0)), kind.sym("u", made.size1_in(1))
+        y, value = casadi.vertcat(x, u), made(x, u)
+        jacobian = casadi.jacobian(value, y)
+        hessian = casadi.jacobian(casadi.vec(jacobian.T), y)  # row after row: output 0 by all arguments, output 1 ...
+        outputs = {"value": value, "jacobian": jacobian, "hessian": hessian}
+        return {what: casadi.Function(what, [x, u], [casadi.densify(one)]) for what, one in outputs.items()}
 
 
 @dataclass(frozen=True)
@@ -235,7 +217,7 @@ class _Translation:
         casadi, program = _casadi(), self.function
         inputs = arguments[:states], arguments[states:]
         zero = arguments[0] * 0.0
-        operations = {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
+        operations = _operations(casadi)
         rows = program.sparsity_out(0).row()
         made, work = [zero] * program.size1_out(0), [zero] * program.sz_w()
         for k in range(program.n_instructions()):

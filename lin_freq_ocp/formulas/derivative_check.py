@@ -7,84 +7,52 @@ changing functions unless their scale is known. Here steps of all sizes are comp
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, brief
 from lin_freq_ocp.errors import ProblemError
 
-# Of central differences, relative to the size of an argument. Of neighbours that agree best the smaller is taken: so
-# that no scale of the function need be known.
+# Steps of central differences, relative to the size of an argument. Of the neighbours that agree best the smaller is
+# taken, so that no scale of the function need be known.
 STEPS = 10.0 ** -np.arange(1, 11)
-# Relative error of a derivative that is no slip: tables and iterations in a function cost digits, and a wrong sign,
-# index or factor is seen from far.
+# Relative error up to which a derivative is right: tables and iterations in a function cost digits, and a wrong sign,
+# index or factor is far larger.
 TOLERANCE = 1e-6
-# Times what neighbouring differences differ by, and rounding errors: what the best of them may be wrong by.
+# The best difference is off by up to so many times the distance of its neighbour and rounding.
 DOUBT = 10.0
 ROUNDING = 4 * float(np.finfo(np.float64).eps)  # error of values, relative to their largest
-NAMES = {"jacobian": "derivative", "hessian": "second derivative"}
-
-
-@dataclass(frozen=True)
-class Derivative:
-    """What is checked.
-
-    Attributes
-    ----------
-    title : str
-        Of the function.
-    of, what : str
-        "call" and "jacobian", or "jacobian" and "hessian".
-    states : int
-        How many of the arguments are x.
-    """
-
-    title: str
-    of: str
-    what: str
-    states: int
-
-    def argument(self, i: int) -> str:
-        """Return the name of an argument."""
-        return f"x[{i}]" if i < self.states else f"u[{i - self.states}]"
-
-    def at(self, y: Array) -> str:
-        """Return a point in words."""
-        return f"x = {brief(y[: self.states].tolist())}, u = {brief(y[self.states :].tolist())}"
 
 
 def require_derivative(
-    which: Derivative, evaluate: Callable[[Array], Array], given: Array, y: Array, sizes: Array
+    title: str, of: str, what: str, evaluate: Callable[[str, Array], Array], y: Array, states: int, sizes: Array
 ) -> None:
-    """Raise ProblemError unless differences agree with the derivative at y.
+    """Raise ProblemError unless differences of ``of`` agree with the derivative ``what`` at y (arguments,).
 
-    Parameters
-    ----------
-    evaluate : function
-        Of points (points, arguments); returns (points, ...).
-    given : (..., arguments)
-    y, sizes : (arguments,)
+    ``evaluate`` takes the name of either and points (points, arguments), of which the first arguments are ``states``.
     """
-    if not np.isfinite(evaluate(y[None])).all():
+    labels = [f"x[{i}]" for i in range(states)] + [f"u[{i}]" for i in range(len(y) - states)]
+    where = f"x = {brief(y[:states].tolist())}, u = {brief(y[states:].tolist())}"
+    given = evaluate(what, y[None])[0]
+    if not np.isfinite(evaluate(of, y[None])).all():
         advice = "Choose a point in its domain."
-        raise ProblemError(f"{which.title}.{which.of}", f"no finite number at {which.at(y)}", "finite numbers", advice)
-    for j in range(len(y)):
-        found, doubt = _differences(evaluate, y, j, float(max(abs(y[j]), sizes[j])))
+        raise ProblemError(f"{title}.{of}", f"no finite number at {where}", "finite numbers", advice)
+    for j, label in enumerate(labels):
+        found, doubt = _differences(lambda points: evaluate(of, points), y, j, float(max(abs(y[j]), sizes[j])))
         if not np.isfinite(found).all():
-            got = f"nothing finite on one of the sides of {which.argument(j)} = {y[j]:g}, at {which.at(y)}"
+            got = f"nothing finite on one of the sides of {label} = {y[j]:g}, at {where}"
             advice = "Choose a point inside its domain."
-            raise ProblemError(f"{which.title}.{which.of}", got, "a function that is defined around", advice)
+            raise ProblemError(f"{title}.{of}", got, "a function that is defined around", advice)
         own = given[..., j]
         allowed = DOUBT * doubt + TOLERANCE * np.maximum(np.abs(own), np.abs(found))
-        wrong = ~(np.abs(own - found) <= allowed)  # not a number is wrong, too
-        for index in np.argwhere(wrong):
+        for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
             at = tuple(map(int, index))
-            by = " and ".join([*(which.argument(i) for i in at[1:]), which.argument(j)])
-            label = f"{which.title}.{which.what}[{', '.join(map(str, (*at, j)))}]"
-            expected = f"{found[at]:.8g}, as differences of {which.of} say"
-            what = f"the {NAMES[which.what]} of output {at[0]} by {by}"
-            raise ProblemError(label, f"{own[at]:.8g}, at {which.at(y)}", expected, f"It is {what}.")
+            by = " and ".join([*(labels[i] for i in at[1:]), label])
+            expected = f"{found[at]:.8g}, as differences of {of} say"
+            name = "derivative" if what == "jacobian" else "second derivative"
+            advice = f"It is the {name} of output {at[0]} by {by}."
+            entry = f"{title}.{what}[{', '.join(map(str, (*at, j)))}]"
+            raise ProblemError(entry, f"{own[at]:.8g}, at {where}", expected, advice)
 
 
 def _differences(evaluate: Callable[[Array], Array], y: Array, j: int, size: float) -> tuple[Array, Array]:

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer, real_array
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
-from lin_freq_ocp.formulas.derivative_check import Derivative, require_derivative
+from lin_freq_ocp.formulas.derivative_check import require_derivative
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
 
+_UNDEFINED = float("nan")  # stands for values where the function is not defined
 # Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
 # the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian.
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
@@ -26,7 +27,7 @@ class DifferentiableFunction:
 
     Called with signals, or formulas in their place, it returns one formula for each output, which can be mixed with
     others: ``SmoothMode(f=function)``, ``region=lambda x, u: [table(x[:1], u)[0] - x[1]]``. Called with numbers, it
-    returns numbers. Global bounds and problem files need formulas, and are refused in words.
+    returns numbers. Global bounds and problem files need formulas, and refuse it.
 
     Parameters
     ----------
@@ -137,6 +138,11 @@ class DifferentiableFunction:
         ----------
         x, u : sequences, or one formula or number
             What stands for its n states and its m controls, in the function's own count, not the problem's.
+
+        Raises
+        ------
+        ProblemError
+            If these are neither formulas nor numbers, or what the function returns has another shape.
         """
         given = [_listed(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
         arguments, states = [*given[0], *given[1]], len(given[0])
@@ -178,26 +184,17 @@ class DifferentiableFunction:
                 raise ProblemError(f"check_at[{i}]", brief(point), "a point (x, u)")
             x, u = (np.atleast_1d(real_array(f"check_at[{i}]", part)) for part in point)
             self._require(len(x), len(u))
-            self._check("call", "jacobian", np.concatenate([x, u]), len(x))
-            if self.hessian is not None:
-                self._check("jacobian", "hessian", np.concatenate([x, u]), len(x))
+            for of, what in (("call", "jacobian"), ("jacobian", "hessian"))[: 1 if self.hessian is None else 2]:
+                y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
+                require_derivative(self.title, of, what, self._at_points(len(x)), y, len(x), sizes)
+
+    def _at_points(self, states: int) -> Callable[[str, Array], Array]:
+        return lambda what, points: self._evaluated(what, points[:, :states], points[:, states:])
 
     def _require(self, states: int, controls: int) -> None:
         if self.dimensions not in (None, (states, controls)):
             expected = "x ({},) and u ({},)".format(*self.dimensions)
             raise ProblemError(self.title, f"x ({states},) and u ({controls},)", expected)
-
-    def _check(self, lower: str, upper: str, y: Array, states: int) -> None:
-        def evaluate(what: str, points: Array) -> Array:
-            return self._evaluated(what, points[:, :states], points[:, states:])
-
-        require_derivative(
-            Derivative(self.title, lower, upper, states),
-            lambda points: evaluate(lower, points),
-            evaluate(upper, y[None])[0],
-            y,
-            self._sizes(len(y)),
-        )
 
     def values_at(self, x: Array, u: Array) -> Array:
         """Return the values at points, (points, outputs); not a number where it is not defined.
@@ -295,16 +292,10 @@ class DifferentiableFunction:
             array = np.asarray(None)
         if array.dtype.kind not in "iuf":
             raise ProblemError(f"{self.title}.{what}", f"{brief(given)} at {_place(*point)}", "real numbers")
-        if array.shape != shape and (self.outputs != 1 or array.shape != _without_output(shape, self.vectorized)):
+        without_output = (shape[0], *shape[2:]) if self.vectorized else shape[1:]
+        if array.shape != shape and (self.outputs != 1 or array.shape != without_output):
             raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
         return array.astype(np.float64).reshape(shape)
-
-
-_UNDEFINED = float("nan")  # stands for values where the function is not defined
-
-
-def _without_output(shape: tuple[int, ...], vectorized: bool) -> tuple[int, ...]:
-    return (shape[0], *shape[2:]) if vectorized else shape[1:]
 
 
 def _listed(label: str, given: Any) -> list[Any]:

@@ -51,17 +51,6 @@ class PiecewiseAffineDynamics(StandardDynamics):
     >>> right, left = (lfo.AffineMode([[a]], [[1.0]], G=[[g]], h=[0.0]) for a, g in ((0.5, -1.0), (-0.5, 1.0)))
     >>> len(lfo.PiecewiseAffineDynamics([right, left]).modes)
     2
-
-    Methods
-    -------
-    from_guards(...)
-        Modes by the signs of guards.
-    from_formulas(...)
-        Modes of maxima and minima of affine functions.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
-    along(sequence)
-        The linear dynamics of one mode sequence.
     """
 
     modes: tuple[AffineMode, ...]

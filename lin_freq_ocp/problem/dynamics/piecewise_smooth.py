@@ -122,13 +122,6 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     >>> dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["abs(x_0) + x_0*u_0"], 1, 1)
     >>> len(dynamics.modes)
     2
-
-    Methods
-    -------
-    from_formulas(...)
-        Modes of formulas with maxima, minima and absolute values.
-    sequence_of(x, u)
-        The mode of every time along a trajectory.
     """
 
     modes: tuple[SmoothMode, ...]
