@@ -10,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Indices, brief
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.affine_mode import placed_at
+from lin_freq_ocp.problem.dynamics.affine_mode import located_at
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -75,9 +75,9 @@ def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str,
         if set(given) != {"x", "u"}:
             expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
             raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
-        with placed_at("start"):
+        with located_at("start"):
             given = Trajectory(given["x"], given["u"])
-    with placed_at("start", own="trajectory"):
+    with located_at("start", own="trajectory"):
         problem.require(given)
     return given
 
@@ -100,7 +100,7 @@ def _array(problem: OptimalControlProblem, given: Any) -> Any:
 
 def _replayed(problem: OptimalControlProblem, controls: Any) -> Trajectory:
     try:
-        with placed_at("start"):
+        with located_at("start"):
             return simulate(problem, controls)
     except NumericalError as error:
         got = f"controls that cannot be replayed ({error})"

@@ -64,7 +64,7 @@ def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
 
     def spoiled(problem, trajectory, multipliers):
         certificate = honest(problem, trajectory, multipliers)
-        meeting = problem.dynamics.arrays(problem.horizon).meeting(trajectory.x, trajectory.u)
+        meeting = problem.dynamics.arrays(problem.horizon).active_modes(trajectory.x, trajectory.u)
         every = [Flip(int(t), int(j), 1.0) for t, j in np.argwhere(meeting)] if what["all"] else []
         return replace(certificate, borders=replace(certificate.borders, flips=tuple(every)))
 

@@ -226,7 +226,7 @@ def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, acti
     """Return every time with several active modes (T, modes); the extremal is of any averaged dynamics."""
     trajectory, multipliers = extremal.trajectory, extremal.multipliers
     required, n = required_slopes(extremal), extremal.problem.state_dim
-    active_facets = arrays.touching(trajectory.x, trajectory.u)
+    active_facets = arrays.active_facets(trajectory.x, trajectory.u)
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)
     slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)

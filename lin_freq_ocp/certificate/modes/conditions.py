@@ -36,7 +36,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     arrays, sizes = measured_modes(problem, trajectory), trajectory_sizes(problem, trajectory)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(arrays, trajectory, sizes)
-    active = arrays.meeting(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
+    active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)

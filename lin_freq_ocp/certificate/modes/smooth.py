@@ -57,7 +57,7 @@ def _selections(
     found: dict[Formula, Array] = {}
     kinks: list[NormKink] = []
     dynamics = problem.smooth_pieces
-    for norm, active in dynamics.at_zero(trajectory.x, trajectory.u).items():
+    for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u).items():
         selection = found[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         if not active.any():
             continue
@@ -162,7 +162,7 @@ def kinks(
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
     selections: dict[Formula, Array] = {}
-    for norm, active in problem.dynamics.at_zero(x, u).items():
+    for norm, active in problem.dynamics.active_kinks(x, u).items():
         selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         for t in np.flatnonzero(active):
             selections[norm][t] = judged.get((_text(problem, norm), int(t)), 0.0)
@@ -176,5 +176,5 @@ def kinks(
         centre = centre - np.einsum("jtki,tj->tki", columns, np.nan_to_num(selection))
         radius = radius + np.linalg.norm(columns, axis=0)  # the largest of columns @ xi, |xi| <= 1
     lower, upper = (centre - radius)[..., :n], (centre + radius)[..., :n]
-    modes = arrays.meeting(x, u)
+    modes = arrays.active_modes(x, u)
     return tuple(Kink(t, lower[t, modes[t]].min(axis=0), upper[t, modes[t]].max(axis=0), required[t]) for t in times)

@@ -111,14 +111,14 @@ class _FitPoint:
     @classmethod
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
         arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
-        sequence, active = arrays.sequence(x, u), arrays.meeting(x, u)
+        sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
         transcription, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))
         return cls(
             arrays=arrays,
             sequence=sequence,
             active=active,
-            facets=arrays.touching(x, u),
+            facets=arrays.active_facets(x, u),
             normals=stage_normals(problem, trajectory),
             transcription=transcription,
             scaling=scaling,

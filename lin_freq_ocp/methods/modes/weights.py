@@ -40,7 +40,7 @@ def weighted(
     G_s' lambda. The result is the best fit to Clarke's rule with this adjoint, be it good or not.
     """
     arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
-    times, active = np.arange(problem.horizon), arrays.meeting(x, u)
+    times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
     active[times, sequence] = True
     rows = np.concatenate([arrays.G, arrays.H], axis=-1)
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)

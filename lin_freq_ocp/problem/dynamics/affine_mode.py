@@ -61,7 +61,7 @@ class AffineMode:
     ):
         if not isinstance(name, str) or not name.isprintable() or (name and not name.strip()):
             raise ProblemError(f"{MODE}.name", brief(name), "a name of printable characters")
-        with placed_at(MODE, "dynamics"):
+        with located_at(MODE, "dynamics"):
             linear = LinearDynamics(A, B, offset)
         assign(self, linear=linear, region=_region(G, H, h, linear.state_dim, linear.control_dim), name=name)
 
@@ -72,7 +72,7 @@ class AffineMode:
 
 
 @contextmanager
-def placed_at(place: str, own: str = MODE) -> Generator[None]:
+def located_at(place: str, own: str = MODE) -> Generator[None]:
     """Let a ProblemError that names the field ``own``, or one within, name it at ``place`` instead."""
     try:
         yield
@@ -179,7 +179,7 @@ def linearised_modes(
         if not np.isclose(steps[0], steps[-1], rtol=1e-12, atol=0.0):
             expected = f"{maps[0].sampling_time}, as in the first piece"
             raise ProblemError(f"{place}.system.dt", f"{linear.sampling_time}", expected)
-        with placed_at(place):
+        with located_at(place):
             modes.append(AffineMode(linear.A, linear.B, linear.offset, piece.G, piece.H, piece.h, piece.name))
         maps.append(linear)
     first = maps[0]

@@ -95,9 +95,9 @@ class Dynamics(ABC):
         """Return linear dynamics that are the same to first order at (x_t, u_t), those of the modes there."""
         return self.standard_form.linear_at(x, u)
 
-    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
         """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
-        return self.standard_form.at_zero(x, u)
+        return self.standard_form.active_kinks(x, u)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str]) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
@@ -141,7 +141,7 @@ class StandardDynamics(Dynamics):
         """Return these dynamics."""
         return self
 
-    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
         """Return none: there are no norms."""
         return {}
 

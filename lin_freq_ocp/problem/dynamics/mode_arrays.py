@@ -74,7 +74,7 @@ class ModeArrays:
         """Return by how much (x_t, u_t) lies outside each region, relative to the sizes of its rows; (T, modes)."""
         return np.maximum((self.excess(x, u) / self.row_sizes(x, u)).max(axis=2), 0.0)
 
-    def touching(self, x: Array, u: Array) -> Mask:
+    def active_facets(self, x: Array, u: Array) -> Mask:
         """Which rows of each region (x_t, u_t) lies on, or beyond, within BORDER_TOLERANCE; (T, modes, rows)."""
         return self.excess(x, u) >= -BORDER_TOLERANCE * self.row_sizes(x, u)
 
@@ -96,7 +96,7 @@ class ModeArrays:
         miss = np.where(nearest, relative.sum(axis=2), np.inf)
         return np.argmax(miss <= miss.min(axis=1, keepdims=True) + REPLAY_ROUNDING, axis=1)
 
-    def meeting(self, x: Array, u: Array) -> Mask:
+    def active_modes(self, x: Array, u: Array) -> Mask:
         """Which modes hold at (x_t, u_t) and lead to the same state as that of ``sequence``, itself one; (T, modes).
 
         Of a continuous map, all that hold; of one that jumps, those on the trajectory's side.

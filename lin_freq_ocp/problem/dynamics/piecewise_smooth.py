@@ -257,7 +257,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
-    def at_zero(self, x: Array, u: Array) -> dict[Formula, Mask]:
+    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
         """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
         y = np.hstack([x[: len(u)], u])
         found: dict[Formula, Mask] = {}

@@ -135,7 +135,7 @@ def tried(
 ) -> Iterator[tuple[str, str]]:
     """Yield what each flip turned out to be, and words if that is not what was said."""
     trajectory = signals_of(result)
-    meeting = measured_modes(problem, trajectory).meeting(trajectory.x, trajectory.u)
+    meeting = measured_modes(problem, trajectory).active_modes(trajectory.x, trajectory.u)
     said = {(flip.time, flip.mode): flip.rate for flip in facts.flips}
     unique = None
     for t, j in np.argwhere(meeting):
