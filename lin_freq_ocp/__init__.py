@@ -58,6 +58,7 @@ __version__ = "0.1.0"
 
 NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "io", "results", "errors", "library")
 
+# the module of every name of everyday use
 _HOMES = {
     "api.compare": "compare",
     "api.solve": "solve",
@@ -76,7 +77,6 @@ _HOMES = {
     "solving.certify": "certify",
     "spectrum": "MagnitudeBound low_pass stop_band",
 }
-"""The module of every name of everyday use."""
 
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 

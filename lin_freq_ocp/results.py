@@ -8,7 +8,7 @@ from lin_freq_ocp.api.sweep import Sweep
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.explanation import Cure, Explanation
+from lin_freq_ocp.solving.outcome import Cure, Explanation
 from lin_freq_ocp.status import Status
 
 __all__ = [

@@ -1,13 +1,13 @@
-"""compare() as users call it, and what it returns."""
+"""compare() as users call it, and the comparison that it returns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared, figures_of
 from lin_freq_ocp.html import html_table
@@ -39,7 +39,7 @@ class Comparison(ComparisonOutcome):
     constrained: Result
 
     def __repr__(self) -> str:
-        filters = ", ".join(one.name for one in self.filtered) or "none"
+        filters = ", ".join(filtered.name for filtered in self.filtered) or "none"
         return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
 
     def _repr_html_(self) -> str:
@@ -93,5 +93,4 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    outcome = compared(problem, solve, filters, backend, time_limit)
-    return Comparison(**{one.name: getattr(outcome, one.name) for one in fields(ComparisonOutcome)})
+    return shown_as(Comparison, compared(problem, solve, filters, backend, time_limit))

@@ -1,50 +1,59 @@
-"""The result of a solve: its outcome, with everything that users ask of it."""
+"""The result of a solve: its outcome, with the methods that users call."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, final
 
 from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.html import html_table
+from lin_freq_ocp.interchange.results.conversions import to_frame, to_time_response
 from lin_freq_ocp.interchange.results.csv_file import save_csv
-from lin_freq_ocp.interchange.results.frame import to_frame
 from lin_freq_ocp.interchange.results.mat_file import save_mat
+from lin_freq_ocp.interchange.results.solution_file import save_trajectory
 from lin_freq_ocp.interchange.results.summary import result_summary, save_json
-from lin_freq_ocp.interchange.results.time_response import to_time_response
-from lin_freq_ocp.interchange.results.trajectory_file import save_trajectory
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:
+    from control import TimeResponseData
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
 
+class Record(Protocol):
+    """A dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+Shown = TypeVar("Shown", bound=Record)
+
+
+def shown_as(cls: type[Shown], record: Record) -> Shown:
+    """Return the fields of a record as a subclass with the methods that users call."""
+    return cls(**{field.name: getattr(record, field.name) for field in fields(cls)})
+
+
 @final
 class Result(Outcome):
-    """What a solve ended with: the fields of ``Outcome``, and what can be done with them.
+    """The outcome of a solve, with the fields of ``Outcome``.
 
     Methods
     -------
     plot()
         A figure of the answer.
     save(path)
-        Write .npz with the multipliers, or .csv or .mat, by the end of the name.
+        Write .npz with the multipliers, or .csv or .mat, by the suffix.
     to_csv(path), to_mat(path), to_json(path), to_frame(), to_time_response()
         The trajectory for other tools.
     dump(path)
         Write the whole run, to be repeated anywhere.
     """
-
-    @classmethod
-    def of(cls, outcome: Outcome) -> Result:
-        """Return the result that shows an outcome."""
-        return cls(**{one.name: getattr(outcome, one.name) for one in fields(Outcome)})
 
     @property
     def sensitivities(self) -> Sensitivities:
@@ -108,13 +117,13 @@ class Result(Outcome):
         """
         return to_frame(self.problem, self._require_trajectory())
 
-    def to_time_response(self) -> Any:
+    def to_time_response(self) -> TimeResponseData:
         """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
         return to_time_response(self.problem, self._require_trajectory())
 
     def dump(self, path: str | Path) -> None:
         """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
-        from lin_freq_ocp.interchange.runs.run_file import dump_run  # few runs are dumped
+        from lin_freq_ocp.interchange.runs.run_file import dump_run  # slow to import
 
         dump_run(path, self.problem, self.options, self)
 

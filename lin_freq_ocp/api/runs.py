@@ -1,19 +1,26 @@
-"""Runs in files: what a solve was given and ended with, to be repeated anywhere."""
+"""Runs in files, to be repeated anywhere, and a run beside its repetition here."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from os import PathLike
 from typing import final
 
-from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.interchange.runs.run_file import RunRecord, read_run
+from lin_freq_ocp.interchange.locations import FileTable
+from lin_freq_ocp.interchange.results.summary import finite, result_summary
+from lin_freq_ocp.interchange.runs.environment import environment
+from lin_freq_ocp.interchange.runs.run_file import RunRecord, described, read_run
+
+SAME_COST = 1e-6  # difference of equal costs, relative to the larger of 1 and the cost
+COMPARED = ("status", "cost", "theorem", "method", "backend", "error")
 
 
 @final
 class SavedRun(RunRecord):
-    """A run, as it was dumped: the fields of ``RunRecord``.
+    """A dumped run, with the fields of ``RunRecord``.
 
     Methods
     -------
@@ -27,7 +34,7 @@ class SavedRun(RunRecord):
 
 
 def load_run(path: str | PathLike[str]) -> SavedRun:
-    """Read what ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
+    """Read a run that ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
 
     Parameters
     ----------
@@ -41,7 +48,7 @@ def load_run(path: str | PathLike[str]) -> SavedRun:
     Raises
     ------
     ProblemError
-        If it is no such file; the field names it, the file within, and the place there.
+        If it is no such file; the field names it, the file within, and the location there.
 
     Examples
     --------
@@ -49,5 +56,93 @@ def load_run(path: str | PathLike[str]) -> SavedRun:
     >>> lfo.load_run("run.zip").solve().status
     'optimal'
     """
-    run = read_run(path)
-    return SavedRun(**{one.name: getattr(run, one.name) for one in fields(RunRecord)})
+    return shown_as(SavedRun, read_run(path))
+
+
+@dataclass(frozen=True, eq=False)
+class Rerun:
+    """How a run ended then, and now, each with its environment.
+
+    ``then`` and ``now`` have "status", "cost", "gap", "theorem", "method", "backend", "seconds" (in all) and "error".
+    """
+
+    result: Result | None  # of now; None if it ended with the error
+    error: Exception | None
+    then: FileTable
+    now: FileTable
+    then_on: FileTable
+    now_on: FileTable
+
+    @property
+    def differences(self) -> tuple[str, ...]:
+        """Return which of status, cost, theorem, method, backend and error differ."""
+        return tuple(key for key in COMPARED if not _same(self.then[key], self.now[key]))
+
+    @property
+    def versions(self) -> dict[str, tuple[str, str]]:
+        """Return the entries of the environments, then and now, that differ."""
+        then, now = _flat(self.then_on), _flat(self.now_on)
+        pairs = {name: (then.get(name, "none"), now.get(name, "none")) for name in then | now}
+        return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+    def __str__(self) -> str:
+        rows = [("", "then", "now")]
+        rows += [(key, _shown(self.then[key]), _shown(self.now[key])) for key in self.then]
+        rows += [(name, *pair) for name, pair in self.versions.items()]
+        widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
+        lines = [f"{what:{widths[0]}}  {then:{widths[1]}}  {now}".rstrip() for what, then, now in rows]
+        return "\n".join([*lines, f"differs: {', '.join(self.differences)}" if self.differences else "the same"])
+
+
+def rerun(run: SavedRun) -> Rerun:
+    """Repeat a run, and compare its result or error with those of then."""
+    result, error = None, None
+    try:
+        result = run.solve()
+    except Exception as caught:
+        error = caught
+    summary = None if result is None else result_summary(result)
+    now = _outcome(summary, None if error is None else described(error))
+    here = environment(run.options.get("backend"))
+    return Rerun(result, error, _outcome(run.summary, run.error), now, run.environment, here)
+
+
+def rerun_summary(comparison: Rerun) -> FileTable:
+    """Return the JSON object of ``lin-freq-ocp rerun --json``."""
+    versions = {name: list(pair) for name, pair in comparison.versions.items()}
+    summary = {"schema": 1, "then": comparison.then, "now": comparison.now}
+    return finite(summary | {"differences": list(comparison.differences), "environment": versions})
+
+
+def _outcome(summary: Mapping[str, object] | None, error: Mapping[str, object] | None) -> FileTable:
+    given = summary or {}
+    seconds = [value for value in _table(given.get("seconds")).values() if isinstance(value, (int, float))]
+    return {
+        "status": given.get("status"),
+        "cost": given.get("cost"),
+        "gap": given.get("gap"),
+        "theorem": _table(given.get("certificate")).get("pmp"),
+        "method": given.get("method"),
+        "backend": given.get("backend"),
+        "seconds": sum(seconds) if seconds else None,
+        "error": None if error is None else f"{error.get('type')}: {error.get('message')}",
+    }
+
+
+def _same(then: object, now: object) -> bool:
+    if isinstance(then, (int, float)) and isinstance(now, (int, float)):
+        return abs(then - now) <= SAME_COST * max(1.0, abs(then))
+    return then == now
+
+
+def _flat(given: FileTable) -> dict[str, str]:
+    return {key: str(value) for key, value in (given | _table(given.get("packages"))).items() if key != "packages"}
+
+
+def _table(given: object) -> FileTable:
+    """Return a table of a file, empty if the value is no table."""
+    return given if isinstance(given, dict) else {}
+
+
+def _shown(value: object) -> str:
+    return "none" if value is None else f"{value:.12g}" if isinstance(value, float) else str(value)

@@ -1,23 +1,21 @@
-"""solve(), certify() and explain() as users call them."""
+"""solve() as users call it: its outcome as a result, or an error that holds the result."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Any
 
-from lin_freq_ocp.api.result import Result
+from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 
-EXPLAIN_SECONDS = 5.0
-"""Time for saying why a problem has no solution, unless a time limit leaves less."""
+EXPLAIN_SECONDS = 5.0  # for the explanation of an infeasible problem, unless a time limit leaves less
 
+# The errors of statuses that are no answer.
 ERRORS: dict[Status, type[SolveError]] = {
     Status.INFEASIBLE: InfeasibleError,
     Status.INFEASIBLE_CLAIMED: InfeasibleError,
@@ -25,7 +23,6 @@ ERRORS: dict[Status, type[SolveError]] = {
     Status.LIMIT: LimitError,
     Status.NUMERICAL_ERROR: NumericalError,
 }
-"""What ``solve`` raises, by status; the others are answers."""
 
 
 def solve(
@@ -38,7 +35,7 @@ def solve(
     node_limit: int | None = None,
     progress: Report | None = None,
     executor: Executor | None = None,
-    start: Any = None,
+    start: object = None,
     gap: float | None = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
@@ -57,8 +54,7 @@ def solve(
         Of "convex" (and "auto" with linear dynamics, which then is "convex"): "auto" (Clarabel), "clarabel", "osqp" or
         "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or "daqp".
     time_limit : float, optional
-        Seconds, set-up included, to which the judge's certificate is added. What is estimated not to end within it is
-        not begun.
+        Seconds, set-up included, without the judge's certificate. A step that is estimated to take longer is not begun.
     tolerance : float, optional
         Linear dynamics: relative residuals asked of the solver; above 1e-6 the judge allows as much, up to 1e-2. Over
         modes: the same as ``gap``.
@@ -75,7 +71,7 @@ def solve(
     start : Trajectory, (T, m) or (T,) integers, optional
         Of piecewise-affine and piecewise-smooth dynamics: a trajectory (or a result), controls to be replayed from the
         initial state, or the mode at every time. Branch and bound begins with the best trajectory of these modes, the
-        local search with this one: what they end with is not worse.
+        local search with this one: their answer is not worse.
     gap : float, optional
         Over modes: relative gap (J - D)/S to prove, 1e-6 by default; 1e-4 over smooth pieces.
 
@@ -88,7 +84,10 @@ def solve(
     InfeasibleError, UnboundedError, LimitError, NumericalError
         With ``throw``; a subclass of SolveError, with ``.result``.
     UnsupportedError
-        If the method or backend does not exist or cannot take this problem, or does not know an option.
+        If the method or backend does not exist or cannot take this problem, or does not know an option, or the problem
+        does not fit into memory.
+    MissingExtraError
+        If the package of the backend is not installed.
     ProblemError
         If the start does not fit the problem.
 
@@ -105,8 +104,8 @@ def solve(
     ('optimal', True)
     """
     started = time.perf_counter()
-    options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor}
-    result = Result.of(solve_judged(problem, method, time_limit, progress, start, backend=backend, **options))
+    outcome = solve_judged(problem, method, time_limit, progress, start, backend, tolerance, gap, node_limit, executor)
+    result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))
@@ -116,7 +115,7 @@ def solve(
 
 
 def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
-    """Return an infeasible result with its explanation, if one was found in that time."""
+    """Return an infeasible result with its explanation, if it was found in that time."""
     from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
 
     try:
@@ -151,14 +150,10 @@ def _complaint(result: Result) -> str:
 
 
 def _reached(result: Result) -> str:
-    """Return cost, bound and gap of the best point that a limit left, in words."""
+    """Return the cost, bound and gap of the best point before a limit."""
     if result.trajectory is None:
         bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
         return f"no point was found{bound}"
-    figures: Sequence[tuple[str, float | None]] = (
-        ("cost", result.cost),
-        ("lower bound", result.lower_bound),
-        ("gap", result.gap),
-    )
-    told = ", ".join(f"{what} {'unknown' if value is None else format(value, '.6g')}" for what, value in figures)
-    return f"the best point is in .result: {told}"
+    figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
+    texts = [f"{name} {'unknown' if value is None else format(value, '.6g')}" for name, value in figures.items()]
+    return f"the best point is in .result: {', '.join(texts)}"

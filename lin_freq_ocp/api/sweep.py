@@ -1,15 +1,15 @@
-"""sweep() as users call it, and what it returns."""
+"""sweep() as users call it, and the sweep that it returns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import fields
 from functools import partial
 from os import PathLike
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
+from lin_freq_ocp.api.result import shown_as
 from lin_freq_ocp.comparison.sweep.grid import Source
 from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome, swept
 from lin_freq_ocp.interchange.runs.sweep_file import SweepFile, read_sweep, save_sweep_csv
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @final
 class Sweep(SweepOutcome):
-    """The points of a grid that are finished: the fields of ``SweepOutcome``, and what can be done with them.
+    """The finished points of a grid, with the fields of ``SweepOutcome``.
 
     Methods
     -------
@@ -34,17 +34,12 @@ class Sweep(SweepOutcome):
         Write the points as a table.
     """
 
-    @classmethod
-    def of(cls, outcome: SweepOutcome) -> Sweep:
-        """Return the sweep that shows an outcome."""
-        return cls(**{one.name: getattr(outcome, one.name) for one in fields(SweepOutcome)})
-
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the table, one line per row; what is absent is empty."""
+        """Write the table, one line per row; absent values are empty."""
         save_sweep_csv(path, self)
 
     def plot(self) -> Figure:
-        """Return the cost and what is infeasible against the first parameter that is a number."""
+        """Return a figure of cost and infeasible points over the first parameter that is a number."""
         from lin_freq_ocp.report.figures.sweep import sweep_figure  # Matplotlib is slow to import
 
         return sweep_figure(self)
@@ -52,7 +47,7 @@ class Sweep(SweepOutcome):
 
 def sweep(
     problem: Source,
-    grid: Mapping[str, Sequence[Any]],
+    grid: Mapping[str, Sequence[object]],
     executor: Executor | None = None,
     path: str | PathLike[str] | None = None,
     method: str = "auto",
@@ -73,19 +68,19 @@ def sweep(
         "cutoff_hz" for a low pass in place of its ``control_spectrum``; a cut-off of None is no frequency constraint.
     executor : concurrent.futures.Executor, optional
         Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
-        Default: one after another, in this process. It is not shut down. Points lost with a worker are given out again.
+        Default: one after another, in this process. It is not shut down. Points lost with a worker are repeated.
     path : path, optional
-        A file that gets a line per point as soon as it is finished. If it is there already, its points are not solved
+        A file that gets a line per point as soon as it is finished. If it exists already, its points are not solved
         again, except those with the status "error"; the grid may have other values than before.
     method, backend, time_limit, tolerance
         As for ``solve``, for each point.
     progress : callable, optional
-        Called with the number of finished points and that of all of them, at first and after each point.
+        Called with the number of finished points and the number of all points, at first and after each point.
 
     Returns
     -------
     Sweep
-        After Ctrl-C: with what is finished until then, and ``interrupted``.
+        After Ctrl-C: the points that are finished until then, and ``interrupted``.
 
     Raises
     ------
@@ -94,6 +89,8 @@ def sweep(
         belongs to another sweep. A single point that is no problem is a row with the status "error" instead.
     UnsupportedError
         If the method or backend does not exist.
+    MissingExtraError
+        If the package of the backend is not installed.
 
     Examples
     --------
@@ -103,11 +100,11 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
-    return Sweep.of(swept(problem, grid, options, executor, record, progress))
+    return shown_as(Sweep, swept(problem, grid, options, executor, record, progress))
 
 
 def load_sweep(path: str | PathLike[str]) -> Sweep:
-    """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
+    """Read the file that ``lfo.sweep`` wrote, whether or not the sweep is complete; its grid is the last grid.
 
     Parameters
     ----------
@@ -129,4 +126,4 @@ def load_sweep(path: str | PathLike[str]) -> Sweep:
     >>> len(lfo.load_sweep("sweep.jsonl").table())
     1
     """
-    return Sweep.of(read_sweep(path))
+    return shown_as(Sweep, read_sweep(path))

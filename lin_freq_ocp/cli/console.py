@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 
 
+# room for tables that go to a file or a pipe, where nothing needs to be cut off
 PAGE = ConsoleDimensions(width=200, height=100)
-"""Room for tables that go to a file or a pipe, where nothing needs to be cut off."""
 
 
 class PatientConsole(Console):

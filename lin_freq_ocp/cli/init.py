@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp.cli.console import PROVEN, say
-from lin_freq_ocp.interchange.problem_file.template import init_problem_file
+from lin_freq_ocp.interchange.problem_file.toml_file import init_problem_file
 
 
 @click.command("init")

@@ -15,7 +15,7 @@ from lin_freq_ocp.atomic import replacing
 from lin_freq_ocp.cli.console import complain
 from lin_freq_ocp.cli.problems import require_writable
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.results.trajectory_file import kind_of_file
+from lin_freq_ocp.interchange.results.solution_file import kind_of_file
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",

@@ -93,12 +93,11 @@ class ProblemFile:
         return read_problem(self.path, file_tables(tables))
 
 
+# what --set and --grid can change in a problem file, at the top; within tables, keys are written with dots
 FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)
-"""What --set and --grid can change in a problem file, at the top; within tables, keys are written with dots."""
 
 
-SPECTRA = ("control_spectrum", *CUTOFFS)
-"""Keys that all set the frequency constraints of the controls."""
+SPECTRA = ("control_spectrum", *CUTOFFS)  # keys that all set the frequency constraints of the controls
 
 
 def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:

@@ -18,8 +18,7 @@ from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
 if TYPE_CHECKING:
     from lin_freq_ocp.interchange.problem_file.description import Parameter
 
-LONGEST_VALUE = 50
-"""Characters of a value that are shown."""
+LONGEST_VALUE = 50  # characters of a value that are shown
 
 
 @click.command("show")

@@ -21,8 +21,8 @@ from lin_freq_ocp.cli.options import (
 )
 from lin_freq_ocp.cli.outputs import Outputs, output_options
 from lin_freq_ocp.cli.problems import build
+from lin_freq_ocp.interchange.results.solution_file import load_trajectory
 from lin_freq_ocp.interchange.results.summary import result_summary
-from lin_freq_ocp.interchange.results.trajectory_file import load_trajectory
 from lin_freq_ocp.interchange.runs.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.status import Status

@@ -44,8 +44,7 @@ from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.starting import INTERRUPTED
 
-RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")
-"""from:to:count, linear, both ends included."""
+RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
 
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 

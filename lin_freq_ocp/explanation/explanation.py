@@ -14,9 +14,8 @@ from lin_freq_ocp.explanation.blocks import Block, blocks, without
 from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.solving.explanation import Cure, Explanation
 from lin_freq_ocp.solving.families import family_of
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 

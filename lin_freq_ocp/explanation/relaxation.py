@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.solving.explanation import Cure
+from lin_freq_ocp.solving.outcome import Cure
 from lin_freq_ocp.solving.solve import solve_judged
 
 Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem has a solution; None if undecided

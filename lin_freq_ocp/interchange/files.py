@@ -10,65 +10,41 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import reason
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.locations import FileValue
 
-NPY_MAGIC = b"\x93NUMPY"
-"""How every .npy begins, and every entry of an .npz."""
-
-MOST_ENTRIES = 10_000
-"""Files in an archive."""
-
-MOST_BYTES = 2**34
-"""What an archive may unpack to: 16 GiB, more than any answer of this package."""
-
+NPY_MAGIC = b"\x93NUMPY"  # first bytes of an .npy, and of every entry of an .npz
+MOST_ENTRIES = 10_000  # files in an archive
+MOST_BYTES = 2**34  # unpacked size of an archive: 16 GiB, more than any answer of this package
+# Above 256 MiB, a compression of more than 1 to 100 is refused; zeros reach 1 to 1000.
 LARGE, MOST_COMPRESSED = 2**28, 100
-"""Above 256 MiB, what is packed tighter than 1 to 100 is refused; zeros reach 1 to 1000."""
 
+# What numpy and zipfile raise for files that are damaged, encrypted, or hold Python objects instead of numbers.
 DAMAGED = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    SyntaxError,
-    RuntimeError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
+    *(OSError, ValueError, EOFError, KeyError, SyntaxError, RuntimeError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error),
 )
-"""What numpy and zipfile raise for files that are damaged, encrypted, or hold Python objects instead of numbers."""
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file.
-
-    Raises
-    ------
-    ProblemError
-        If there is no such file, it cannot be read, or it is not text; the field is the path.
-    """
+    """Return the text of a UTF-8 file; the field of a ProblemError is the path."""
     try:
         return read_bytes(path).decode("utf-8-sig")  # some editors on Windows put a byte-order mark first
     except UnicodeDecodeError as error:
-        raise ProblemError(
-            str(path), f"byte {error.start} that is not UTF-8", "a text file", "Save it with the encoding UTF-8."
-        ) from None
+        got = f"byte {error.start} that is not UTF-8"
+        raise ProblemError(str(path), got, "a text file", "Save it with the encoding UTF-8.") from None
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return what a file holds.
-
-    Raises
-    ------
-    ProblemError
-        If there is no such file, or it cannot be read; the field is the path.
-    """
+    """Return the content of a file; the field of a ProblemError is the path."""
     require_file(str(path), path)
     try:
         return path.read_bytes()
@@ -76,16 +52,13 @@ def read_bytes(path: Path) -> bytes:
         raise ProblemError(str(path), reason(error), "a file that can be read") from None
 
 
-def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> Any:
-    """Return what a JSON text says; ``infinite`` allows Infinity and NaN, which Python writes, too.
+def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileValue:
+    """Return the value of a JSON text; ``infinite`` allows Infinity and NaN, which Python writes, too.
 
-    Raises
-    ------
-    ProblemError
-        If it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
+    ProblemError if it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
     """
 
-    def refused(constant: str) -> Any:
+    def refused(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not JSON")
 
     try:
@@ -98,20 +71,15 @@ def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> Any:
 def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     """Open an .npz of plain numbers and text; nothing in it is executed (``allow_pickle=False``).
 
-    Before anything is unpacked, the sizes that it declares are looked at, and no more than these is ever unpacked.
-
-    Raises
-    ------
-    ProblemError
-        With this field, here or while its arrays are taken out, if it is not such a file, or unpacks to too much.
+    The declared sizes are checked first, and no more is ever unpacked. ProblemError with this field, here or while
+    arrays are taken out, if it is not such a file, or unpacks to too much.
     """
     require_file(field, path)
     try:
         with path.open("rb") as stream:
             if stream.read(len(NPY_MAGIC)) == NPY_MAGIC:
-                raise ProblemError(
-                    field, f"a single array in {path.name}", "an .npz file", "Write it with numpy.savez."
-                )
+                got = f"a single array in {path.name}"
+                raise ProblemError(field, got, "an .npz file", "Write it with numpy.savez.")
             _require_modest_npz(field, stream)
             stream.seek(0)
             archive = np.load(stream, allow_pickle=False)
@@ -120,21 +88,12 @@ def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     except ProblemError:
         raise
     except DAMAGED as error:
-        words = reason(error).partition(". ")[0]  # what follows is advice to trust the file
-        raise ProblemError(field, f"{path.name}, unreadable ({words})", "an .npz file of plain arrays") from None
+        message = reason(error).partition(". ")[0]  # what follows is advice to trust the file
+        raise ProblemError(field, f"{path.name}, unreadable ({message})", "an .npz file of plain arrays") from None
 
 
 def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None:
-    """Raise ProblemError for an archive that unpacks to more than memory or disk can be expected to hold.
-
-    Parameters
-    ----------
-    field : str
-    entries : int
-        Files or variables in it.
-    unpacked, packed : int
-        Bytes, by what the archive itself says, and as it is.
-    """
+    """Raise ProblemError for an archive with too many entries, or too many bytes by its own account when unpacked."""
     if entries > MOST_ENTRIES:
         raise ProblemError(field, f"{entries} entries", f"an archive of at most {MOST_ENTRIES}")
     if unpacked > MOST_BYTES or unpacked > max(LARGE, MOST_COMPRESSED * packed):
@@ -143,10 +102,10 @@ def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None
         raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
-def npz_bytes(arrays: Mapping[str, Any]) -> bytes:
-    """Return what an .npz of these arrays holds, without compression."""
+def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
+    """Return the content of an .npz of these arrays, without compression."""
     stream = BytesIO()
-    np.savez(stream, **arrays)
+    np.savez(stream, allow_pickle=False, **{name: np.asarray(array) for name, array in arrays.items()})
     return stream.getvalue()
 
 
@@ -168,19 +127,18 @@ def _whole(digits: str) -> int:
 
 
 def _require_modest_npz(field: str, stream: BinaryIO) -> None:
-    """Raise ProblemError if an archive is a bomb, or an array in it says that it is larger than its entry."""
+    """Raise ProblemError if an archive is a bomb, or an array declares more bytes than its entry has."""
     with zipfile.ZipFile(stream) as archive:
         entries = archive.infolist()
-        packed = stream.seek(0, SEEK_END)
-        require_modest(field, len(entries), sum(one.file_size for one in entries), packed)
-        for one in entries:
-            with archive.open(one) as array:
+        require_modest(field, len(entries), sum(entry.file_size for entry in entries), stream.seek(0, SEEK_END))
+        for entry in entries:
+            with archive.open(entry) as array:
                 if array.read(len(NPY_MAGIC)) != NPY_MAGIC:
-                    raise ProblemError(field, f"{one.filename}, which is no array", "an .npz file of plain arrays")
+                    raise ProblemError(field, f"{entry.filename}, which is no array", "an .npz file of plain arrays")
                 array.seek(0)
                 shape, size = _declared(array)
-                if size > one.file_size - array.tell() or min(shape, default=0) < 0:
-                    raise ProblemError(field, f"{one.filename} of shape {brief(shape)}", "as many numbers as it says")
+                if size > entry.file_size - array.tell() or min(shape, default=0) < 0:
+                    raise ProblemError(field, f"{entry.filename} of shape {brief(shape)}", "as many numbers as it says")
 
 
 def _declared(array: IO[bytes]) -> tuple[tuple[int, ...], int]:

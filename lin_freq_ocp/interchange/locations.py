@@ -1,12 +1,47 @@
-"""The location of an error: a constructor names its argument; the reader knows the table and the file."""
+"""Entries of files: their type, the keys of a table, and the location that an error names."""
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from lin_freq_ocp.errors import ProblemError
+from numpy.typing import NDArray
+
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.errors import ProblemError, suggestion
+
+FileValue = Any  # what TOML, JSON, .npz and .mat files hold: not known before it is checked
+FileTable = dict[str, FileValue]
+FileArray = NDArray[FileValue]  # of any type of entries
+
+
+def require_keys(location: str, table: object, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
+    """Raise ProblemError unless ``table``, at this location of the file ("" at the top), is a table with these keys."""
+    if not isinstance(table, Mapping):
+        raise ProblemError(location, brief(table), "a table")
+    required = tuple(required)
+    known = (*required, *optional)
+    for key in table:
+        if key not in known:
+            expected = f"one of {', '.join(known)}"
+            raise ProblemError(joined(location, key), "an unknown key", expected, suggestion(key, known))
+    for key in required:
+        if key not in table:
+            raise ProblemError(joined(location, key), "nothing", "this key")
+
+
+def require_schema(given: object, schema: int) -> None:
+    """Raise ProblemError unless a file has this version of its layout."""
+    if given != schema:
+        advice = "Another version of this package may have written it."
+        raise ProblemError("schema", brief(given), f"{schema}", advice)
+
+
+def joined(location: str, key: str) -> str:
+    """Return the location of a key of a table."""
+    return f"{location}.{key}" if location else key
 
 
 @contextmanager

@@ -1,1 +1,1 @@
-"""From a problem to a judged outcome: which method takes which dynamics, and what its answer is worth."""
+"""From a problem to a judged outcome: which method takes which dynamics, and what is proven of its answer."""

@@ -1,9 +1,8 @@
-"""certify(): any trajectory, from anywhere, before the judge."""
+"""certify(): the judge's verdict on any trajectory."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -17,13 +16,12 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.certify_modes import certify_modes
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 
-ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)
-"""Tolerances that a trajectory of few decimals is tried with, if it fails the usual one."""
+ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of few decimals that fails the usual one
 
 
 def certify(
     problem: OptimalControlProblem,
-    trajectory: Any,
+    trajectory: object,
     multipliers: Multipliers | None = None,
     tolerance: float | None = None,
 ) -> Certificate:
@@ -33,29 +31,31 @@ def certify(
     ----------
     problem : OptimalControlProblem
     trajectory : Trajectory, (T, m), Result or SavedSolution
-        A trajectory; or controls alone, which are then replayed from the initial state; or what solve or load returned,
-        with its trajectory, the search tree, checked again, and, unless others are given, its multipliers.
+        A trajectory; or controls alone, (T, m), which are replayed from the initial state; or what solve or load
+        returned: its trajectory, its search tree, checked again, and, unless others are given, its multipliers.
     multipliers : Multipliers, optional
-        Without, normal ones (eta_C = 1) that fit the trajectory best are looked for. If there are none, the certificate
-        holds the direction of descent that proves it, and abnormal ones (eta_C = 0) are looked for. With
+        By default, normal multipliers (eta_C = 1) that fit the trajectory best are computed. If there are none, the
+        certificate holds the direction of descent that proves it, and abnormal multipliers (eta_C = 0) are sought. With
         piecewise-affine dynamics, also those of other mode sequences that the trajectory lies in, and
-        ``certificate.borders`` tells what holds where modes meet, and which change of a mode improves.
+        ``certificate.borders`` has the conditions where modes meet, and the changes of a mode that improve.
     tolerance : float, optional
         Residuals, relative to their scales, up to which conditions hold, and distance at which bounds are active; 1e-6
-        by default, at most 1e-2. What is said of borders of modes, and of the global bound, keeps its own.
+        by default, at most 1e-2. Borders of modes, and the global bound, have tolerances of their own.
 
     Returns
     -------
     Certificate
-        Where linear dynamics' conditions fail, and the trajectory has few decimals, ``rounded`` says how far rounding
-        explains it.
+        Where conditions of linear dynamics fail, and the trajectory has few decimals, ``rounded`` has the tolerance
+        that rounding explains.
 
     Raises
     ------
     ProblemError
-        If a shape does not fit the problem, or a result has no trajectory.
+        If a shape does not fit the problem, an entry is not a finite number, or a result has no trajectory.
     UnsupportedError
         If the tolerance is not above zero, or above 1e-2.
+    NumericalError
+        If controls cannot be replayed, or the program of the multipliers could not be solved.
 
     References
     ----------
@@ -96,20 +96,24 @@ def certify(
 
 
 def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded | None:
-    """Return what few decimals explain of a trajectory that does not satisfy the maximum principle, if they do."""
+    """Return the least tolerance with which a trajectory of few decimals satisfies the maximum principle, if any."""
     decimals = decimals_of(trajectory)
-    for level in ROUNDED_TO if decimals is not None else ():
+    if decimals is None:
+        return None
+    for level in ROUNDED_TO:
         fit = fit_multipliers(problem, trajectory, level)
-        if decimals is not None and judge(problem, trajectory, fit.multipliers, level).pmp == "satisfied":
+        if judge(problem, trajectory, fit.multipliers, level).pmp == "satisfied":
             return Rounded(decimals, level)
     return None
 
 
-def _unpacked(given: Any, multipliers: Multipliers | None) -> tuple[Any, Multipliers | None]:
-    """Return the trajectory of what solve or load returned, and its multipliers unless there are others."""
+def _unpacked(given: object, multipliers: Multipliers | None) -> tuple[object, Multipliers | None]:
+    """Return the trajectory of what solve or load returned, and its multipliers unless others are given."""
     if not hasattr(given, "trajectory"):
         return given, multipliers
-    if given.trajectory is None:
+    trajectory: Trajectory | None = getattr(given, "trajectory", None)
+    if trajectory is None:
         expected = "a trajectory, controls, or a result that has a trajectory"
-        raise ProblemError("trajectory", f"a result without one, which ended as {given.status!r}", expected)
-    return given.trajectory, given.multipliers if multipliers is None else multipliers
+        got = f"a result without one, which ended as {getattr(given, 'status', None)!r}"
+        raise ProblemError("trajectory", got, expected)
+    return trajectory, getattr(given, "multipliers", None) if multipliers is None else multipliers

@@ -1,4 +1,4 @@
-"""certify() for dynamics with modes: multipliers are looked for where modes meet, and flips that improve."""
+"""certify() for dynamics with modes: multipliers where modes meet, and changes of one mode (flips) that improve."""
 
 from __future__ import annotations
 
@@ -18,16 +18,13 @@ from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multiplie
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-MOST_FLIPS = 16
-"""Flips that are verified, the steepest first: each takes one fit of multipliers."""
+MOST_FLIPS = 16  # flips that are verified, the steepest first: each takes a fit of multipliers
 
 
 def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate:
-    """Judge a trajectory of dynamics with modes with the best multipliers that are found.
+    """Judge a trajectory of dynamics with modes with the best multipliers that are found, ordered by ``_rank``.
 
-    The best are those with which the maximum principle is satisfied, of these those that are flip-stationary; else
-    those that fit wherever only one mode holds, with the fewest flips. A flip that they name is tried: a direction of
-    descent is looked for in the mode sequence with the flip, and the judge checks it.
+    Every flip that they name is tried: the judge checks a direction of descent in the mode sequence with the flip.
     """
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
@@ -41,17 +38,9 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 def best_multipliers(
     problem: OptimalControlProblem, trajectory: Trajectory, first: Multipliers | None = None
 ) -> tuple[Certificate, Multipliers]:
-    """Return the best multipliers that are found, and what the judge says of the trajectory with them.
+    """Return the best multipliers that are found, and the certificate with them; ``first`` are judged before others.
 
-    Parameters
-    ----------
-    first : Multipliers, optional
-        Judged before any others are looked for.
-
-    Raises
-    ------
-    NumericalError
-        If there are no first ones, and the first fit could not be solved.
+    NumericalError if ``first`` is not given, and no fit could be solved.
     """
     best: tuple[Certificate, Multipliers] | None = None
     for multipliers in chain([] if first is None else [first], _candidates(problem, trajectory, first is not None)):
@@ -98,7 +87,7 @@ def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certifi
 def _verified(
     problem: OptimalControlProblem, trajectory: Trajectory, facts: SwitchingFacts
 ) -> tuple[SwitchingFacts, Direction | None]:
-    """Return the facts with what became of the flips, and the steepest direction of descent that was verified."""
+    """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
     sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from lin_freq_ocp.errors import UnsupportedError, suggestion
 from lin_freq_ocp.problem.dynamics.base import entry_for
@@ -24,21 +23,13 @@ from lin_freq_ocp.solving.smooth import Nonsmooth
 
 @dataclass(frozen=True)
 class Shorthand:
-    """What a text for ``method`` stands for.
-
-    Attributes
-    ----------
-    method : Method
-        With default options.
-    options : mapping of str to str
-        Keywords of ``solve`` that it takes, and the fields of the method that they set.
-    """
+    """The method that a text stands for, with default options, and the field that each keyword of ``solve`` sets."""
 
     method: Method
     options: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def describes(self, method: Method) -> bool:
-        """Whether a method differs from this one in options only that can be given as keywords."""
+        """Whether a method differs from the default only in options that can be given as keywords."""
         if type(method) is not type(self.method):
             return False
         other = set(method.__dataclass_fields__) - set(self.options.values())
@@ -55,7 +46,7 @@ class Family:
     @property
     def methods(self) -> tuple[type, ...]:
         """Return the classes of the methods."""
-        return tuple({type(one.method): None for one in self.shorthands.values()})
+        return tuple({type(shorthand.method): None for shorthand in self.shorthands.values()})
 
 
 RESIDUALS = {"tolerance": "tolerance"}
@@ -88,9 +79,10 @@ FAMILIES: dict[type, Family] = {
     ),
 }
 
+# Methods of earlier versions, and what to do instead.
 REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify_nonsmooth.py now; use 'auto'"}
-"""Methods of earlier versions, and what to do instead."""
 
+# Why other methods do not take an option.
 ONLY = {
     "backend": "only 'convex' and 'miqp' call another solver",
     "tolerance": "the method 'nonsmooth' has no gap to prove; 'auto' does",
@@ -99,7 +91,6 @@ ONLY = {
     "executor": "only 'branch_and_bound' has parts for it",
     "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
 }
-"""Why other methods do not take an option."""
 
 
 def family_of(problem: OptimalControlProblem) -> Family:
@@ -115,24 +106,13 @@ def require_shorthand(name: str) -> None:
     if name not in names:
         known = ", ".join(map(repr, names[:-1]))
         hint = suggestion(name, names)
-        raise UnsupportedError(
-            f"method: got {name!r}; expected {known} or {names[-1]!r}." + (f" {hint}" if hint else "")
-        )
+        raise UnsupportedError(f"method: got {name!r}; expected {known} or {names[-1]!r}. {hint}".rstrip())
 
 
-def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, Any]) -> Method:
-    """Return the method for a problem, with its options.
+def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, object]) -> Method:
+    """Return the method for a problem with the given keywords of ``solve`` (None: not given) as its options.
 
-    Parameters
-    ----------
-    method : str or Method
-    given : mapping
-        Keywords of ``solve``: "backend", "tolerance", "gap", "node_limit", "executor" and "start"; None: not given.
-
-    Raises
-    ------
-    UnsupportedError
-        If there is no such method, it is not for these dynamics, or it does not know an option.
+    UnsupportedError if there is no such method, it is not for these dynamics, or it does not know an option.
     """
     family, options = family_of(problem), {name: value for name, value in given.items() if value is not None}
     start = options.pop("start", None)
@@ -163,11 +143,11 @@ def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[
     return found
 
 
-def saved_options(problem: OptimalControlProblem, name: str | Method, method: Method) -> dict[str, Any]:
+def saved_options(problem: OptimalControlProblem, name: str | Method, method: Method) -> dict[str, object]:
     """Return the shorthand and keywords of ``solve`` that mean the same, as a file can hold them."""
     if not isinstance(name, str):
         shorthands = family_of(problem).shorthands
-        name = next((one for one, known in shorthands.items() if known.describes(method)), method.shorthand)
+        name = next((text for text, known in shorthands.items() if known.describes(method)), method.shorthand)
     saved = {option: getattr(method, option, None) for option in ("backend", "tolerance", "node_limit")}
     gap = getattr(method, "gap", None)
     tolerance = gap if gap != getattr(type(method), "gap", None) else saved["tolerance"]
@@ -176,12 +156,12 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
 
 
 def _for_others(name: str, family: Family) -> str:
-    kinds = " and ".join(one.kind for one in FAMILIES.values() if name in one.shorthands)
+    kinds = " and ".join(other.kind for other in FAMILIES.values() if name in other.shorthands)
     known = ", ".join(map(repr, family.shorthands))
     return f"method: got {name!r}, which is for {kinds} dynamics; expected one of {known} for {family.kind} dynamics."
 
 
-def _unknown(option: str, value: Any, method: str, family: Family) -> str:
+def _unknown(option: str, value: object, method: str, family: Family) -> str:
     got = f"{value!r}" if isinstance(value, (int, float, str)) else "one"
     return (
         f"{option}: got {got} for the method {method!r} and {family.kind} dynamics, which do not use it: "

@@ -1,4 +1,4 @@
-"""From a candidate of a method for linear dynamics to a judged outcome: every claim is proven, or called a claim."""
+"""From a candidate of a method for linear dynamics to a judged outcome: a claim that is not proven is called so."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
-DIVERGED = 1e6
-"""Multipliers of a failed solve that are larger than this may be a Farkas ray: the judge decides."""
-
-LARGEST_TOLERANCE = 1e-2
-"""A tolerance of solve loosens the judge's up to this value: with more, its verdict would mean nothing."""
+DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
+LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
 
 
 def judged(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
-    """Return what a candidate is worth: its point, ray or direction is judged, and its status follows from that."""
+    """Judge the point, ray or direction of a candidate, from which its status follows."""
     clock = time.perf_counter()
     status, message, certificate = Status(candidate.status), candidate.words, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
@@ -75,8 +72,8 @@ def judged(
 def _verified(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
     """Return the status of a judged point, and why.
 
-    A point that is proven within ``gap`` is optimal, whatever its solver says; one that a solver calls optimal is what
-    the certificate says of it. Points that satisfy the maximum principle only are locally optimal.
+    A point that is proven within ``gap`` is optimal, whether or not its solver claims it; a point that a solver calls
+    optimal has the status of its certificate.
     """
     found = certificate.status_within(gap)
     if found == Status.OPTIMAL:

@@ -1,4 +1,4 @@
-"""What a method of solution is: an object that holds its own options, and solves problems of its kind of dynamics."""
+"""Methods of solution: objects that hold their own options, and solve problems of their kind of dynamics."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.solving.outcome import Outcome
 
-LEAST_SECONDS = 1e-3
-"""Time that is left to a second method when the first has used it all: it ends at once, and says so."""
+LEAST_SECONDS = 1e-3  # for a second method when the first has used all the time: it ends at once with its status
 
 Progress = SearchProgress | SmoothProgress
 
@@ -24,17 +23,7 @@ Report = Callable[[Progress], None]
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What is asked of any method.
-
-    Attributes
-    ----------
-    time_limit : float
-        Seconds; infinite without a limit.
-    progress : callable or None
-        Called as a search proceeds.
-    start : Start or None
-        What the search begins with.
-    """
+    """What is asked of any method: a limit in seconds, a call as a search proceeds, and where the search begins."""
 
     time_limit: float = np.inf
     progress: Report | None = None
@@ -42,19 +31,11 @@ class Request:
 
 
 class Method(Protocol):
-    """A method of solution, with its options as fields.
-
-    Attributes
-    ----------
-    shorthand : str
-        The text that stands for the method in ``solve(problem, method)``.
-    takes_start : bool
-        Whether the method begins with a given trajectory, control or mode sequence.
-    """
+    """A method of solution, with its options as fields."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
-    shorthand: ClassVar[str]
-    takes_start: ClassVar[bool]
+    shorthand: ClassVar[str]  # the text that stands for the method in ``solve(problem, method)``
+    takes_start: ClassVar[bool]  # whether it begins with a given trajectory, control or mode sequence
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve a problem, and judge the answer."""

@@ -1,9 +1,8 @@
-"""The outcome of a solve as plain data: why it stopped, the best point, and everything that is proven of it."""
+"""The outcome of a solve as plain data: its status, the best point, what is proven of it, or why there is none."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,61 @@ from lin_freq_ocp.certificate.modes.bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.explanation import Explanation
 from lin_freq_ocp.status import Status
+
+
+@dataclass(frozen=True)
+class Cure:
+    """The least change of one block, all others as they are, after which there is a solution.
+
+    Attributes
+    ----------
+    block : str
+        In words, as in a Conflict.
+    amount : float
+        By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
+        relative to its size; for a stop band, how many of its bins are passed on each edge; for an energy bound, of the
+        root of its limit.
+    words : str
+        From what to what.
+    """
+
+    block: str
+    amount: float
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.block}: {self.words}"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a problem has no solution.
+
+    Attributes
+    ----------
+    family : tuple of str
+        Blocks of constraints that, with the dynamics, cannot hold together.
+    irreducible : bool
+        Whether each was taken away in turn, and the others could then hold together; False only where a solver was
+        unsure or the time was over.
+    cures : tuple of Cure
+        For each block of the family that cures the whole problem by giving way alone: the least by which it must.
+    """
+
+    family: tuple[str, ...]
+    irreducible: bool
+    cures: tuple[Cure, ...]
+
+    def __str__(self) -> str:
+        lines = [f"together  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
+        lines += [f"cure      {cure}" for cure in self.cures]
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a solve ended with; everything that does not exist is None.
+    """The outcome of a solve; a field that does not apply is None.
 
     Attributes
     ----------
@@ -29,7 +76,7 @@ class Outcome:
     status : Status
         How it ended; equal to its text, such as "optimal".
     method : str
-        What was used.
+        The shorthand of the method.
     backend : str or None
         The solver of the methods "convex" and "miqp"; others need none.
     seconds : dict
@@ -41,19 +88,19 @@ class Outcome:
     ray : Multipliers or None
         If infeasible: the verified multipliers with eta_C = 0.
     message : str
-        In words, how it ended.
+        Why it ended so.
     interrupted : bool
-        Whether Ctrl-C was pressed; what was found until then is here, be it complete or not.
+        Whether Ctrl-C ended it; the best point until then is here.
     direction : Direction or None
         If unbounded: the verified direction along which every constraint holds and the cost decreases without bound.
     options : dict
-        What solve was given: "method", "backend", "time_limit", "tolerance", and "node_limit" if it was.
+        Keywords of solve: "method", "backend", "time_limit", "tolerance", and "node_limit" and "start" if given.
     sequence : (T,) integers or None
         With modes: the mode at every time.
     tree : ModeTree or None
-        With modes: what the search split and left out, with the multipliers that prove it.
+        With modes: the nodes of the search, with the multipliers that prove its leaves.
     tree_bound : TreeBound or None
-        What the judge finds proven by the tree.
+        The bound that the judge verified of the tree.
     explanation : Explanation or None
         If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the least change that helps.
     """
@@ -71,7 +118,7 @@ class Outcome:
     message: str = ""
     interrupted: bool = False
     direction: Direction | None = None
-    options: dict[str, Any] = field(default_factory=dict[str, Any])
+    options: dict[str, object] = field(default_factory=dict[str, object])
     sequence: Indices | None = None
     tree: ModeTree | None = None
     tree_bound: TreeBound | None = None

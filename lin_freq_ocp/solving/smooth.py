@@ -28,25 +28,14 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
 LOCAL = "no global bound was asked for"
-"""The message of a result without a bound."""
-
 UNBOUNDED = "no global bound was found in time"
-"""The message of a result whose bound got no time, or not enough."""
-
 EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
-"""The message of an infeasible result, where our bound proves it."""
 
-GLOBAL_GAP = 1e-4
-"""Relative gap to prove, unless another is asked for."""
-
-GLOBAL_SECONDS = 10.0
-"""For the bound, unless there is a time limit: enough for short horizons, and not too long to wait for."""
-
+GLOBAL_GAP = 1e-4  # default of the relative gap to prove
+GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons, and not too long to wait for
+# Part of its cost by which a start may be below the answer: the judge's tolerance allows violations as large.
 SAVED_BY_TOLERANCE = 1e-6
-"""Part of its cost by which a start may be below what was found: the judge forgives violations as large."""
-
-FEASIBILITY_LOSS = 1.0
-"""Of each step, where no cost is known and only the existence of a trajectory is asked for."""
+FEASIBILITY_LOSS = 1.0  # of each step, where no cost is known and only the existence of a trajectory is asked for
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -74,7 +63,7 @@ class Nonsmooth:
             raise UnsupportedError(f"gap: got {self.gap!r} without a global bound; leave it out, or ask for the bound.")
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Search for local optima, and judge the best; bound the cost if that was asked for."""
+        """Search for local optima, judge the best, and bound the cost from below."""
         require_convex(problem)
         started = time.perf_counter()
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
@@ -105,7 +94,7 @@ class Nonsmooth:
     def _bounded(
         self, search: LocalSearch, found: Judged | None, left: float, status: Status, message: str
     ) -> tuple[Judged | None, Status, str]:
-        """Return what was found, or better that the bound leads to, with its status and message."""
+        """Return the answer, or a better answer that the bound leads to, with its status and message."""
         if status == Status.LOCALLY_OPTIMAL and found is not None:
             bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, time.perf_counter() + left)
             message = bounding.run() if left > 0 else UNBOUNDED
@@ -116,7 +105,7 @@ class Nonsmooth:
 
 
 def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
-    """Return a local optimum with the multipliers that fit best, by Newton's method if that makes both better."""
+    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
     affine = problem.affine_at(local.trajectory)
     first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
@@ -126,12 +115,12 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     except UnsupportedError:
         return found
     after = judge(problem, run.trajectory, run.multipliers)
-    before, now = ((not one.feasible, len(one.failed), one.worst.relative) for one in (certificate, after))
-    return (run.trajectory, run.multipliers, after) if now < before else found
+    refined = run.trajectory, run.multipliers, after
+    return min(found, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
 def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | None) -> Judged | None:
-    """Return what was found, or the start itself where that is a trajectory of less cost."""
+    """Return the answer, or the start itself where that is a trajectory of less cost."""
     if start.trajectory is None:
         return found
     certificate = judge(problem, start.trajectory, _none(problem))
@@ -151,7 +140,7 @@ def _none(problem: OptimalControlProblem) -> Multipliers:
 
 @dataclass
 class _Bounding:
-    """The global bound of an answer, and the better answers that it leads to; ``run`` it once."""
+    """The global bound of an answer, and better answers that it leads to; ``run`` it once."""
 
     search: LocalSearch
     found: Judged
@@ -164,25 +153,25 @@ class _Bounding:
         self._known = {_modes(self.search.problem, self.found[0]).tobytes()}
 
     def run(self) -> str:
-        """Bound until the gap is proven or the time is over; return what is to be said of the answer."""
-        words = ""
+        """Bound until the gap is proven or the time is over; return the message of the answer."""
+        message = ""
         if cost_is_never_negative(self.search.problem):
             self.best, self.sets = 0.0, NEVER_NEGATIVE
         try:
-            while not self._proven and self._leads_further():
+            while not self._proven and self._improve():
                 pass
         except UnsupportedError as error:
-            words = str(error)
+            message = str(error)
         except OutOfTimeError:
             pass
         except KeyboardInterrupt:
             self.search.interrupted = True
         if self.best == -float("inf"):
-            return words or UNBOUNDED
+            return message or UNBOUNDED
         trajectory, multipliers, certificate = self.found
         bound = Bound(self.best, "rigorous", sets=self.sets)
         self.found = trajectory, multipliers, replace(certificate, bound=bound)
-        return "" if self._proven else words or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
+        return "" if self._proven else message or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
 
     @property
     def _wanted(self) -> float:
@@ -192,7 +181,7 @@ class _Bounding:
     def _proven(self) -> bool:
         return self.found[2].cost - self.best <= self._wanted
 
-    def _leads_further(self) -> bool:
+    def _improve(self) -> bool:
         """Whether a path of the bound leads to a better answer, which is taken."""
         _, multipliers, certificate = self.found
         levels = value_bounds(
@@ -226,7 +215,7 @@ class _Bounding:
 
 
 def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether intervals prove that there is no trajectory, whatever the frequency constraints: D is infinite."""
+    """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
     try:
         deadline = time.perf_counter() + seconds
         levels = value_bounds(problem, _none(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS)
@@ -240,7 +229,7 @@ def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
 
 
 def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
-    """Return the status of the result, and in words what is missing."""
+    """Return the status of the result without a bound, and the message."""
     if search.words and (found is None or search.interrupted):
         return Status.LIMIT, search.words
     if found is None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -22,20 +22,22 @@ def solve_judged(
     method: str | Method = "auto",
     time_limit: float | None = None,
     progress: Report | None = None,
-    start: Any = None,
-    **options: Any,
+    start: object = None,
+    backend: str = "auto",
+    tolerance: float | None = None,
+    gap: float | None = None,
+    node_limit: int | None = None,
+    executor: Executor | None = None,
 ) -> Outcome:
-    """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``, which adds no more."""
+    """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``."""
     require_problem(problem)
-    require_options(method, time_limit, **{name: value for name, value in options.items() if name != "executor"})
-    backend = options.get("backend")
-    given = {**options, "backend": None if backend == "auto" else backend, "start": start}
-    found = chosen(problem, method, given)
+    require_options(method, time_limit, backend, tolerance, gap, node_limit)
+    options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor, "start": start}
+    found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     outcome = found.solve(problem, Request(np.inf if time_limit is None else time_limit, progress, begin))
-    saved = {**saved_options(problem, method, found), "time_limit": time_limit}
-    saved |= {} if begin is None else {"start": begin.saved}
-    return replace(outcome, options=saved)
+    saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
+    return replace(outcome, options=saved | {"time_limit": time_limit})
 
 
 def require_options(

@@ -17,7 +17,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from lin_freq_ocp import errors
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
-from lin_freq_ocp.interchange.problem_file import template
+from lin_freq_ocp.interchange.problem_file import toml_file
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.report import page
 
@@ -222,7 +222,7 @@ def test_what_else_is_written_fails_with_words(writer, tmp_path, monkeypatch):
     monkeypatch.setattr(page, "_figures", lambda comparison: [])
     monkeypatch.setattr(page, "render", lambda *given: "page")
     if writer == "init":
-        monkeypatch.setattr(template, "template", failing(errno.ENOSPC))
+        monkeypatch.setattr(toml_file, "template", failing(errno.ENOSPC))
         assert run("init", str(tmp_path / "new.toml"))[0] == 2
     else:
         status, out, err = run("compare", *WORDS, "--out", str(tmp_path), "--json")

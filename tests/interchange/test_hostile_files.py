@@ -18,8 +18,8 @@ from scipy.io import savemat
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
-from lin_freq_ocp.api.rerun import Rerun, rerun_summary
-from lin_freq_ocp.api.rerun import _outcome as outcome
+from lin_freq_ocp.api.runs import Rerun, rerun_summary
+from lin_freq_ocp.api.runs import _outcome as outcome
 from lin_freq_ocp.interchange import files
 from lin_freq_ocp.interchange.files import MOST_ENTRIES
 from lin_freq_ocp.interchange.results.summary import to_json

@@ -16,7 +16,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
-from lin_freq_ocp.api.rerun import SAME_COST
+from lin_freq_ocp.api.runs import SAME_COST
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dump_run

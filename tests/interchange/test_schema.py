@@ -22,10 +22,10 @@ from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.interchange.problem_file import dynamics, spectrum, tables
+from lin_freq_ocp.interchange.problem_file import dynamics, tables
 from lin_freq_ocp.interchange.problem_file.codec import Record
-from lin_freq_ocp.interchange.problem_file.sets import SETS
-from lin_freq_ocp.interchange.problem_file.template import template
+from lin_freq_ocp.interchange.problem_file.tables import SETS
+from lin_freq_ocp.interchange.problem_file.toml_file import template
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
@@ -314,7 +314,7 @@ def test_the_keys_of_tables_are_those_of_the_reader():
         ("mode", dynamics.AFFINE_MODE),
         ("cost", tables.COST),
         ("stage_rows", tables.STAGE_ROWS),
-        ("output_spectrum", spectrum.OUTPUTS),
+        ("output_spectrum", tables.OUTPUTS),
     ):
         assert keys_of(record) == (keys(part), set(PARTS[part].get("required", ()))), part
     assert PARTS["norm_cost"]["properties"]["kind"]["enum"] == list(tables.NORM_COSTS.records)
@@ -328,10 +328,10 @@ def kinds(part: str) -> list[str]:
 
 def test_the_kinds_are_those_of_the_reader():
     assert kinds("set") == list(SETS.records)
-    assert kinds("band") == list(spectrum.BANDS.records)
-    assert kinds("frequency_constraint") == list(spectrum.SPECTRUM.records)
+    assert kinds("band") == list(tables.BANDS.records)
+    assert kinds("frequency_constraint") == list(tables.SPECTRUM.records)
     assert kinds("output_constraint") == [kind for kind in kinds("frequency_constraint") if kind != "linear_constraint"]
-    for kind, record in (SETS.records | spectrum.SPECTRUM.records).items():
+    for kind, record in (SETS.records | tables.SPECTRUM.records).items():
         assert PARTS[kind]["properties"]["kind"]["const"] == kind
         found, required = keys_of(record)
         needed = required if kind == "box" else {"kind", *required}

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import opened_npz
-from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.locations import FileValue, require_keys
 
-INLINE_LIMIT = 400
-"""Most numbers of one field that are written into the text itself."""
+INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
 
 
-def resolved(value: Any, folder: Path, field: str = "") -> Any:
-    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read.
-
-    Raises
-    ------
-    ProblemError
-        If a reference leaves the folder, or there is no such file or array.
-    """
+def resolved(value: FileValue, folder: Path, field: str = "") -> FileValue:
+    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
     if isinstance(value, Mapping):
         if "npz" in value:
             return _referenced(field, value, folder)
@@ -35,8 +27,8 @@ def resolved(value: Any, folder: Path, field: str = "") -> Any:
     return value
 
 
-def stored(value: Any, npz_name: str, arrays: dict[str, NDArray[Any]], field: str = "") -> Any:
-    """Return the tables with arrays as lists; large ones go to ``arrays``, and are replaced by references."""
+def stored(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
+    """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
     if isinstance(value, Mapping):
         return {key: stored(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list):
@@ -49,25 +41,20 @@ def stored(value: Any, npz_name: str, arrays: dict[str, NDArray[Any]], field: st
     return {"npz": npz_name, "key": field}
 
 
-def _referenced(field: str, reference: Mapping[str, Any], folder: Path) -> NDArray[Any]:
+def _referenced(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
     require_keys(field, reference, required=("npz", "key"))
     path, key = _inside(f"{field}.npz", reference["npz"], folder), reference["key"]
     with opened_npz(f"{field}.npz", path) as arrays:
         if key not in arrays.files:
-            raise ProblemError(
-                f"{field}.key",
-                brief(key),
-                f"the name of an array in {path.name}: {', '.join(arrays.files)}",
-                suggestion(key, arrays.files),
-            )
+            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
+            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
         array = arrays[key]
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-        kind = array.dtype if isinstance(array, np.ndarray) else "no array"
-        raise ProblemError(field, f"{kind} in {path.name}", "an array of real numbers")
+    if array.dtype.kind not in "iuf":
+        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
     return array
 
 
-def _inside(field: str, name: Any, folder: Path) -> Path:
+def _inside(field: str, name: FileValue, folder: Path) -> Path:
     """Return the path of a named file, links followed, if it lies in the folder or below."""
     expected = "the name of a file in the folder of the problem file, or below"
     if not isinstance(name, str):

@@ -9,34 +9,33 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.keys import joined, require_keys
-from lin_freq_ocp.interchange.locations import located
+from lin_freq_ocp.interchange.locations import FileTable, FileValue, joined, located, require_keys
 
 
 class Codec(Protocol):
-    """How an object is stored in a file; ``location`` is its place in the file, as errors name it."""
+    """How an object is stored in a file; ``location`` names its value in errors."""
 
-    def read(self, location: str, given: Any, /) -> Any:
+    def read(self, location: str, given: FileValue, /) -> FileValue:
         """Return the object for a value of the file."""
         ...
 
-    def write(self, location: str, value: Any, /) -> Any:
+    def write(self, location: str, value: FileValue, /) -> FileValue:
         """Return the value for the file, or None if the key is left out."""
         ...
 
 
-def unchanged(location: str, given: Any) -> Any:
+def unchanged(location: str, given: FileValue) -> FileValue:
     """Return a value of the file as it is: the constructor checks it."""
     return given
 
 
-def plain(location: str, value: Any) -> Any:
+def plain(location: str, value: FileValue) -> FileValue:
     """Return a value with Python's own types in place of numpy's scalars and tuples."""
     if isinstance(value, np.generic):
         return value.item()
@@ -47,14 +46,14 @@ def plain(location: str, value: Any) -> Any:
 class Value:
     """A codec of two functions; without them that of a number, text, an array or a list of names."""
 
-    read: Callable[[str, Any], Any] = unchanged
-    write: Callable[[str, Any], Any] = plain
+    read: Callable[[str, FileValue], FileValue] = unchanged
+    write: Callable[[str, FileValue], FileValue] = plain
 
 
-def checked(accepts: Callable[[Any], bool], expected: str, advice: str = "") -> Value:
+def checked(accepts: Callable[[object], bool], expected: str, advice: str = "") -> Value:
     """Return the codec of a value for which the constructor accepts more than a file does."""
 
-    def read(location: str, given: Any) -> Any:
+    def read(location: str, given: FileValue) -> FileValue:
         if not accepts(given):
             raise ProblemError(location, brief(given), expected, advice)
         return given
@@ -74,18 +73,18 @@ class Tables:
     item: Codec
     single: bool = True
 
-    def read(self, location: str, given: Any) -> Any:
+    def read(self, location: str, given: FileValue) -> FileValue:
         """Return the objects of all tables, or that of a single one."""
         if self.single and isinstance(given, Mapping):
             return self.item.read(location, given)
         if not isinstance(given, list):
             raise ProblemError(location, brief(given), f"tables that begin with [[{location}]]")
-        return [self.item.read(f"{location}[{i}]", one) for i, one in enumerate(given)]
+        return [self.item.read(f"{location}[{i}]", entry) for i, entry in enumerate(given)]
 
-    def write(self, location: str, value: Any) -> Any:
+    def write(self, location: str, value: FileValue) -> FileValue:
         """Return the tables of all objects."""
-        listed = value if isinstance(value, (list, tuple)) else [value]
-        return [self.item.write(f"{location}[{i}]", one) for i, one in enumerate(listed)] or None
+        entries = value if isinstance(value, (list, tuple)) else [value]
+        return [self.item.write(f"{location}[{i}]", entry) for i, entry in enumerate(entries)] or None
 
 
 class Record:
@@ -113,11 +112,11 @@ class Record:
 
     def __init__(
         self,
-        make: Callable[..., Any],
+        make: Callable[..., FileValue],
         own: str = "",
-        like: Callable[..., Any] | None = None,
-        classes: tuple[Any, ...] = (),
-        values: Callable[[Any], Mapping[str, Any]] | None = None,
+        like: Callable[..., FileValue] | None = None,
+        classes: tuple[object, ...] = (),
+        values: Callable[[FileValue], Mapping[str, FileValue]] | None = None,
         required: Sequence[str] = (),
         renamed: Mapping[str, str] | None = None,
         **codecs: Codec,
@@ -132,11 +131,11 @@ class Record:
         self.required = tuple(key for key, name in self._arguments.items() if parameters[name])
         self.optional = tuple(key for key, name in self._arguments.items() if not parameters[name])
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: object) -> bool:
         """Whether an object has this class; a subclass may be another set."""
         return type(value) in self._classes
 
-    def read(self, location: str, given: Any) -> Any:
+    def read(self, location: str, given: FileValue) -> FileValue:
         """Return the object of a table."""
         require_keys(location, given, self.required, self.optional)
         arguments = {
@@ -147,47 +146,38 @@ class Record:
         with located(location, *self._own):
             return self._make(**arguments)
 
-    def write(self, location: str, value: Any) -> dict[str, Any]:
+    def write(self, location: str, value: FileValue) -> FileTable:
         """Return the table of an object."""
         values = self._attributes(value) if self._values is None else self._values(value)
         table = {
-            key: None if one is None else self._codecs[key].write(joined(location, key), one)
-            for key, one in values.items()
+            key: self._codecs[key].write(joined(location, key), entry)
+            for key, entry in values.items()
+            if entry is not None
         }
-        return {key: one for key, one in table.items() if one is not None}
+        return {key: entry for key, entry in table.items() if entry is not None}
 
-    def _attributes(self, value: Any) -> dict[str, Any]:
+    def _attributes(self, value: object) -> FileTable:
         keys = sorted(self._arguments, key=lambda key: isinstance(self._codecs[key], Tables))
         return {key: getattr(value, self._arguments[key], None) for key in keys}
 
 
-def _parameters(make: Callable[..., Any]) -> dict[str, bool]:
+def _parameters(make: Callable[..., object]) -> dict[str, bool]:
     """Return the named arguments of a function, and whether each is required."""
     named = inspect.signature(make).parameters.values()
     return {one.name: one.default is one.empty for one in named if one.kind is not one.VAR_KEYWORD}
 
 
 class Kinds:
-    """Tables of several classes; their key ``kind`` tells which.
+    """Tables of several classes: ``records`` has the record of every kind, by the key ``kind`` of its tables.
 
-    Parameters
-    ----------
-    what : str
-        What errors call an object of these classes.
-    default : str, optional
-        The kind of a table without this key; it is not written.
-
-    Attributes
-    ----------
-    records : dict
-        The record of every kind.
+    ``what`` is the name of their objects in errors; a table without the key is of the ``default`` kind.
     """
 
     def __init__(self, what: str, default: str | None = None):
         self._what, self._default = what, default
         self.records: dict[str, Record] = {}
 
-    def read(self, location: str, given: Any) -> Any:
+    def read(self, location: str, given: FileValue) -> FileValue:
         """Return the object of a table."""
         if not isinstance(given, Mapping):
             raise ProblemError(location, brief(given), "a table")
@@ -195,9 +185,9 @@ class Kinds:
         if not isinstance(kind, str) or kind not in self.records:
             got, expected = "nothing" if kind is None else brief(kind), f"one of {', '.join(self.records)}"
             raise ProblemError(f"{location}.kind", got, expected, suggestion(kind, self.records))
-        return self.records[kind].read(location, {key: one for key, one in given.items() if key != "kind"})
+        return self.records[kind].read(location, {key: entry for key, entry in given.items() if key != "kind"})
 
-    def write(self, location: str, value: Any) -> dict[str, Any]:
+    def write(self, location: str, value: object) -> FileTable:
         """Return the table of an object."""
         for kind, record in self.records.items():
             if record.holds(value):

@@ -7,12 +7,10 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
+from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
 from lin_freq_ocp.interchange.problem_file.toml_file import read_tables
 from lin_freq_ocp.interchange.results.summary import finite, head
@@ -21,42 +19,26 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 
-SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
-"""A heading of a numpydoc docstring."""
-
-ARRAY_REFERENCE = {"npz", "key"}
-"""Keys of a table that stands for an array in another file."""
-
+SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
+ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file
+# Keys that are not in a file.
 MEANINGS = {
     "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
     "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
 }
-"""Keys that are not in a file."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What ``--set`` can change.
-
-    Attributes
-    ----------
-    name : str
-        A keyword of a function, or a key of a file; keys of tables with dots.
-    default : object
-        Its value without settings; None: none.
-    value : object
-        Its value with the settings.
-    about : str
-        What it is; empty if not documented.
-    """
+    """What ``--set`` can change: a keyword of a function, or a key of a file, within tables written with dots."""
 
     name: str
-    default: Any
-    value: Any
-    about: str = ""
+    default: FileValue  # without settings; None if there is none
+    value: FileValue  # with the settings
+    about: str = ""  # its documentation
 
 
-def description_summary(problem: OptimalControlProblem, about: str, parameters: list[Parameter]) -> dict[str, Any]:
+def description_summary(problem: OptimalControlProblem, about: str, parameters: list[Parameter]) -> FileTable:
     """Return the JSON object of ``lin-freq-ocp show --json``."""
     states, bounds = problem.state_boxes, (problem.initial_box, problem.terminal_box)
     return finite(
@@ -69,40 +51,39 @@ def description_summary(problem: OptimalControlProblem, about: str, parameters: 
                 for i, name in enumerate(problem.state_names)
             ],
             "controls": [_signal(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
-            "parameters": [asdict(one) for one in parameters],
+            "parameters": [asdict(parameter) for parameter in parameters],
         }
     )
 
 
-def parameters_of_function(function: Callable[..., Any], settings: Mapping[str, Any]) -> list[Parameter]:
-    """Return the keywords of a function with their defaults and what its docstring says of them."""
-    words = _documented(inspect.getdoc(function) or "")
-    defaults = {one.name: one.default for one in inspect.signature(function).parameters.values()}
+def parameters_of_function(function: Callable[..., object], settings: Mapping[str, FileValue]) -> list[Parameter]:
+    """Return the keywords of a function with their defaults and documentation."""
+    about = _documented(inspect.getdoc(function) or "")
     return [
-        Parameter(name, default, settings.get(name, default), words.get(name, "")) for name, default in defaults.items()
+        Parameter(name, given.default, settings.get(name, given.default), about.get(name, ""))
+        for name, given in inspect.signature(function).parameters.items()
     ]
 
 
-def about_function(function: Callable[..., Any]) -> str:
-    """Return what a docstring says before its first section; lines that belong together are one."""
+def about_function(function: Callable[..., object]) -> str:
+    """Return the text of a docstring before its first section, one line for each paragraph."""
     text = SECTION.split(inspect.getdoc(function) or "", maxsplit=1)[0]
     return "\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
 
 
-def parameters_of_file(path: Path, settings: Mapping[str, Any]) -> list[Parameter]:
+def parameters_of_file(path: Path, settings: Mapping[str, FileValue]) -> list[Parameter]:
     """Return the keys of a problem file with their values, and those that it could have without a value."""
     tables, given = read_tables(path), _leaves(settings)
     defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
-    absent = [
-        key for key in (*PROBLEM.optional, *CUTOFFS) if key not in tables and not isinstance(settings.get(key), dict)
-    ]
+    known = (*PROBLEM.optional, *CUTOFFS)
+    absent = [key for key in known if key not in tables and not isinstance(settings.get(key), dict)]
     keys = dict.fromkeys([*defaults, *absent, *given])
     return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]
 
 
-def _leaves(tables: Mapping[str, Any], within: str = "") -> dict[str, Any]:
+def _leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
     """Return every value of nested tables under its key with dots; a list of tables is one value."""
-    leaves: dict[str, Any] = {}
+    leaves: FileTable = {}
     for key, value in tables.items():
         if isinstance(value, Mapping) and set(value) != ARRAY_REFERENCE and value:
             leaves |= _leaves(value, f"{within}{key}.")
@@ -112,20 +93,20 @@ def _leaves(tables: Mapping[str, Any], within: str = "") -> dict[str, Any]:
 
 
 def _documented(docstring: str) -> dict[str, str]:
-    """Return what the section Parameters of a numpydoc docstring says of each name."""
+    """Return the text of each name in the section Parameters of a numpydoc docstring."""
     parts = SECTION.split(docstring)
     sections = dict(zip(parts[1::2], parts[2::2], strict=True))
-    words: dict[str, str] = {}
+    about: dict[str, str] = {}
     names: list[str] = []
     for line in sections.get("Parameters", "").splitlines():
         if line[:1].strip():
             names = [name.strip() for name in line.partition(" : ")[0].split(",")]
         else:
-            words |= {name: f"{words.get(name, '')} {line.strip()}".strip() for name in names}
-    return words
+            about |= {name: f"{about.get(name, '')} {line.strip()}".strip() for name in names}
+    return about
 
 
-def _signal(name: str, bounds: Box, i: int) -> dict[str, Any]:
+def _signal(name: str, bounds: Box, i: int) -> FileTable:
     plain_name, unit = split_unit(name)
     return {
         "name": plain_name,
@@ -141,4 +122,4 @@ def _over_time(bounds: Array) -> float | list[float]:
 
 
 def _pair(end: Box, i: int) -> list[float]:
-    return np.array([end.lower[i], end.upper[i]]).tolist()
+    return [float(end.lower[i]), float(end.upper[i])]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
-from lin_freq_ocp.arrays import positive_integer
+from lin_freq_ocp.arrays import Array, positive_integer
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula
+from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.problem_file.codec import Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.problem.dynamics.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynami
 FORMULA_KEYS = ("f", "region", "domain")
 
 
-def _linear(continuous: bool = False, **arguments: Any) -> LinearDynamics:
+def _linear(continuous: bool = False, **arguments: FileValue) -> LinearDynamics:
     if not continuous:
         return LinearDynamics(**arguments)
     if "sampling_time" not in arguments:
@@ -29,52 +29,55 @@ def _linear(continuous: bool = False, **arguments: Any) -> LinearDynamics:
     return LinearDynamics.from_continuous(**arguments)
 
 
-def without_zeros(first: Any, second: Any) -> tuple[Any, Any]:
+def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:
     """Return two matrices of the same rows, None for those of zeros; the second stays if both are zero."""
     left, right = (part if part.any() or part.ndim > 2 else None for part in (first, second))
     return left, second if left is None else right
 
 
-def _mode(mode: AffineMode) -> dict[str, Any]:
+def _mode(mode: AffineMode) -> FileTable:
     linear, region = mode.linear, mode.region
     table = {"name": mode.name or None, "A": linear.A, "B": linear.B, "offset": linear.offset}
     G, H = without_zeros(region.C, region.D)
-    if G is None and not H.any() and H.ndim == 2 and mode.everywhere and region.e.shape == (1,):
+    trivial = not (region.C.any() or region.D.any()) and region.C.ndim == region.D.ndim == 2
+    if trivial and mode.everywhere and region.e.shape == (1,):
         return table
     return table | {"G": G, "H": H, "h": region.e}
 
 
 def _from_formulas(
-    f: Any, control_dim: Any, let: Any = None, domain: Any = (), **labels: Any
+    f: FileValue, control_dim: FileValue, let: FileValue = None, domain: FileValue = (), **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
     n, m = _dimensions(f, control_dim)
     mode = _parsed("dynamics", SmoothMode(f, domain=domain), _known(let, n, m), n, m)
     return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
 
 
-def _from_modes(modes: Any, control_dim: Any, let: Any = None, **labels: Any) -> PiecewiseSmoothDynamics:
+def _from_modes(
+    modes: list[SmoothMode], control_dim: FileValue, let: FileValue = None, **labels: FileValue
+) -> PiecewiseSmoothDynamics:
     n, m = _dimensions(modes[0].f, control_dim)
     known = _known(let, n, m)
     parsed = [_parsed(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
     return PiecewiseSmoothDynamics(parsed, n, m, **labels)
 
 
-def _labels(sampling_time: Any = None, state_names: Any = None, control_names: Any = None) -> None:
+def _labels(sampling_time: object = None, state_names: object = None, control_names: object = None) -> None:
     """Declare the arguments that all dynamics share."""
 
 
-def _dimensions(f: Any, control_dim: Any) -> tuple[int, int]:
+def _dimensions(f: object, control_dim: FileValue) -> tuple[int, int]:
     """Return n, the number of formulas, and m."""
     return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
 
 
-def _known(let: Any, n: int, m: int) -> dict[str, Formula]:
+def _known(let: FileValue, n: int, m: int) -> dict[str, Formula]:
     return defined("dynamics.let", {} if let is None else let, (n, m))
 
 
 def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
     """Return the mode with its texts parsed; its class refuses other values."""
-    parsed: dict[str, Any] = {}
+    parsed: FileTable = {}
     for key in FORMULA_KEYS:
         given = getattr(mode, key)
         if isinstance(given, (str, list)):
@@ -85,15 +88,15 @@ def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: in
     return replace(mode, **parsed)
 
 
-def _smooth(dynamics: PiecewiseSmoothDynamics) -> dict[str, Any]:
+def _smooth(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
     formulas: list[Formula] = []
     for i, mode in enumerate(dynamics.modes):
         for key in FORMULA_KEYS:
-            for j, one in enumerate(getattr(mode, key)):
-                for node in in_order([one]):
+            for j, formula in enumerate(getattr(mode, key)):
+                for node in in_order([formula]):
                     require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
-                formulas.append(one)
+                formulas.append(formula)
     texts, definitions = with_definitions(formulas)
     left = iter(texts)
     modes = [
@@ -104,7 +107,7 @@ def _smooth(dynamics: PiecewiseSmoothDynamics) -> dict[str, Any]:
     return names | {"let": definitions or None, "modes": modes}
 
 
-def _smooth_mode(mode: SmoothMode) -> dict[str, Any]:
+def _smooth_mode(mode: SmoothMode) -> FileTable:
     return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
 
 
@@ -134,7 +137,7 @@ RECORDS: dict[type, Record] = {
 }
 
 
-def _read(location: str, given: Any) -> Any:
+def _read(location: str, given: FileValue) -> Dynamics:
     keys = given if isinstance(given, Mapping) else {}
     modes = keys.get("modes")
     if "f" in keys:
@@ -144,11 +147,11 @@ def _read(location: str, given: Any) -> Any:
     return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
 
 
-def _write(location: str, value: Dynamics) -> dict[str, Any]:
+def _write(location: str, value: Dynamics) -> FileTable:
     """Return the table of dynamics, of another class that of their standard form."""
     record = entry_for(RECORDS, value)
     return record.write(location, value if record.holds(value) else value.standard_form)
 
 
+# Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, or with ``modes`` of either form.
 DYNAMICS = Value(_read, _write)
-"""Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, or with ``modes`` of one of the two."""

@@ -5,28 +5,28 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import tomli_w
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from lin_freq_ocp.atomic import write_bytes
+from lin_freq_ocp.atomic import write_bytes, writing
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, read_text
-from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
 from lin_freq_ocp.interchange.problem_file.array_references import resolved, stored
-from lin_freq_ocp.interchange.problem_file.tables import problem_from_tables, tables_from_problem
+from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+# cart.toml keeps its large arrays in cart.problem.npz: cart.npz may be a solution that is saved beside it
 ARRAYS_SUFFIX = ".problem.npz"
-"""cart.toml keeps its large arrays in cart.problem.npz: cart.npz may be a solution that is saved beside it."""
 
 _ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
 
 
-def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> OptimalControlProblem:
+def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] | None = None) -> OptimalControlProblem:
     """Read a problem from a TOML file.
 
     Nothing is executed, and nothing outside the file's folder is read.
@@ -67,11 +67,13 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, Any] | None 
             raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
 
 
-def read_tables(path: Path) -> dict[str, Any]:
+def read_tables(path: Path) -> FileTable:
     """Return the tables of any TOML file; ProblemError if it is not one."""
     text = read_text(path)
-    with naming(path):
-        return _parsed(text)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
+        raise ProblemError(f"{path.name}: TOML syntax", f"{error}", "a TOML file") from None
 
 
 def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
@@ -108,22 +110,36 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
         write_bytes(path.parent / name, content)
 
 
+def template() -> str:
+    """Return the text of a complete problem file, a cart with a speed limit and a low pass; comments explain it."""
+    return files("lin_freq_ocp.interchange").joinpath("template.toml").read_text(encoding="utf-8")
+
+
+def init_problem_file(path: str | PathLike[str]) -> None:
+    """Write the template to a new file; ProblemError if there is a file already, or none can be written there."""
+    path = Path(path)
+    with writing(path):
+        try:
+            stream = path.open("x", encoding="utf-8", newline="\n")
+        except FileExistsError:
+            raise ProblemError(str(path), "a file that exists already", "a new name", "It is left as it is.") from None
+        try:
+            with stream:
+                stream.write(template())
+        except OSError:
+            path.unlink()  # half a file would be in the way of the next attempt
+            raise
+
+
 def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
     """Return the contents of what ``write_problem`` writes, by their names; the arrays come first."""
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
-    text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(tables_from_problem(problem), beside, arrays)))
+    text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(PROBLEM.write("", problem), beside, arrays)))
     return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
-def _parsed(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
-        raise ProblemError("TOML syntax", f"{error}", "a TOML file") from None
-
-
-def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
     """Return the table with the overrides; None removes a key."""
     merged = dict(table)
     for key, value in overrides.items():

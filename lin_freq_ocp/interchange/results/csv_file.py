@@ -21,11 +21,8 @@ from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_f
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-STEP, SECONDS = "t", "time [s]"
-"""The columns that count the steps and the seconds; either may be missing."""
-
-FORMULAS = ("=", "+", "-", "@", "'")
-"""How a cell begins that a spreadsheet evaluates, and what keeps it from that."""
+STEP, SECONDS = "t", "time [s]"  # columns that count the steps and the seconds; either may be missing
+FORMULAS = ("=", "+", "-", "@", "'")  # how a cell begins that a spreadsheet evaluates, and what keeps it from that
 
 
 def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
@@ -82,17 +79,17 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
 
 
 def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
-    """Write a trajectory as a table: one row per time, states and controls under their names, in full precision.
+    """Write a trajectory with all digits, one row per time.
 
     Columns: t, the time in seconds if the problem has a sampling time, states, controls (empty at t = T).
     """
     problem.require(trajectory)
     step, text = problem.sampling_time, io.StringIO()
-    clock = [] if step is None else ["time [s]"]
-    no_control = [""] * problem.control_dim
+    clock = [] if step is None else [SECONDS]
+    controls = [*trajectory.u.tolist(), [""] * problem.control_dim]
     table = csv.writer(text)
-    table.writerow(["t", *clock, *map(header, problem.state_names), *map(header, problem.control_names)])
-    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), [*trajectory.u.tolist(), no_control], strict=True)):
+    table.writerow([STEP, *clock, *map(header, (*problem.state_names, *problem.control_names))])
+    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), controls, strict=True)):
         table.writerow([t, *([] if step is None else [t * step]), *x, *u])
     write_text(path, text.getvalue())
 
@@ -107,7 +104,7 @@ def header(name: str) -> str:
 
 @dataclass(frozen=True)
 class _Table:
-    """A header, and cells with the line that each row stands on."""
+    """A header, and rows of cells with their lines in the file."""
 
     head: list[str]
     lines: list[int]

@@ -7,7 +7,6 @@ import zlib
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,13 @@ from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import read_bytes, require_modest
-from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.locations import FileArray, FileValue, naming
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-COMPRESSED = 15
-"""The type of an element that is compressed."""
-
-PIECE = 2**22
-"""Bytes that are unpacked at once."""
+COMPRESSED = 15  # type of a compressed element
+PIECE = 2**22  # bytes unpacked at once
 
 
 def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
@@ -44,7 +40,7 @@ def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
     }
     from scipy.io import savemat  # slow to import
 
-    stream: Any = BytesIO()  # stubs of scipy know names of files only
+    stream: FileValue = BytesIO()  # stubs of scipy know names of files only
     savemat(stream, variables)
     write_bytes(path, stream.getvalue())
 
@@ -85,7 +81,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     content = read_bytes(path)
     try:
         _require_modest(str(path), content)
-        stream: Any = BytesIO(content)
+        stream: FileValue = BytesIO(content)
         variables = loadmat(stream)
     except ProblemError:
         raise
@@ -110,38 +106,37 @@ def _require_modest(field: str, content: bytes) -> None:
     Unlike a zip archive it does not declare sizes: its variables are unpacked piece by piece, and not kept.
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
-    place, entries, unpacked = 128, 0, 0
-    while order is not None and place + 8 <= len(content):
-        kind, size = struct.unpack_from(f"{order}II", content, place)
-        place += 8
+    offset, entries, unpacked = 128, 0, 0
+    while order is not None and offset + 8 <= len(content):
+        kind, size = struct.unpack_from(f"{order}II", content, offset)
+        offset += 8
         entries, unpacked = entries + 1, unpacked + size
         if kind == COMPRESSED:
-            unpacker, rest = zlib.decompressobj(), content[place : place + size]
+            unpacker, rest = zlib.decompressobj(), content[offset : offset + size]
             while rest and not unpacker.eof:
                 unpacked += len(unpacker.decompress(rest, PIECE))
                 rest = unpacker.unconsumed_tail
                 require_modest(field, entries, unpacked, len(content))
         require_modest(field, entries, 0, len(content))
-        place += size
+        offset += size
 
 
-def _matrix(name: str, value: Any) -> NDArray[Any]:
+def _matrix(name: str, value: object) -> FileArray:
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
-        kind = {"c": "a complex matrix", "U": "text"}.get(
-            np.asarray(value).dtype.kind, "a sparse matrix or a structure"
-        )
-        raise ProblemError(name, kind, "a matrix of real numbers, full")
+        kinds = {"c": "a complex matrix", "U": "text"}
+        got = kinds.get(np.asarray(value).dtype.kind, "a sparse matrix or a structure")
+        raise ProblemError(name, got, "a matrix of real numbers, full")
     return value
 
 
-def _require_times(t: NDArray[Any], rows: int, sampling_time: float | None) -> None:
+def _require_times(t: FileArray, rows: int, sampling_time: float | None) -> None:
     if t.shape not in ((rows, 1), (1, rows)):
         raise ProblemError("t", f"shape {t.shape}", f"shape ({rows}, 1), one time for each row")
     if sampling_time is not None:
         require_clock("t", real_array("t", t.ravel()), sampling_time)
 
 
-def _cells(names: tuple[str, ...]) -> NDArray[Any]:
+def _cells(names: tuple[str, ...]) -> NDArray[np.object_]:
     cells = np.empty((len(names), 1), dtype=object)
     cells[:, 0] = names
     return cells

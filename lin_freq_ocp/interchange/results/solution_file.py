@@ -1,4 +1,4 @@
-"""Solutions as .npz files: trajectory, multipliers and summary."""
+"""Solutions as .npz files, with multipliers and summary, and trajectories in files of any kind, by their suffix."""
 
 from __future__ import annotations
 
@@ -7,29 +7,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, parsed_json
-from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.locations import FileArray, FileTable, FileValue, naming, require_schema
+from lin_freq_ocp.interchange.results.csv_file import read_csv, save_csv
+from lin_freq_ocp.interchange.results.mat_file import read_mat, save_mat
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-SCHEMA = 1
-"""Version of the layout of the .npz."""
-
+SCHEMA = 1  # version of the layout of the .npz
+# Fields of Multipliers that are one array, with the dimensions of each.
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
-"""The fields of Multipliers that are one array, with the dimensions of each."""
-
-WEIGHTS = "weights"
-"""The field of Multipliers that only piecewise-affine dynamics have; its array has two dimensions."""
-
-STAGE = "stage/"
-"""What stands before the name of a family of joint rows: its multipliers are a field of their own."""
+WEIGHTS = "weights"  # field of Multipliers of piecewise-affine dynamics, an array of two dimensions
+STAGE = "stage/"  # prefix of the name of a family of joint rows: its multipliers are an array of their own
+TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,28 +44,24 @@ class SavedSolution:
 
     trajectory: Trajectory
     multipliers: Multipliers | None
-    summary: dict[str, Any]
+    summary: FileTable
 
 
 def save_solution(
-    path: str | PathLike[str], trajectory: Trajectory, multipliers: Multipliers | None, summary: Mapping[str, Any]
+    path: str | PathLike[str], trajectory: Trajectory, multipliers: Multipliers | None, summary: Mapping[str, object]
 ) -> None:
-    """Write a solution to an .npz: the fields of Trajectory and Multipliers under their names, summary and schema.
-
-    The multipliers of joint rows are arrays of their own, "stage/" and the name of the rows.
-    """
+    """Write a solution to an .npz: the fields of Trajectory and Multipliers under their names, summary and schema."""
     write_bytes(path, solution_bytes(trajectory, multipliers, summary))
 
 
-def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summary: Mapping[str, Any]) -> bytes:
-    """Return what ``save_solution`` writes."""
-    fields: dict[str, Any] = {"x": trajectory.x, "u": trajectory.u}
+def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summary: Mapping[str, object]) -> bytes:
+    """Return the content of the file of ``save_solution``."""
+    fields: dict[str, ArrayLike] = {"x": trajectory.x, "u": trajectory.u}
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
         fields |= {STAGE + name: weights for name, weights in multipliers.stage.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
-    fields |= {"schema": SCHEMA, "summary": json.dumps(dict(summary))}
-    return npz_bytes({name: np.asarray(value) for name, value in fields.items()})
+    return npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
 
 
 def load_solution(path: str | PathLike[str]) -> SavedSolution:
@@ -97,9 +89,9 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
     """
     path = Path(path)
     with opened_npz(str(path), path) as archive:
-        arrays: dict[str, NDArray[Any]] = {name: archive[name] for name in archive.files}
+        arrays: dict[str, FileArray] = {name: archive[name] for name in archive.files}
     with naming(path):
-        _require_schema(arrays.get("schema"))
+        require_schema(arrays["schema"].tolist() if "schema" in arrays else SCHEMA, SCHEMA)
         trajectory = Trajectory(*(_numbers(arrays, name, 2) for name in ("x", "u")))
         multipliers = _multipliers(arrays)
         if multipliers is not None:
@@ -107,12 +99,45 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
         return SavedSolution(trajectory, multipliers, _summary(arrays.get("summary")))
 
 
-def _require_schema(schema: NDArray[Any] | None) -> None:
-    if schema is not None and (schema.shape != () or schema != SCHEMA):
-        raise ProblemError("schema", brief(schema), f"{SCHEMA}", "Another version of this package may have written it.")
+def load_trajectory(path: str | PathLike[str], problem: OptimalControlProblem) -> tuple[Trajectory, Multipliers | None]:
+    """Read a .csv, a .mat, or, with any other suffix, an .npz; only an .npz can have multipliers."""
+    suffix = Path(path).suffix.lower()
+    if suffix == TABLE:
+        return read_csv(path, problem), None
+    if suffix == MATLAB:
+        return read_mat(path, problem), None
+    saved = load_solution(path)
+    return saved.trajectory, saved.multipliers
 
 
-def _numbers(arrays: Mapping[str, NDArray[Any]], name: str, dimensions: int) -> NDArray[Any]:
+def save_trajectory(
+    path: str | PathLike[str],
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers | None,
+    summary: Mapping[str, object],
+) -> None:
+    """Write the trajectory to a .csv or a .mat, or all to an .npz, also without a suffix."""
+    suffix = kind_of_file(path)
+    if suffix == TABLE:
+        save_csv(path, problem, trajectory)
+    elif suffix == MATLAB:
+        save_mat(path, problem, trajectory)
+    else:
+        save_solution(path, trajectory, multipliers, summary)
+
+
+def kind_of_file(path: str | PathLike[str], field: str = "") -> str:
+    """Return the suffix that says how a trajectory is written to this file; a name without a suffix is an .npz."""
+    suffix = Path(path).suffix.lower() or ARCHIVE
+    if suffix not in (ARCHIVE, TABLE, MATLAB):
+        expected = f"one that ends in {ARCHIVE}, {TABLE} or {MATLAB}"
+        advice = "Only an .npz holds the multipliers, too."
+        raise ProblemError(field or str(path), f"a name that ends in {suffix}", expected, advice)
+    return suffix
+
+
+def _numbers(arrays: Mapping[str, FileArray], name: str, dimensions: int) -> FileArray:
     if name not in arrays:
         raise ProblemError(name, f"nothing (there is {', '.join(arrays) or 'no array'})", "an array of this name")
     array = arrays[name]
@@ -121,7 +146,7 @@ def _numbers(arrays: Mapping[str, NDArray[Any]], name: str, dimensions: int) -> 
     return array
 
 
-def _multipliers(arrays: Mapping[str, NDArray[Any]]) -> Multipliers | None:
+def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
     if not any(name in arrays for name in DIMENSIONS_OF_MULTIPLIERS):
         return None
     fields = {name: _numbers(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
@@ -133,14 +158,11 @@ def _multipliers(arrays: Mapping[str, NDArray[Any]]) -> Multipliers | None:
 def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None:
     got, expected = (multipliers.eta.shape, multipliers.nu.shape), (trajectory.x[1:].shape, trajectory.u.shape)
     if got != expected:
-        raise ProblemError(
-            "multipliers",
-            f"eta {got[0]}, nu {got[1]}",
-            f"eta {expected[0]}, nu {expected[1]}, as the trajectory has it",
-        )
+        wanted = f"eta {expected[0]}, nu {expected[1]}, as the trajectory has it"
+        raise ProblemError("multipliers", f"eta {got[0]}, nu {got[1]}", wanted)
 
 
-def _summary(text: NDArray[Any] | None) -> dict[str, Any]:
+def _summary(text: FileValue) -> FileTable:
     if text is None:
         return {}
     summary = parsed_json("summary", str(text))

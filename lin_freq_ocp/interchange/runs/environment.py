@@ -1,21 +1,22 @@
-"""What a run ran on, for a report of a fault: versions and kind of machine; no names of users, machines or folders."""
+"""The environment of a run: versions and kind of machine; no names of users, machines or folders."""
 
 from __future__ import annotations
 
 import platform
 import re
 from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Any
 
 from threadpoolctl import threadpool_info
+
+from lin_freq_ocp.interchange.locations import FileTable
 
 PACKAGE = "lin-freq-ocp"
 
 
-def environment(backend: str | None = None) -> dict[str, Any]:
-    """Return the versions of Python, of this package and of those it needs, system, processor and BLAS, for JSON.
+def environment(backend: str | None = None) -> FileTable:
+    """Return the versions of Python, of this package and of its dependencies, system, processor and BLAS, for JSON.
 
-    ``backend`` is as given to solve; the package of a solver that qpsolvers calls is looked for by its name.
+    ``backend`` is as given to solve; the package of a solver that qpsolvers calls is found by its name.
     """
     needed = [re.split(r"[^\w.-]", one, maxsplit=1)[0] for one in requires(PACKAGE) or () if "extra ==" not in one]
     solver = (backend or "").partition(":")[2]

@@ -1,4 +1,4 @@
-"""A run in one file: the problem, the options, what it ended with and what it ran on, to be repeated elsewhere."""
+"""A run in one file: the problem, the options, the result or error and the environment, to be repeated elsewhere."""
 
 from __future__ import annotations
 
@@ -7,20 +7,18 @@ import json
 import traceback
 import warnings
 import zipfile
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_bytes
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
-from lin_freq_ocp.interchange.keys import require_keys
-from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.locations import FileTable, naming, require_keys, require_schema
 from lin_freq_ocp.interchange.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.interchange.results.summary import result_summary
@@ -28,16 +26,12 @@ from lin_freq_ocp.interchange.runs.environment import environment
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 
-SCHEMA = 1
-"""Version of the layout; a file with another one is refused."""
-
+SCHEMA = 1  # version of the layout; a file with another version is refused
+# Files in the zip archive: the second if some arrays are large, the third if there is a trajectory.
 PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "solution.npz", "run.json"
-"""What the file, a zip archive, holds: the second if some arrays are large, the third if there is a trajectory."""
-
-NUMBER, WHOLE = (int, float, type(None)), (int, type(None))
-
+NUMBER = int | float | None
 OPTIONS = {
-    **{"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": WHOLE},
+    **{"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": int | None},
     "start": (list, dict),
 }
 
@@ -63,17 +57,17 @@ class RunRecord:
     """
 
     problem: OptimalControlProblem
-    options: dict[str, Any]
-    summary: dict[str, Any] | None
+    options: FileTable
+    summary: FileTable | None
     solution: SavedSolution | None
-    error: dict[str, Any] | None
-    environment: dict[str, Any]
+    error: FileTable | None
+    environment: FileTable
 
 
 def dump_run(
     path: str | PathLike[str],
     problem: OptimalControlProblem,
-    options: Mapping[str, Any],
+    options: FileTable,
     result: Outcome | None = None,
     error: Exception | None = None,
 ) -> None:
@@ -81,7 +75,7 @@ def dump_run(
     summary = None if result is None else result_summary(result)
     run = {
         "schema": SCHEMA,
-        "options": dict(options),
+        "options": options,
         "environment": environment(options.get("backend")),
         "summary": summary,
         "error": None if error is None else described(error),
@@ -100,7 +94,7 @@ def dump_run(
 
 @contextmanager
 def dumping_errors(
-    path: str | PathLike[str] | None, problem: OptimalControlProblem, options: Mapping[str, Any]
+    path: str | PathLike[str] | None, problem: OptimalControlProblem, options: FileTable
 ) -> Generator[None]:
     """Dump the run to the path, if any, when an error ends it; the error goes on, even if that fails."""
     try:
@@ -115,13 +109,7 @@ def dumping_errors(
 
 
 def read_run(path: str | PathLike[str]) -> RunRecord:
-    """Read what ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
-
-    Raises
-    ------
-    ProblemError
-        If it is no such file; the field names it, the file within, and the location there.
-    """
+    """Read a dumped run; nothing in it is executed; ProblemError names the file, that within, and the location."""
     path = Path(path)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -136,12 +124,12 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
     return RunRecord(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
 
 
-def described(error: Exception) -> dict[str, Any]:
+def described(error: Exception) -> FileTable:
     """Return an error for JSON; places are modules and lines, and no folder is named."""
     frames = traceback.walk_tb(error.__traceback__)
     places = [f"{frame.f_globals.get('__name__', '?')}:{line} {frame.f_code.co_name}" for frame, line in frames]
-    words = error.strerror if isinstance(error, OSError) else str(error)
-    return {"type": type(error).__name__, "message": words or "", "places": places}
+    message = error.strerror if isinstance(error, OSError) else str(error)
+    return {"type": type(error).__name__, "message": message or "", "places": places}
 
 
 def _unpack(path: Path, folder: Path) -> None:
@@ -150,8 +138,8 @@ def _unpack(path: Path, folder: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            require_modest(str(path), len(entries), sum(one.file_size for one in entries), path.stat().st_size)
-            present = {one.filename: one for one in entries}
+            require_modest(str(path), len(entries), sum(entry.file_size for entry in entries), path.stat().st_size)
+            present = {entry.filename: entry for entry in entries}
             for name in (PROBLEM, ARRAYS, SOLUTION, RUN):
                 if name in present and present[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ProblemError(f"{path.name}: {name}", "another compression", "deflate, or none")
@@ -165,13 +153,11 @@ def _unpack(path: Path, folder: Path) -> None:
         raise ProblemError(str(path), f"unreadable ({error})", "a file that lin-freq-ocp solve --dump wrote") from None
 
 
-def _run(path: Path) -> dict[str, Any]:
+def _run(path: Path) -> FileTable:
     with naming(path):
         run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
         require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
-        if run["schema"] != SCHEMA:
-            advice = "Another version of this package may have written it."
-            raise ProblemError("schema", brief(run["schema"]), f"{SCHEMA}", advice)
+        require_schema(run["schema"], SCHEMA)
         require_keys("options", run["options"], optional=OPTIONS)
         for key, kinds in OPTIONS.items():
             if key in run["options"] and not isinstance(run["options"][key], kinds):

@@ -1,7 +1,7 @@
 """Sweeps in files: JSON lines that grow while points finish and are resumed from, a table, and a JSON object.
 
-The first line says what is swept. Then comes a line per finished point, and one with the grid whenever it is new. Each
-is on the disk before the next is begun; of a crash in the midst of one, what is there of it is left out.
+The first line describes the sweep. A line per finished point follows, and a line with the grid whenever it is new. Each
+line is on the disk before the next begins; an incomplete last line is ignored.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_text, writing
@@ -24,51 +24,36 @@ from lin_freq_ocp.comparison.sweep.point import ERROR, Row
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import parsed_json, read_text
-from lin_freq_ocp.interchange.keys import require_keys
+from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys
 from lin_freq_ocp.interchange.results.csv_file import header
 
-SCHEMA = 1
-"""Version of the layout; a file with another one is refused."""
-
+SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"
-
-BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]
-"""How every file begins, and by what one that ends within its first line is known."""
-
+BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]  # of every file, also of one cut off in its first line
 HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
-
 HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
-
+# Types of the values of a row.
 ROW_KINDS = {
     key: dict if key == "parameters" else int | float | None if kind == float | None else kind
     for key, kind in get_type_hints(Row).items()
 }
-"""What a row holds under each key."""
 
 DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
 ANOTHER_PATH = "Give another path, or remove the file."
 
 
 class SweepFile:
-    """A file that gets a line per point; one that is there already is continued.
+    """A file that gets a line per point; a file of the same sweep is continued, and any other is a ProblemError.
 
-    Attributes
-    ----------
-    rows : list of Row
-        What was in it at first, without points that ended with an error.
-
-    Raises
-    ------
-    ProblemError
-        If it cannot be written, is no such file, is damaged, or belongs to another sweep.
+    ``rows`` are those of the file when it was opened, without points that ended with an error.
     """
 
-    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[Any]]):
+    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
         self._path = Path(path)
         first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
         first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
         lines = [] if not self._path.exists() else _lines(self._path)
-        self.rows = [row for row in _rows(lines) if row["status"] != ERROR]
+        self.rows: list[Row] = [row for row in _rows(lines) if row["status"] != ERROR]
         if lines:
             _require_same(self._path, lines[0], head)
         with writing(self._path):
@@ -85,7 +70,7 @@ class SweepFile:
         """Write one point; it is on the disk when this returns."""
         self._write(row)
 
-    def _write(self, entry: Mapping[str, Any]) -> None:
+    def _write(self, entry: Mapping[str, object]) -> None:
         with writing(self._path):
             self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
             self._stream.flush()
@@ -101,13 +86,7 @@ class SweepFile:
 
 
 def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
-    """Read what ``lfo.sweep`` wrote to its path, be the sweep complete or not; its grid is the last one.
-
-    Raises
-    ------
-    ProblemError
-        If it is no such file, or damaged.
-    """
+    """Read the file of a sweep, complete or not, with its last grid; ProblemError if it is no such file, or damaged."""
     path = Path(path)
     lines = _lines(path)
     if not lines:
@@ -119,7 +98,7 @@ def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
 
 
 def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
-    """Write a line per row, parameters first; numbers to the last bit, nothing where nothing is known."""
+    """Write a line per row, parameters first; numbers with all digits, absent values empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(header, (*sweep.names, *MEASURED)))
@@ -127,12 +106,12 @@ def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
     write_text(path, text.getvalue())
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: FileValue) -> FileValue:
     """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
     return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
 
 
-def sweep_summary(sweep: SweepOutcome) -> dict[str, Any]:
+def sweep_summary(sweep: SweepOutcome) -> FileTable:
     """Return a sweep as the JSON object of ``lin-freq-ocp sweep --json``."""
     return {
         "schema": SCHEMA,
@@ -146,7 +125,7 @@ def sweep_summary(sweep: SweepOutcome) -> dict[str, Any]:
     }
 
 
-def _lines(path: Path) -> list[dict[str, Any]]:
+def _lines(path: Path) -> list[FileTable]:
     """Return all whole lines of a sweep's file; none, if not even the first is whole."""
     head, *others = read_text(path).split("\n")
     if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
@@ -160,43 +139,47 @@ def _lines(path: Path) -> list[dict[str, Any]]:
     return lines
 
 
-def _line(path: Path, number: int, text: str) -> dict[str, Any]:
+def _line(path: Path, number: int, text: str) -> FileTable:
     line = parsed_json(f"{path}, line {number}", text)
-    place = f"{path.name}, line {number}"
-    require_keys(place, line, optional=() if not isinstance(line, dict) else line)
+    location = f"{path.name}, line {number}"
+    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
     if "grid" in line:
-        _require_grid(place, line["grid"])
+        _require_grid(location, line["grid"])
     elif number > 1:
-        require_keys(place, line, ("parameters", *MEASURED))
+        require_keys(location, line, ("parameters", *MEASURED))
         for key, kind in ROW_KINDS.items():
-            _require_kind(place, line, key, kind)
+            _require_kind(location, line, key, kind)
     return line
 
 
-def _require_grid(place: str, grid: Any) -> None:
-    if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
-        raise ProblemError(f"{place}.grid", brief(grid), "a list of values for each parameter")
+def _require_grid(location: str, grid: object) -> None:
+    if (
+        not isinstance(grid, dict)
+        or not grid
+        or not all(isinstance(values, list) and values for values in grid.values())
+    ):
+        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
 
 
-def _require_kind(place: str, line: Mapping[str, Any], key: str, kind: Any) -> None:
+def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
     value = line[key]
     if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
-        raise ProblemError(f"{place}.{key}", brief(value), "what a sweep writes there")
+        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
 
 
-def _rows(lines: Sequence[Mapping[str, Any]]) -> list[Any]:
+def _rows(lines: Sequence[FileTable]) -> list[FileValue]:
     return [line for line in lines if "grid" not in line]
 
 
-def _grid(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _grid(lines: Sequence[FileTable]) -> FileTable:
     return [line["grid"] for line in lines if "grid" in line][-1]
 
 
-def _require_same(path: Path, found: Mapping[str, Any], head: SweepHead) -> None:
+def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
     expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
-    for key, words in DIFFERENCES:
+    for key, difference in DIFFERENCES:
         if found[key] != expected[key]:
-            got = f"a sweep of {words} ({brief(found[key])})"
+            got = f"a sweep of {difference} ({brief(found[key])})"
             raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
     if found["fingerprint"] != head.fingerprint:
         same = f"{head.problem}, with the same data and fixed arguments"

@@ -1,7 +1,7 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
 A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe`` and
-``terms``. To be written to problem files it is listed in ``interchange/problem_file/spectrum.py``.
+``terms``. To be written to problem files it is listed in ``interchange/problem_file/tables.py``.
 """
 
 from __future__ import annotations

@@ -1,22 +1,45 @@
-"""Trajectories as python-control's TimeResponseData, and back; there time is the last axis."""
+"""Trajectories as pandas' DataFrame, and as python-control's TimeResponseData, and back."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.errors import MissingExtraError, ProblemError
 from lin_freq_ocp.interchange.locations import located
 from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+Signals = tuple[str, Array | None, Sequence[str] | None]  # their kind, values and labels
 
-def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> Any:
-    """Return a trajectory as a ``control.TimeResponseData`` with the problem's names as labels.
+if TYPE_CHECKING:
+    from control import TimeResponseData
+    from pandas import DataFrame
+
+
+def to_frame(problem: OptimalControlProblem, trajectory: Trajectory) -> DataFrame:
+    """Return a row per time 0 .. T, with states and controls under their names; see ``Result.to_frame``."""
+    try:
+        import pandas
+    except ImportError:
+        message = "to_frame needs pandas, which is not installed: pip install 'lin-freq-ocp[pandas]'."
+        raise MissingExtraError(message) from None
+    problem.require(trajectory)
+    label = "t" if problem.sampling_time is None else "time [s]"
+    return pandas.DataFrame(
+        np.hstack([trajectory.x, _until_end(trajectory)]),
+        index=pandas.Index(problem.times, name=label),
+        columns=[*problem.state_names, *problem.control_names],
+    )
+
+
+def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> TimeResponseData:
+    """Return a trajectory as a ``control.TimeResponseData``, whose last axis is time, with the problem's names.
 
     Its time (T+1,) is in seconds (in steps, without sampling time); states and outputs both are x', (n, T+1); inputs
     are u', (m, T+1), NaN at time T, where there is no control.
@@ -43,7 +66,7 @@ def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         problem.times,
         outputs=trajectory.x.T,
         states=trajectory.x.T,
-        inputs=np.vstack([trajectory.u, np.full((1, problem.control_dim), np.nan)]).T,
+        inputs=_until_end(trajectory).T,
         output_labels=list(problem.state_names),
         state_labels=list(problem.state_names),
         input_labels=list(problem.control_names),
@@ -52,7 +75,7 @@ def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     )
 
 
-def from_time_response(response: Any, problem: OptimalControlProblem) -> Trajectory:
+def from_time_response(response: TimeResponseData, problem: OptimalControlProblem) -> Trajectory:
     """Return a response of python-control, such as of ``forced_response``, as a trajectory of the problem.
 
     Signals are found by the problem's names if the labels have them all, else by their order if there are as many. The
@@ -106,7 +129,12 @@ def from_time_response(response: Any, problem: OptimalControlProblem) -> Traject
         return trajectory_from_signals(problem, found[0].T, controls.T[:T])
 
 
-def _rows(signals: Any, labels: Sequence[str] | None, names: Sequence[str]) -> Array | None:
+def _until_end(trajectory: Trajectory) -> Array:
+    """Return the controls with not-a-number at time T, (T+1, m)."""
+    return np.vstack([trajectory.u, np.full((1, trajectory.u.shape[1]), np.nan)])
+
+
+def _rows(signals: ArrayLike | None, labels: Sequence[str] | None, names: Sequence[str]) -> Array | None:
     """Return the signals of these names, or all of them, in their order, if there are as many; else None."""
     if signals is None:
         return None
@@ -117,7 +145,9 @@ def _rows(signals: Any, labels: Sequence[str] | None, names: Sequence[str]) -> A
     return rows if len(rows) == len(names) else None
 
 
-def _unfit(field: str, sources: Sequence[tuple[str, Any, Sequence[str] | None]], names: Sequence[str]) -> ProblemError:
+def _unfit(
+    field: str, sources: Sequence[tuple[str, Array | None, Sequence[str] | None]], names: Sequence[str]
+) -> ProblemError:
     got = "; ".join(
         f"{'no' if signals is None else len(signals)} {kind}" + (f" ({', '.join(labels)})" if labels else "")
         for kind, signals, labels in sources

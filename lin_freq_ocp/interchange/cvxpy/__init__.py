@@ -1,1 +1,0 @@
-"""Problems as CVXPY problems."""
