@@ -12,11 +12,10 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
+# Feasibility and gap asked of a solver, on a program scaled to order 1: far below the judge's 1e-6
 DEFAULT_TOLERANCE = 1e-10
-"""Feasibility and gap asked of a solver, on a program scaled to order 1: far below the judge's 1e-6."""
-
+# Bounds of order 1 exclude each other, or rows without variables are violated, by this much: solvers forgive less
 EXCLUDED = 1e-6
-"""Bounds of order 1 exclude each other, or rows without variables are violated, by this much: solvers forgive less."""
 
 
 class Claim(Enum):
@@ -54,14 +53,11 @@ class Solution:
     bound: float | None = None
 
 
+# The answer to a program whose bounds exclude each other
 NO_POINT = Solution(Claim.INFEASIBLE, None, None, "infeasible without a search")
-"""The answer to a program whose bounds exclude each other."""
-
+# (program, tolerance, time limit in seconds or None) -> Solution. The tolerance is that of residuals and gap; of a
+# program with binaries, the relative gap between cost and bound.
 Solver = Callable[[Program, float, float | None], Solution]
-"""(program, tolerance, time limit in seconds or None) -> Solution.
-
-The tolerance is that of residuals and gap; of a program with binaries, the relative gap between cost and bound.
-"""
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ CLAIMS = {
     "CallbackTerminated": Claim.INTERRUPTED,
 }
 
-COST_FACTOR = 10.0
-"""Its regularisation is absolute and disturbs small costs: it gets the cost this much larger."""
+COST_FACTOR = 10.0  # Its regularisation is absolute and disturbs small costs: it gets the cost this much larger
 
 
 def solver(member: str) -> Solver:

@@ -25,27 +25,21 @@ from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solv
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
+# Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
+# rows parallel once they are measured in the metric of the Hessian, as DAQP does. The second is tried where DAQP
+# cycles with the first, or finds nothing feasible: of 200 random problems, it cycled on one with each, on none with
+# both.
 BINARY_CURVATURES = (0.1, 0.01)
-"""Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
-rows parallel once they are measured in the metric of the Hessian, as DAQP does. The second is tried where DAQP cycles
-with the first, or finds nothing feasible: of 200 random problems, it cycled on one with each, on none with both."""
-
+# Least eigenvalue of a block of P, relative to the largest row sum of P, with which nothing is added to it
 SINGULAR = 1e-7
-"""Least eigenvalue of a block of P, relative to the largest row sum of P, with which nothing is added to it."""
-
+# What is added to the diagonal of a singular block, relative to that row sum: 1e-6 of the cost or so, where variables
+# are of order 1
 REGULARISATION = 1e-7
-"""What is added to the diagonal of a singular block, relative to that row sum: 1e-6 of the cost or so, where variables
-are of order 1."""
-
+# Of rows of order 1. With 1e-8 it called nodes infeasible that are not, in one of 60 random problems; with its own
+# 1e-6, costs were too low by 5e-6 of themselves.
 FEASIBILITY = 1e-7
-"""Of rows of order 1. With 1e-8 it called nodes infeasible that are not, in one of 60 random problems; with its own
-1e-6, costs were too low by 5e-6 of themselves."""
-
-INFINITE = 1e30
-"""What DAQP calls infinite."""
-
-EQUATION, BINARY = 5, 16
-"""Kinds of rows."""
+INFINITE = 1e30  # What DAQP calls infinite
+EQUATION, BINARY = 5, 16  # Kinds of rows
 
 CLAIMS = {
     1: (Claim.SOLVED, "optimal"),

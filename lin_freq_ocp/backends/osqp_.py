@@ -12,11 +12,9 @@ import scipy.sparse as sp
 from lin_freq_ocp.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.transcription.program import Program
 
+# A first-order method needs many cheap iterations; its default of 4000 stops far from the answer
 MAX_ITERATIONS = 200_000
-"""A first-order method needs many cheap iterations; its default of 4000 stops far from the answer."""
-
-FINEST = 1e-7
-"""Below this OSQP's own residuals stall, and polishing does the rest."""
+FINEST = 1e-7  # Below this OSQP's own residuals stall, and polishing does the rest
 
 CLAIMS = {
     "solved": Claim.SOLVED,

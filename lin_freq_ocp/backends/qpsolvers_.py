@@ -15,6 +15,7 @@ from lin_freq_ocp.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
+# How each solver spells its tolerance; one that is not here runs with its own
 SETTINGS: dict[str, Any] = {
     "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
     "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
@@ -25,8 +26,7 @@ SETTINGS: dict[str, Any] = {
     "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
 }
-"""How each solver spells its tolerance; one that is not here runs with its own."""
-
+# How each solver spells its time limit; one that is not here has none
 TIME_LIMITS = {
     "clarabel": "time_limit",
     "osqp": "time_limit",
@@ -34,7 +34,6 @@ TIME_LIMITS = {
     "daqp": "time_limit",
     "scs": "time_limit_secs",
 }
-"""How each solver spells its time limit; one that is not here has none."""
 
 
 def solver(member: str) -> Solver:

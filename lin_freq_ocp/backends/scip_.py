@@ -24,18 +24,12 @@ from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solv
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
+# Of rows of order 1: SCIP's own. With less, its LP solver is asked for what it cannot give, and says so on stderr or
+# fails; a mode sequence is re-solved anyway.
 FEASIBILITY = 1e-6
-"""Of rows of order 1: SCIP's own. With less, its LP solver is asked for what it cannot give, and says so on stderr or
-fails; a mode sequence is re-solved anyway."""
-
-NEGLIGIBLE = 1e-14
-"""Eigenvalue of a block of P, relative to its largest, that is rounding of 0."""
-
-LEAST_TIME = 1e-3
-"""Seconds that SCIP is given when building its model has used them all."""
-
-INFINITE = 1e20
-"""What SCIP calls infinite."""
+NEGLIGIBLE = 1e-14  # Eigenvalue of a block of P, relative to its largest, that is rounding of 0
+LEAST_TIME = 1e-3  # Seconds that SCIP is given when building its model has used them all
+INFINITE = 1e20  # What SCIP calls infinite
 
 SETTINGS: dict[str, Any] = {
     "numerics/feastol": FEASIBILITY,
@@ -57,8 +51,8 @@ CLAIMS = {
     "userinterrupt": Claim.INTERRUPTED,
 }
 
+# Between these, Python does not run
 WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_EVENTTYPE.NODEFOCUSED)
-"""Between these, Python does not run."""
 
 
 def solver(member: str) -> Solver:

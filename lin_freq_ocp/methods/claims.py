@@ -8,11 +8,9 @@ from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-DEFAULT_GAP = 1e-6
-"""Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer."""
-
+DEFAULT_GAP = 1e-6  # Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer
+# Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to
 AGREEMENT = 1e-6
-"""Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to."""
 
 STATUS = {
     Claim.SOLVED: "optimal",

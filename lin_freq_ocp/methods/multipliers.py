@@ -28,20 +28,14 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
+# Distance to a bound, on a program scaled to order 1, at which it counts as active: other tools stop at about 1e-8
 ACTIVE = 1e-6
-"""Distance to a bound, on a program scaled to order 1, at which it counts as active: other tools stop at about 1e-8."""
-
+# Price of a unit of a cone's gap, against squares of residuals: gaps are squares of errors in direction
 GAP_PRICE = 1e-3
-"""Price of a unit of a cone's gap, against squares of residuals: gaps are squares of errors in direction."""
-
-NONTRIVIAL = 1e-6
-"""Abnormal multipliers whose largest entry is below this are zero: the linear program would make it 1."""
-
+NONTRIVIAL = 1e-6  # Abnormal multipliers whose largest entry is below this are zero: the linear program would make it 1
+# Singular values of the active gradients, each of norm 1, below this part of the largest one are zero
 DEPENDENT = 1e-10
-"""Singular values of the active gradients, each of norm 1, below this part of the largest one are zero."""
-
-MOST_GRADIENTS = 2000
-"""More of them take more than a few seconds."""
+MOST_GRADIENTS = 2000  # More of them take more than a few seconds
 
 
 @dataclass(frozen=True, eq=False)

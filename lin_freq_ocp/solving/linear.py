@@ -20,8 +20,7 @@ from lin_freq_ocp.solving.method import Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
-PROVER = "clarabel"
-"""The backend that proves infeasibility and unboundedness, whichever backend met it."""
+PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 
 SMALL_MARGIN = 1e-5
 """Margin of an infeasibility proof below which rounding of the data may be its reason: the sparse program may find a
@@ -29,8 +28,8 @@ point that satisfies every constraint within the judge's tolerance."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
+# Statuses of a first candidate after which the further ones are judged
 UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
-"""Statuses of a first candidate after which the further ones are judged."""
 
 
 @dataclass(frozen=True)

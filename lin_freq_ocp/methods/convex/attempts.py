@@ -16,24 +16,15 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
 from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
 
+# Relative residuals up to which a backend's "solved" is accepted, in units in which the answer is of order 1
 SOLVED_TOLERANCE = 1e-6
-"""Relative residuals up to which a backend's "solved" is accepted, in units in which the answer is of order 1."""
-
-ACCURATE = 1e-8
-"""Relative residuals from which an answer of Clarabel is not improved by other units."""
-
-ENDLESS = 1e100
-"""A point beyond so many units is no point."""
-
+ACCURATE = 1e-8  # Relative residuals from which an answer of Clarabel is not improved by other units
+ENDLESS = 1e100  # A point beyond so many units is no point
+# Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
+# where the answer does not keep them, they come back
 FAR = 1e4
-"""Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
-where the answer does not keep them, they come back."""
-
-LEAST_TIME = 1e-3
-"""Seconds that are left to a solver when the time is over: it makes a step, and ends."""
-
-UNBOUNDED_TOLERANCE = 1e-6
-"""Residual of a direction of descent, scaled to slope -1, up to which it counts as one."""
+LEAST_TIME = 1e-3  # Seconds that are left to a solver when the time is over: it makes a step, and ends
+UNBOUNDED_TOLERANCE = 1e-6  # Residual of a direction of descent, scaled to slope -1, up to which it counts as one
 
 
 @dataclass(frozen=True, eq=False)

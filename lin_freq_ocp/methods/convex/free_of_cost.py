@@ -17,8 +17,8 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
+# Slope of the cost, relative to that at a trajectory of this size, below which there may be one without a slope
 FLAT = 1e-4
-"""Slope of the cost, relative to that at a trajectory of this size, below which there may be one without a slope."""
 
 
 def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:

@@ -9,17 +9,11 @@ from scipy.sparse.linalg import splu
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.transcription.program import Program
 
+# Added to the Hessian and subtracted below the rows: dependent rows and flat directions keep what they have
 PROXIMAL = 1e-8
-"""Added to the Hessian and subtracted below the rows: dependent rows and flat directions keep what they have."""
-
-STEPS = 8
-"""Of the proximal method of multipliers; each makes what is not flat or dependent exact to rounding."""
-
-ROUNDS = 4
-"""How often rows that turn out to be violated are added, and those that pull inwards left out."""
-
-ROUNDING = 1e-12
-"""Violations and multipliers below this, in a program scaled to order 1, are zero."""
+STEPS = 8  # Of the proximal method of multipliers; each makes what is not flat or dependent exact to rounding
+ROUNDS = 4  # How often rows that turn out to be violated are added, and those that pull inwards left out
+ROUNDING = 1e-12  # Violations and multipliers below this, in a program scaled to order 1, are zero
 
 
 def polished(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:

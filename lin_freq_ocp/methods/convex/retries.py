@@ -19,14 +19,10 @@ from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.transcription.linear.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
 from lin_freq_ocp.transcription.program import Scaling
 
+# Parts of a variable's and a dual's unit below which they may be rounding: the judge decides
 ROUNDING_LEVELS = (1e-12, 1e-9)
-"""Parts of a variable's and a dual's unit below which they may be rounding: the judge decides."""
-
-HOPELESS = 1e-3
-"""Relative residuals from which versions of a point are not worth a judgement."""
-
-POLISHED = "polished"
-"""Words for a point that no solver has returned as it is."""
+HOPELESS = 1e-3  # Relative residuals from which versions of a point are not worth a judgement
+POLISHED = "polished"  # Words for a point that no solver has returned as it is
 
 
 def further(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:

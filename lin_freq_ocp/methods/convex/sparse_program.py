@@ -25,11 +25,8 @@ from lin_freq_ocp.transcription.linear.units import (
 )
 from lin_freq_ocp.transcription.program import Program, Scaling
 
-GRACE = 0.25
-"""Seconds beyond a time limit that a solver may take to return a point, however inaccurate."""
-
-REVISIONS = 2
-"""How often the units may follow the answer."""
+GRACE = 0.25  # Seconds beyond a time limit that a solver may take to return a point, however inaccurate
+REVISIONS = 2  # How often the units may follow the answer
 
 
 def solve_convex(

@@ -18,7 +18,8 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, STRICT_SLOPE, Exchange, Outcome, Stop, deadline
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, trajectory
@@ -37,9 +38,6 @@ from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.program import Residuals
-
-VIOLATION_TOLERANCE = 1e-12
-"""Relative violation of a bound at which an exchange stops; rounding of the signals is near 1e-15."""
 
 REFERENCES, BOUNDS = ("x_ref", "u_ref"), ("state_set", "control_set")
 
@@ -175,7 +173,7 @@ class SpectralSolver:
             return SpectralSolution("infeasible", None, None, ray, None, words, seconds, problem=problem)
         if warm_start is not None:
             self._require_own(warm_start)
-        allowed = tolerance or VIOLATION_TOLERANCE
+        allowed = tolerance or tol.VIOLATION_TOLERANCE
         with (
             one_blas_thread(),
             interrupts_noted() as interrupt,
@@ -215,10 +213,10 @@ class SpectralSolver:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
-        answer = self._measured(exchange, exchange.run(ROUNDS))
+        answer = self._measured(exchange, exchange.run())
         if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
-            exchange.slope_tolerance = STRICT_SLOPE
-            second = self._measured(exchange, exchange.run(ROUNDS))
+            exchange.slope_tolerance = tol.STRICT_SLOPE
+            second = self._measured(exchange, exchange.run())
             answer = second if second.accurate else answer
         return answer
 

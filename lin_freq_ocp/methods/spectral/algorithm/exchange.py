@@ -1,7 +1,7 @@
 """The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated.
 
-docs/spectral.md, sections 7 and 8. Every round corrects the defects of the true signals (section 6), so that its fixed
-point has true slacks in spite of errors of the small QP. It stops at an optimum, not only at a feasible point.
+docs/spectral.md, 7 and 8. Every round corrects the defects of the true signals (section 6): its fixed point has true
+slacks in spite of errors of the small QP.
 """
 
 from __future__ import annotations
@@ -14,132 +14,50 @@ from typing import Protocol
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, row_ray, stiffened_ray
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, regularised_ray, row_ray
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
-from lin_freq_ocp.methods.spectral.model.lti import LEAST_SIZE
 from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
-from lin_freq_ocp.methods.spectral.rows.working_set import Rows, WorkingSet, bounded
+from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
 
-ROUNDS = 60
-"""Rounds after which an exchange ends; 1 to 12 are usual."""
-
-QP_SECONDS = 1e-10
-"""Of a small QP, measured, times the cube of its rows: it is not begun if that is more than what is left."""
-
-LARGE_QP = 1000
-"""Rows of a small QP from which its time is estimated: with fewer, it takes less than 0.1 s."""
-
-LOCAL_ROUNDS = 6
-"""Times that a step is computed again with the rows nearby that it violates, before all signals are evaluated."""
-
-LOCAL_ROWS = 300
-"""Working rows beyond which the small QP costs more than the signals."""
-
-KEEP_ALL_AFTER = 30
-"""Rounds after which no row is dropped any more: the exchange is then finite."""
-
-EQUATION_TOLERANCE = 1e-9
-"""Residual of the border's equations, relative to the largest signal."""
-
-SLOPE_TOLERANCE = 1e-10
-"""Slope left in the border variables, relative to its terms."""
-
-STRICT_SLOPE = 1e-13
-"""The same where a point that was flat enough had residuals that were not."""
-
-ACCEPTED_SLOPE = 1e-7
-"""The same where an exchange no longer improves."""
-
-GAIN_TOLERANCE = 1e-15
-"""What the cost could still fall by along border variables, were they free, relative to it (at least its level)."""
-
-WORTH_TOLERANCE = 1e-9
-"""The same by moves as large as the point: along flat directions rounding alone promises a gain without end."""
-
-SMALL_COST = 1e-6
-"""Cost, relative to that of states and controls of order 1, that is not measured more finely than this."""
-
-SLACK_TOLERANCE = 1e-9
-"""<l, slack> left, relative to the cost: rows with a multiplier hold with equality."""
-
-ACCEPTED_SLACK = 1e-7
-"""The same where an exchange no longer improves."""
-
-FINE_VIOLATION = 1e-9
-"""Relative violation above which a round that adds a row improves, even if it does not halve the violation."""
-
-ACCEPTED_VIOLATION = 1e-7
-"""Relative violation at which an exchange that no longer improves is as accurate as its rounding allows."""
-
-STALLED_ROUNDS = 3
-"""Rounds that neither halve the violation nor, above FINE_VIOLATION, add a row: it no longer improves."""
-
-INCONSISTENT = 1e-7
-"""Relative residual of the equations from which their dependent rows are asked for a proof of infeasibility."""
-
-ASK_FOR_RAY = 8
-"""Every so many rounds, and whenever the small QP is not accurate, the working rows are asked for such a proof."""
-
-LENIENT = 1e-3
-"""Relative violation from which on longer steps are taken along directions without cost."""
-
-LONGER_STEPS = 0.03
-"""Factor on the proximal weight for that."""
-
-DIVERGING = 1e6
-"""Weight of a row, in natural units, from which the rows are asked for a proof of infeasibility."""
-
-ENDLESS = 1e10
-"""Size of a border variable, in natural units, at which the cost has no lower bound."""
+MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
+QP_SECONDS = 1e-10  # of a small QP, measured, over the cube of its rows ...
+LARGE_QP = 1000  # ... of which this many take 0.1 s: it is not begun if less time is left
+LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are evaluated
+KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
+STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row: no improvement
+RAY_ROUNDS = 8  # every so many rounds, and where the small QP is not accurate, a Farkas ray is computed
+LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
 
 
 class Stop(Protocol):
-    """Says why to stop, or None: whether the time is over, or will be in so many seconds; or Ctrl-C was pressed."""
+    """What asks for the time limit and for Ctrl-C."""
 
     def __call__(self, needed: float = 0.0) -> str | None:
-        """Return why to stop, if so many more seconds are needed."""
+        """Return why to stop, or None, if so many more seconds are needed."""
         ...
 
 
 @dataclass(eq=False)
 class Outcome:
-    """How an exchange ended.
+    """How an exchange ended: the last point, and the multipliers of equations and rows that it comes from."""
 
-    Attributes
-    ----------
-    status : str
-        "optimal", "infeasible", "unbounded", "limit" or "numerical_error".
-    words : str
-        Why, in words.
-    signals : Signals; theta, multipliers : arrays; working : WorkingSet
-        The last point, with the multipliers of equations and rows that made it.
-    rounds : int
-        Small QPs that were solved.
-    violation : float
-        Worst relative violation of a bound.
-    cost : float
-        J.
-    ray : Ray or None
-        If infeasible.
-    """
-
-    status: str
+    status: str  # of a Candidate
     words: str
     signals: Signals
-    theta: Array
     multipliers: Array
     working: WorkingSet
-    rounds: int
-    violation: float
+    rounds: int  # small QPs that were solved
+    violation: float  # worst, relative
     cost: float
-    ray: Ray | None = None
+    ray: Ray | None  # if infeasible
 
 
 class Exchange:
-    """One solve: the point, its working rows, and the rules of a round; ``stop`` says why to stop early, or None."""
+    """One solve: the point, its working rows, and the rules of a round."""
 
     def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
         self.structure, self.data, self.border = structure, data, structure.border
@@ -153,30 +71,30 @@ class Exchange:
                 self.working.weights = self.first.weights
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
-        self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, SLOPE_TOLERANCE
+        self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
         self.unconstrained = structure.unconstrained
         self.soft = self.border.soft
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         self._evaluate()
 
-    def run(self, rounds: int) -> Outcome:
-        """Exchange until optimal, evaluating all signals so many times at most."""
+    def run(self) -> Outcome:
+        """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
         added = len(self.working)
-        for count in range(1, rounds + 1):
+        for count in range(1, MOST_ROUNDS + 1):
             rows = len(self.working)
             reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
             if reason is not None:
                 return self._outcome("limit", reason)
             self.rounds += 1
-            diverging = self.working.weights.max(initial=0.0) > DIVERGING * self.data.lti.cost_level
-            self._step(ask=diverging or count % ASK_FOR_RAY == 0)
+            diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
+            self._step(ask=diverging or count % RAY_ROUNDS == 0)
             if self.ray is not None:
                 return self._outcome("infeasible", "no trajectory satisfies all constraints")
             if self._optimal(added):
                 return self._outcome("optimal")
-            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > ENDLESS:
-                return self._outcome("unbounded", "the cost falls without end")
+            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > tol.UNBOUNDED_SIZE:
+                return self._outcome("unbounded", "the cost has no lower bound")
             reason = self.stop()
             if reason is not None:
                 return self._outcome("limit", reason)
@@ -186,29 +104,25 @@ class Exchange:
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
     def _optimal(self, added: int) -> bool:
-        """Whether this point is optimal, or as near to it as rounding allows; else prepare for longer steps."""
+        """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
         worst, slope = self.violations.worst, self._relative_slope()
-        level = worst < LENIENT and slope < self.slope_tolerance and self._gains_nothing()
+        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance and self._flat()
         far = float(np.abs(self.theta).max(initial=0.0))
-        moving = self.soft and not self._worthless() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if self.soft and worst < LENIENT and not level:
-            self._shorten_proximal()
-        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moving
+        moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
+            self.proximal = max(self.proximal * LONGER_STEPS, self.border.least_proximal)
+        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
         if self.stalled >= STALLED_ROUNDS:
             return self._accurate()
-        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
+        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
-        """Whether a point that no longer improves is good enough; its residuals say how good."""
-        flat = self._relative_slope() < ACCEPTED_SLOPE or self._worthless()
-        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
-
-    def _shorten_proximal(self) -> None:
-        """Let the next step go farther along directions of little cost."""
-        self.proximal = max(self.proximal * LONGER_STEPS, self.border.least_proximal)
+        """Whether a point that no longer improves is accepted."""
+        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
+        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
 
     def _evaluate(self) -> None:
         self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
@@ -222,7 +136,7 @@ class Exchange:
         return self.data.h + self.border.H @ self.theta + self.border.E.T @ self.multipliers + on_rows
 
     def _step(self, ask: bool) -> None:
-        """Correct the defects of the present point, with the best weights for the working rows."""
+        """Correct the defects of the present point, with the best weights of the working rows."""
         working, border = self.working, self.border
         right = np.concatenate([-self._slope(), self.residual])
         whole = None if ask or self.whole is None else self._whole_step(self.whole, right)
@@ -234,18 +148,18 @@ class Exchange:
         self.theta = self.theta + step[: border.size]
         self.multipliers = self.multipliers + step[border.size :]
         self._evaluate()
-        if self._relative_residual() > INCONSISTENT:
+        if self._relative_residual() > tol.EQUATION_CONFLICT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon, right: Array) -> tuple[Array, Array, None] | None:
-        """Return the step of the border and weights after as many rounds as are needed; None if a row is in doubt."""
+        """Return the step of the border and weights from rounds on all values; None if a small QP was inaccurate."""
         working, step = self.working, self.border.inverse @ right
         base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
         if len(working):
             places, mu = whole.places(working.t, working.f), working.sign * working.weights
             base += whole.response(places, mu)
             step += whole.through[:, places] @ mu
-        start, self.first = whole.multiplied(self.first or Rows(*working.rows(), working.weights)), None
+        start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
         found = exchanged(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.places], whole.f[found.places], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
@@ -259,7 +173,7 @@ class Exchange:
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         """Return the step of the border, weights and perhaps a ray, with the border eliminated.
 
-        Rows near the working ones that the step violates enter at once, and the step is found again.
+        Rows near the working rows that the step violates enter at once, and the step is computed again.
         """
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
@@ -283,20 +197,18 @@ class Exchange:
             return step, working.weights, None
         Z = inverse @ working.coupling
         through_border = working.coupling.T @ Z
-        S = (
-            working.gram + (through_border + through_border.T) / 2
-        )  # symmetric to the last bit: else it stalls at rounding
+        S = working.gram + (through_border + through_border.T) / 2  # exactly symmetric: else the QP stalls at rounding
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
         new, accurate = nonnegative_qp(S, d, guess, unconstrained, self.stop)
         asked = (ask or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
         if ray is None and asked:
-            ray = stiffened_ray(self.structure, self.data, working, self.stop)
+            ray = regularised_ray(self.structure, self.data, working, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for a border that hardly curves: kept in the small QP, with a proximal term."""
+        """Return the same for a border of little curvature: kept in the small QP, with a proximal term."""
         working, border = self.working, self.border
         if not len(working):
             return border.inverse_with(self.proximal) @ right, working.weights, None
@@ -306,7 +218,7 @@ class Exchange:
         step, new, accurate = qp.solve(self.stop)
         if not (ask or not accurate) or self.stop():
             return step, new, None
-        return step, new, stiffened_ray(self.structure, self.data, working, self.stop)
+        return step, new, regularised_ray(self.structure, self.data, working, self.stop)
 
     def _relative_residual(self) -> float:
         return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
@@ -318,19 +230,19 @@ class Exchange:
             np.abs(self.data.h) + np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
         )
         terms += np.abs(working.coupling[: border.size]) @ working.weights
-        least = LEAST_SIZE * self.data.lti.curvature_unit
+        least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
-    def _worthless(self) -> bool:
-        """Whether moves of the border variables as large as the point, and as 1, can hardly gain anything."""
-        worth = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
-        return worth <= WORTH_TOLERANCE * max(abs(self._cost()), SMALL_COST * self.data.lti.cost_level)
+    def _cannot_decrease(self) -> bool:
+        """Whether moves of the border variables as large as the point, and as 1, hardly decrease the cost."""
+        decrease = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
+        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
 
-    def _gains_nothing(self) -> bool:
-        """Whether the cost can hardly fall along the border variables, were they free, or by such moves."""
+    def _flat(self) -> bool:
+        """Whether the cost hardly decreases along the border variables, without working rows or by such moves."""
         slope, border = self._slope(), self.border
         gain = abs(float(slope @ border.inverse[: border.size, : border.size] @ slope))
-        return gain <= GAIN_TOLERANCE * self._cost_size() or self._worthless()
+        return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
 
     def _cost(self) -> float:
         lti, at = self.data.lti, self.signals
@@ -339,12 +251,12 @@ class Exchange:
         return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
     def _cost_size(self) -> float:
-        """Return what a difference in cost is small against."""
+        """Return what differences in cost are relative to."""
         return max(self.data.lti.cost_level, abs(self._cost()))
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
-        if self._relative_residual() >= EQUATION_TOLERANCE:
+        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
             return False
         slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
         return bool(slack <= allowed * self._cost_size())
@@ -363,7 +275,6 @@ class Exchange:
             status,
             words,
             self.signals,
-            self.theta,
             self.multipliers,
             self.working,
             self.rounds,

@@ -9,38 +9,22 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral.algorithm.exchange import ROUNDS, Exchange, Stop
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Stop
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 
-LEAST_HORIZON = 600
-"""Horizon from which a first guess costs less than the rounds it saves."""
-
-HOLD_FACTOR = 8
-"""Hold factor: samples of a control that are one on the coarse problem."""
-
-SPREAD = 2
-"""Samples by which a coarse active control spreads beyond its own ones."""
-
+LEAST_HORIZON = 600  # Horizon from which a first guess costs less than the rounds it saves
+HOLD_FACTOR = 8  # Hold factor: samples of a control that are one on the coarse problem
+SPREAD = 2  # Samples by which a coarse active control spreads beyond its own ones
+# Decay exp(-DECAY_EXPONENT) of the slowest mode off the circle at which the two ends no longer act on each other
 DECAY_EXPONENT = 40.0
-"""Decay exp(-DECAY_EXPONENT) of the slowest mode off the circle at which the two ends no longer act on each other."""
-
-ON_CIRCLE = 1e-6
-"""|log |lambda|| of a mode that does not decay: it is not counted."""
-
+ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay: it is not counted
+# How many times shorter that horizon must be at least; HOLD_FACTOR times where samples may be held instead
 LEAST_SHORTENING = 2
-"""How many times shorter that horizon must be at least; HOLD_FACTOR times where samples may be held instead."""
-
-HOLD_GROWTH = 4.0
-"""Growth of the fastest mode over held samples up to which they may be held together."""
-
-SHORTEST = 10
-"""The shortened horizon is at least this fraction of the whole."""
-
-SHORT_TOLERANCE = 1e-6
-HOLD_TOLERANCE = 1e-4
-"""Relative violations that are good enough for a guess."""
+HOLD_GROWTH = 4.0  # Growth of the fastest mode over held samples up to which they may be held together
+SHORTEST = 10  # The shortened horizon is at least this fraction of the whole
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
@@ -60,13 +44,13 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
     if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
-    coarse, tolerance = (_held(lti), HOLD_TOLERANCE) if hold else (_shortened(lti, shorter), SHORT_TOLERANCE)
+    coarse, tolerance = (_held(lti), tol.HOLD_TOLERANCE) if hold else (_shortened(lti, shorter), tol.SHORT_TOLERANCE)
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
         structure = structures[coarse.horizon]
         guess = first_working_set(coarse, stop, structures)
-        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance, stop).run(ROUNDS)
+        outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance, stop).run()
     except (UnsupportedError, np.linalg.LinAlgError):  # a guess is all that is lost
         return None
     if outcome.status != "optimal":

@@ -6,9 +6,10 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered
-from lin_freq_ocp.methods.spectral.model.lti import LEAST_SIZE, Lti
+from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.transcription.program import Residuals
 
@@ -25,10 +26,10 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     dynamics = x[:, 1:] - lti.A @ y[:n] - lti.B @ y[n:]
     if lti.offset is not None:
         dynamics -= lti.offset
-    size = max(float(np.abs(x).max()), LEAST_SIZE)
+    size = max(float(np.abs(x).max()), tol.LEAST_SIZE)
     stopped = ~lti.passed
     band = np.abs(fft.rfft(y[n:])[stopped]).max(initial=0.0) if stopped.any() else 0.0
-    energy = max(float(np.linalg.norm(y[n:])), LEAST_SIZE)
+    energy = max(float(np.linalg.norm(y[n:])), tol.LEAST_SIZE)
     missed = max(_missed_values(lti, y, x), outcome.violation, 0.0)
     adjoint, terms = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
@@ -36,7 +37,8 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     return Residuals(
         primal=max(float(np.abs(dynamics).max()) / size, float(band) / energy, missed),
         dual=max(
-            float(np.abs(adjoint).max()) / terms, found.stationarity / max(through_u, LEAST_SIZE * lti.curvature_unit)
+            float(np.abs(adjoint).max()) / terms,
+            found.stationarity / max(through_u, tol.LEAST_SIZE * lti.curvature_unit),
         ),
         gap=gap / max(lti.cost_level, abs(outcome.cost)),
     )
@@ -44,14 +46,14 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
 
 def _missed_values(lti: Lti, y: Array, x: Array) -> float:
     """Return how far x_0, values that bounds fix, and the stopped bins of states are off, relative to the signals."""
-    size = max(float(np.abs(y).max()), LEAST_SIZE)
+    size = max(float(np.abs(y).max()), tol.LEAST_SIZE)
     t, f = lti.fixed_points
     start = np.where(np.isnan(lti.start), 0.0, lti.start - x[:, 0])
     missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
     if not lti.state_stop.any():
         return missed
     spectrum = np.abs(fft.rfft(x)).T[lti.state_stop].max()
-    return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), LEAST_SIZE))
+    return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), tol.LEAST_SIZE))
 
 
 def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[Array, float]:
@@ -75,7 +77,7 @@ def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[Array, float
     if found.rho_x.any():
         terms.append(time_signal(found.rho_x, lti.horizon + 1).T)
     size = sum(float(np.abs(term).max()) for term in terms)
-    return sum(terms[1:], start=terms[0]), max(size, LEAST_SIZE * lti.curvature_unit)
+    return sum(terms[1:], start=terms[0]), max(size, tol.LEAST_SIZE * lti.curvature_unit)
 
 
 def _complementarity(outcome: Outcome, lti: Lti) -> float:

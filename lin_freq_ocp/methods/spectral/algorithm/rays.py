@@ -12,28 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
-
-RAY_TOLERANCE = 1e-6
-"""Stationarity of a ray, relative to its multipliers."""
-
-RAY_VALUE = 100.0
-"""How many times stronger than that its value must be, to be more than rounding."""
-
-DECIDED = 1e-11
-"""Part of a row's own response that the equations leave it, below which they alone decide the row."""
-
-DECIDED_VIOLATION = 1e-8
-"""Violation, relative to the bound, of a row that the equations decide."""
-
-CONFLICT = 1e-4
-"""tau of the homogeneous dual, 1 where rows can be reconciled and 0 where they conflict, below which they conflict."""
-
-
-TINY = 1e-150
-"""Keeps the scale of a violation that is exactly zero finite, squared too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +28,7 @@ class Ray:
 
 
 def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
-    """Return a ray of the equations alone, from the dependent ones among them."""
+    """Return a ray of the dependent equations."""
     dependent = structure.border.dependent
     y = -dependent @ (dependent.T @ residual)
     largest = float(np.abs(y).max(initial=0.0))
@@ -63,23 +45,24 @@ def row_ray(
     ask: bool,
     stop: Callable[[], str | None] = lambda: None,
 ) -> Ray | None:
-    """Return a ray of working rows: one that the equations decide, or (``ask``) a combination of many.
+    """Return a ray of working rows: a row that the equations decide, or (``ask``) a combination of many.
 
-    The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is always bounded; tau = 1 + rho d'l vanishes where the
-    rows conflict.
+    The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
     inner = working.inner
     free = np.full(len(working), 1 / data.lti.curvature_unit)  # x_T moves by itself
     free[inner] = structure.kernels.free_response(working.f[inner])
-    decided = (np.diagonal(S) < DECIDED * free) & (d < -DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti))))
+    decided = (np.diagonal(S) < tol.DECIDED_RESPONSE * free) & (
+        d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
+    )
     if decided.any():
         weights = np.zeros(len(d))
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
     elif ask:
-        size = np.abs(d) / np.sqrt(np.maximum(np.diagonal(S), TINY))
-        rho = max(float(size.max()), TINY) ** -2
+        size = np.abs(d) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
+        rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
         weights, _ = nonnegative_qp(S + rho * np.outer(d, d), d, np.zeros(len(d)), stop=stop)
-        if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT:
+        if not weights.any() or 1 + rho * float(d @ weights) >= tol.CONFLICT_TAU:
             return None
     else:
         return None
@@ -87,15 +70,15 @@ def row_ray(
     return _verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
 
 
-def stiffened_ray(
+def regularised_ray(
     structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
 ) -> Ray | None:
-    """Return a ray of working rows where the border is soft: what can be satisfied does not depend on what it costs."""
+    """Return a ray of working rows from a unit Hessian of the border: feasibility does not depend on the cost."""
     border, nothing = structure.border, WorkingSet(structure.border)
     theta = np.zeros(border.size)
     c = signals(structure, data, theta, np.zeros(len(data.e)), nothing)
-    step = border.stiffened @ np.concatenate([theta, equation_residual(structure, data, theta, c)])
-    Z = border.stiffened @ working.coupling
+    step = border.regularised @ np.concatenate([theta, equation_residual(structure, data, theta, c)])
+    Z = border.regularised @ working.coupling
     through_border = working.coupling.T @ Z
     S = working.gram + (through_border + through_border.T) / 2
     d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
@@ -107,11 +90,11 @@ def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -
     at = signals(structure, data, np.zeros(border.size), y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
     moved = sum(np.conj(structure.spaces.N[i]) * at.force[i] for i in range(len(lti.M)))
-    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), TINY) * size)
+    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
     slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     value, terms = _value(structure, data, working, y)
-    proven = stationarity < RAY_TOLERANCE * min(1.0, -RAY_VALUE * value / terms)
+    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y, at) if proven else None
 
 

@@ -17,8 +17,7 @@ from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
-TEMPORARIES = 2.0
-"""Memory at the peak over that of the arrays that are kept; 1.9 was measured."""
+TEMPORARIES = 2.0  # Memory at the peak over that of the arrays that are kept; 1.9 was measured
 
 
 class Structure:

@@ -1,7 +1,7 @@
-"""The small QP with the border variables kept, for borders that hardly curve: free ends without cost, marginal modes.
+"""The small QP with the border variables kept, for borders of little curvature: free ends without cost, marginal modes.
 
-Eliminating a border variable of curvature h leaves S with entries 1/h, and what is smaller than 1e-16 of those is
-lost. Kept, with a proximal term, nothing large arises: find the step p of (theta, y), weights l and slacks z with
+Eliminating a border variable of curvature h leaves S with entries 1/h, and entries below 1e-16 of those are lost.
+Here they are kept, with a proximal term: find the step p of (theta, y), weights l and slacks z with
 
     K p + C (l - l_0) = r,   z = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
 
@@ -13,47 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import equilibration
 from lin_freq_ocp.methods.spectral.kkt.mehrotra import predictor_corrector
 
-STEPS = 60
-"""Steps after which what was best is returned; 10 to 30 are usual."""
-
-SOLVED = 1e-12
-"""Defects and complementarity, of a problem scaled to order 1, at which it stops."""
-
-COMPLEMENTARY = 1e-14
-"""Complementarity of the same problem at which it stops: the cost may be small at that scale. Further steps lose digits
-of the equations: at 1e-16, one of 900 random problems ends with residuals of 1e-6."""
-
-ACCURATE_ERROR = 1e-7
-"""Error up to which the answer is good."""
-
-RIDGE = 1e-13
-"""Regularisation of the scaled matrices: dependent rows and equations then share their multipliers."""
-
-SHORTEST = 1e-8
-"""Step length at which it is stuck."""
-
-ACTIVE_SIGN = 1e-11
-"""Weight of an active row, relative to the largest, that may be negative by rounding."""
-
-EQUILIBRATIONS = 3
-"""Passes of row scaling."""
-
-POLISHED_SLACK = 1e-10
-"""Violation of a row at which a polished answer is one."""
-
-IDLE = 1e-9
-"""Weight, relative to slacks and weights, that an interior point leaves on rows without one."""
-
-DROPPINGS = 5
-"""Passes that drop active rows of the wrong sign."""
+STEPS = 60  # after which the best iterate is returned; 10 to 30 are usual
+DROPPINGS = 5  # passes that drop active rows of the wrong sign
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,26 +41,23 @@ class BorderedQp:
     weights: Array
 
     def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
-        """Return the step p, the weights l, and whether they are accurate; the best there is when asked to stop."""
+        """Return the step p, the weights l, and whether they are accurate; the best iterate when asked to stop."""
         scaled, border, rows, size = self._scaled()
         p, weights, z, accurate = _interior_point(scaled, stop)
         polished = None if stop() else _polished(scaled, weights > z)
         if polished is None:
-            weights = np.where(weights < IDLE * np.maximum(z, float(weights.max(initial=0.0))), 0.0, weights)
+            weights = np.where(weights < tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0))), 0.0, weights)
         else:
             p, weights = polished
         return p * border * size, weights * rows * size, accurate
 
     def _scaled(self) -> tuple[BorderedQp, Array, Array, float]:
         """Return the problem in units of order 1, with the units of p, of l, and of both."""
-        matrix, units = np.block([[self.K, self.C], [self.C.T, self.S]]), np.ones(len(self.K) + len(self.S))
-        for _ in range(EQUILIBRATIONS):
-            largest = np.abs(matrix * units[:, None] * units).max(1)
-            units /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        units = equilibration(np.block([[self.K, self.C], [self.C.T, self.S]]))
         border, rows = np.split(units, [len(self.K)])
         parts = self.r * border, self.slack * rows, self.weights / rows
         size = max(1e-300, *(float(np.abs(part).max(initial=0.0)) for part in parts))
-        regular = np.where(np.arange(len(self.K)) < self.size, RIDGE, -RIDGE)
+        regular = np.where(np.arange(len(self.K)) < self.size, tol.QP_RIDGE, -tol.QP_RIDGE)
         scaled = BorderedQp(
             size=self.size,
             K=self.K * border * border[:, None] + np.diag(regular),
@@ -117,34 +86,30 @@ def _interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Arr
         error = max(float(np.abs(r1).max()), float(np.abs(r2).max()), mu) / (1 + float(weights.max()))
         if error < best[0]:
             best = error, p, weights, z
-        if (error < SOLVED and mu < COMPLEMENTARY) or not np.isfinite(error) or stop():
+        if (error < tol.BORDERED_SOLVED and mu < tol.BORDERED_COMPLEMENTARY) or not np.isfinite(error) or stop():
             break
         matrix[b:, b:] = -qp.S
-        matrix[diagonal, diagonal] -= z / weights + RIDGE
+        matrix[diagonal, diagonal] -= z / weights + tol.QP_RIDGE
         factor = dgetrf(matrix)
         if factor[2]:
             break
-        newton = _newton(factor, r1, r2, weights)
+        newton = partial(_newton, factor, r1, r2, weights)
         dp, weights, z, length = predictor_corrector(newton, weights, z, mu)
         p = p + dp
-        if length < SHORTEST:
+        if length < tol.SHORTEST_STEP:
             break
     error, p, weights, z = best
-    return p, weights, z, error < ACCURATE_ERROR
+    return p, weights, z, error < tol.BORDERED_ACCURATE
 
 
-def _newton(factor: Any, r1: Array, r2: Array, weights: Array) -> Callable[[Array], tuple[Array, Array]]:
-    """Return what solves the Newton equations for the steps of p and l."""
-
-    def newton(target: Array) -> tuple[Array, Array]:
-        step = dgetrs(factor[0], factor[1], np.concatenate([r1, -r2 - target / weights]))[0]
-        return step[: len(r1)], step[len(r1) :]
-
-    return newton
+def _newton(factor: Any, r1: Array, r2: Array, weights: Array, target: Array) -> tuple[Array, Array]:
+    """Return the Newton steps of p and l."""
+    step = dgetrs(factor[0], factor[1], np.concatenate([r1, -r2 - target / weights]))[0]
+    return step[: len(r1)], step[len(r1) :]
 
 
 def _polished(qp: BorderedQp, active: Mask) -> tuple[Array, Array] | None:
-    """Return the step and weights with the active rows as equations; None where signs or slacks do not allow it."""
+    """Return the step and weights with the active rows as equations; None if signs or slacks are wrong."""
     for _ in range(DROPPINGS):
         rows = np.flatnonzero(active)
         matrix = np.block([[qp.K, qp.C[:, rows]], [qp.C[:, rows].T, -qp.S[np.ix_(rows, rows)]]])
@@ -159,9 +124,9 @@ def _polished(qp: BorderedQp, active: Mask) -> tuple[Array, Array] | None:
         exact[rows] = qp.weights[rows] + step[len(qp.r) :]
         if not np.isfinite(step).all():
             return None
-        wrong = exact < -ACTIVE_SIGN * max(1.0, float(exact.max(initial=0.0)))
+        wrong = exact < -tol.ACTIVE_SIGN * max(1.0, float(exact.max(initial=0.0)))
         if not wrong.any():
             slack = qp.slack - qp.C.T @ p + qp.S @ (exact - qp.weights)
-            return (p, np.maximum(exact, 0.0)) if slack.min(initial=0.0) > -POLISHED_SLACK else None
+            return (p, np.maximum(exact, 0.0)) if slack.min(initial=0.0) > -tol.POLISHED_SLACK else None
         active = active & ~wrong
     return None

@@ -2,7 +2,7 @@
 
 Border variables theta: the free components of x_0 and x_T, then real coordinates of the border directions, each with a
 signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that bounds
-fix, compatibility at singular bins, state bands. They meet in one symmetric indefinite matrix
+fix, compatibility at singular bins, state bands. Together:
 
     K_b = [[H, E'], [E, -G_EE]].
 """
@@ -16,49 +16,22 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
-NULL_EQUATION = 1e-12
-"""Relative singular value of the equations that is rounding of 0."""
-
-EQUATION_ROUNDING = 1e-13
-"""Relative eigenvalue of G_EE that is rounding of 0."""
-
-EQUILIBRATIONS = 3
-"""Passes of row scaling before the border matrix is decomposed."""
-
-SOFT = 1e11
-"""Response of a border variable to a force, relative to that of a control, from which the border is not eliminated."""
-
-SOFT_END = 1e8
-"""The same for free ends: what moves them moves all signals."""
-
-HESSIAN_ROUNDING = 1e-15
-"""Curvature of a border variable, relative to the largest one, that may be rounding."""
-
-SHORTEST_PROXIMAL = 1e-16
-"""Smallest proximal weight on the variables of a soft border, relative to the curvature of a control."""
-
-LARGEST_BORDER = 3000
-"""Rows of the border matrix beyond which its dense decomposition takes longer than the sparse program."""
+EQUILIBRATIONS = 3  # passes of row scaling
+LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition takes longer than the sparse program
 
 
 class BorderedSystem:
-    """BorderedSystem variables, equations, and the pseudo-inverse of K_b.
+    """Border variables, equations, and the pseudo-inverse of K_b.
 
-    Attributes
-    ----------
-    free_start, free_end : indices of the free components of x_0, x_T; ``at_start``, ``at_end``: their places in theta
-    ends : (n, free ends)
-        d w / d theta, w = x_0 - x_T.
-    bins : (q,), vectors : (n+m, q)
-        Bin and vector of each further coordinate.
-    H : (size, size), E : (equations, size)
-    point_t, point_f : (points,)
-        Rows that equations fix; the first n are x(0).
+    theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
+    (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
+    at (point_t, point_f); the first n are x(0).
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
@@ -73,7 +46,7 @@ class BorderedSystem:
         self._decompose()
 
     def _require_size(self) -> None:
-        """Raise UnsupportedError before anything of the border's size is made, if there is too much of it."""
+        """Raise UnsupportedError before anything of the border's size is made, if it is too large."""
         lti, fixed = self.lti, len(self.lti.fixed_points[0])
         if lti.state_dim + fixed > LARGEST_BORDER:
             raise UnsupportedError(
@@ -81,7 +54,7 @@ class BorderedSystem:
                 f"{LARGEST_BORDER - lti.state_dim}. Use method 'convex'."
             )
         bands = 2 * int(lti.state_stop.sum())
-        singular = int(sum(self.spaces.weight[one.k] for one in self.spaces.singular))
+        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
         equations = lti.state_dim + fixed + singular + bands
         if self.size + equations > LARGEST_BORDER:
             raise UnsupportedError(
@@ -226,8 +199,8 @@ class BorderedSystem:
         start = np.where(np.isnan(lti.start), 0.0, lti.start)
         points = start, lti.lower[self.point_f[n:], self.point_t[n:]]
         singular = [
-            scale * self._parts(one.k, np.array([one.left.conj() @ jump[:, one.k]]))[:, 0]
-            for scale, one in zip(self.singular_scale, spaces.singular, strict=True)
+            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
+            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
         ]
         fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
         bands = -self.bands[:, -1] * fixed_end[self.band_component]
@@ -252,21 +225,23 @@ class BorderedSystem:
         self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
         self.dependent = _null_space(self.E.T, G)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
-        self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
+        self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         try:
             self.inverse = self.inverse_with(0.0)
-            self.soft = self._gives_way()
+            self.soft = self._is_soft()
         except np.linalg.LinAlgError:
             self.soft = True
         if self.soft:
             self.inverse = self.inverse_with(self.least_proximal)
 
-    def _gives_way(self) -> bool:
-        """Whether a border variable responds so much to a force that what is left of others would be rounding."""
+    def _is_soft(self) -> bool:
+        """Whether a border variable responds so much to a force that the digits of other responses are lost."""
         unit, e = self.lti.curvature_unit, self.ends_count
         response = np.abs(self.inverse.diagonal()[: self.size])
         at_ends, inside = response[:e].max(initial=0.0), response[e:].max(initial=0.0)
-        return not (at_ends <= min(SOFT_END / unit, 0.1 / self.least_proximal) and inside <= SOFT / unit)
+        return not (
+            at_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal) and inside <= tol.SOFT_RESPONSE / unit
+        )
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -275,7 +250,7 @@ class BorderedSystem:
         return matrix
 
     @cached_property
-    def stiffened(self) -> Array:
+    def regularised(self) -> Array:
         """The inverse of K_b with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
@@ -299,22 +274,28 @@ class BorderedSystem:
 
 def _null_space(rows: Array, gram: Array) -> Array:
     """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
-    rounding = EQUATION_ROUNDING * float(np.abs(gram).max())
+    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max())
     if np.linalg.eigvalsh(gram)[0] > rounding:
         return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
-    rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
+    rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
     unseen = V[rank:].T
     eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
     return unseen @ vectors[:, eigenvalues <= rounding]
 
 
-def _equilibrated_inverse(matrix: Array) -> Array:
+def equilibration(matrix: Array) -> Array:
+    """Return a scale s for rows and columns such that the largest entries of s_i s_j |matrix_ij| are near 1."""
     scale = np.ones(len(matrix))
     for _ in range(EQUILIBRATIONS):
         largest = np.abs(matrix * scale[:, None] * scale).max(1)
         scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+    return scale
+
+
+def _equilibrated_inverse(matrix: Array) -> Array:
+    scale = equilibration(matrix)
     try:
         return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
-    except np.linalg.LinAlgError:  # exactly singular: what follows is no answer
+    except np.linalg.LinAlgError:  # exactly singular: the exchange fails
         return np.full_like(matrix, np.nan)

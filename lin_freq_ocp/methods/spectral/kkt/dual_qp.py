@@ -1,7 +1,7 @@
 """The small QP over the working rows: min lam'S lam / 2 + d'lam over lam >= 0, S often singular (docs/spectral.md, 6).
 
-S is positive semidefinite, and numerically singular wherever a state or a saturated control rides a bound. Nothing here
-is trusted: the exchange judges every answer from the signals it leads to.
+S is positive semidefinite, and numerically singular where a state or a control stays at a bound. The exchange measures
+every answer by the signals that follow from it.
 """
 
 from __future__ import annotations
@@ -12,62 +12,27 @@ import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 
-PIVOTING_ROWS = 300
-"""Rows up to which exchanging all wrong rows at once is tried first."""
-
-PIVOTING_STEPS = 12
-"""Steps after which that has not converged."""
-
-PATIENCE = 2
-"""Steps in a row without fewer wrong rows after which it will not."""
-
-PIVOTING_PIVOT = 1e-6
-"""Cholesky pivot below which the rows are too dependent for it."""
-
-ACTIVE_SET_ROWS = 400
-"""Rows up to which an active set is grown one row at a time, if states are among them."""
-
-ACTIVE_SET_CONTROLS = 120
-"""The same where nearly all are controls: an interior point is faster from there on."""
-
-ACTIVE_SET_STEPS = 10
-"""Steps per row after which that has not converged."""
-
-RIDGE = 1e-13
-"""Added to the diagonal, which is 1: nearly parallel rows then share their multipliers."""
-
-ACCURATE_ERROR = 1e-9
-"""Slope left at which its answer is good."""
-
-MOSTLY_CONTROLS = 0.9
-"""Share of control rows from which the multipliers are not unique, and an interior point is what survives."""
-
-WRONG = 1e-13
-"""Slope, of a QP scaled to order 1, below which an inactive row is wrong."""
-
-TINY = 1e-300
-"""Keeps the scale of a row or slope that is exactly zero finite."""
+PIVOTING_ROWS = 300  # up to which block pivoting is tried first
+PIVOTING_STEPS = 12  # after which it has not converged
+PATIENCE = 2  # its steps in a row without fewer wrong rows
+ACTIVE_SET_ROWS = 400  # up to which an active set is grown row by row, if states are among them
+ACTIVE_SET_CONTROLS = 120  # the same where nearly all are controls: with more, an interior point is faster
+ACTIVE_SET_STEPS = 10  # per row, after which it has not converged
+MOSTLY_CONTROLS = 0.9  # share of control rows from which the multipliers are not unique, and active sets cycle
 
 
 def nonnegative_qp(
     S: Array, d: Array, start: Array, unconstrained: Array | None = None, stop: Callable[[], str | None] = lambda: None
 ) -> tuple[Array, bool]:
-    """Return (lam, whether the method that found it was accurate).
+    """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    Parameters
-    ----------
-    S : (count, count), d : (count,)
-    start : (count,)
-        A warm start, >= 0.
-    unconstrained : (count,), optional
-        A diagonal with diag - S >= 0 and of low rank, zero where there is none: 1/R for control rows.
-    stop : callable
-        Says why to stop early, or None: then it returns the best that there is, with which it is not accurate.
+    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
     """
-    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
-    size = max(float((np.abs(d) * unit).max()), TINY)
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
+    size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None] * unit, d * unit / size, start / unit / size
     lam = block_pivoting(A, b, warm) if len(d) <= PIVOTING_ROWS else None
     if lam is not None:
@@ -88,10 +53,10 @@ def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
         lam, rows = np.zeros(len(b)), active.nonzero()[0]
         if len(rows):
             factor, solution, failed = dposv(A[rows[:, None], rows], b[rows], lower=1)
-            if failed or factor.diagonal().min() < PIVOTING_PIVOT:
+            if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
                 return None
             lam[rows] = -solution
-        wrong = np.where(active, lam < 0, A @ lam + b < -WRONG)
+        wrong = np.where(active, lam < 0, A @ lam + b < -tol.WRONG_SLOPE)
         count = np.count_nonzero(wrong)
         if count == 0:
             return lam
@@ -107,7 +72,7 @@ def active_set(A: Array, b: Array) -> Array | None:
     """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate."""
     from scipy.optimize import nnls  # slow to import
 
-    regular = A + RIDGE * np.eye(len(b))
+    regular = A + tol.QP_RIDGE * np.eye(len(b))
     factor, failed = dpotrf(regular, lower=1)
     if failed:
         return None
@@ -115,4 +80,4 @@ def active_set(A: Array, b: Array) -> Array | None:
         lam, _ = nnls(factor.T, dtrtrs(factor, -b, lower=1)[0], maxiter=ACTIVE_SET_STEPS * len(b))
     except RuntimeError:
         return None
-    return lam if (A @ lam + b).min() > -ACCURATE_ERROR * max(1.0, float(lam.max())) else None
+    return lam if (A @ lam + b).min() > -tol.ACTIVE_SET_ACCURATE * max(1.0, float(lam.max())) else None

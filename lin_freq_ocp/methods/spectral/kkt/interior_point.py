@@ -1,62 +1,33 @@
 """Mehrotra's predictor-corrector for z = A lam + b >= 0, lam >= 0, lam'z = 0, and a polish on the rows with lam > z.
 
-On saturated control arcs A has eigenvalues 0 and 1 and little between, and multipliers are not unique: every active set
-cycles there. There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band
-times the length of the arcs: each step is then a small system (docs/spectral.md, 6).
+On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
+There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band times the length
+of the arcs: each step is then a small system (docs/spectral.md, 6).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt.mehrotra import TO_BOUNDARY, predictor_corrector
 
-STEPS = 60
-"""Steps after which what was best is returned; 10 to 25 are usual."""
-
-SOLVED = 1e-13
-"""Defect and complementarity at which it stops."""
-
-DIVERGED = 1e3
-"""Growth of the error over the best one at which it stops."""
-
-ACCURATE_ERROR = 1e-8
-"""Error up to which the answer is good."""
-
-RIDGE = 1e-14
-"""Added to the diagonal, which has entries near 1; it grows a hundredfold where a factorisation fails."""
-
-LARGEST_RIDGE = 1e-8
-"""Ridge at which to give up."""
-
-FAR = 1e14
-"""Diagonal that holds a row at zero in the polish."""
-
-LOW_RANK_ROWS = 200
-"""Rows from which a factor of low rank is worth looking for."""
-
-RANK_TOLERANCE = 3e-15
-"""Pivot at which the rank of diag - A is exhausted."""
-
-LOW_RANK_ERROR = 1e-10
-"""Diagonal that the factor may miss; more means that diag - A has negative eigenvalues, and no such factor."""
-
-POLISHES = 3
-"""Refinements of the polish: each squares the relative error of the factor."""
-
-NOTHING = np.zeros(0)
+STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
+LOW_RANK_ROWS = 200  # from which a factor of low rank saves time
+POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 
 
 def interior_point(
     A: Array, b: Array, unconstrained: Array | None, stop: Callable[[], str | None] = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate); ``unconstrained`` and ``stop`` as in ``nonnegative_qp``."""
-    system, ridge, count = _System(A, unconstrained), RIDGE, len(b)
+    system, ridge, count = _System(A, unconstrained), tol.INTERIOR_RIDGE, len(b)
     lam, z = np.ones(count), np.maximum(A.sum(1) + b, 1.0)
     best = np.inf, lam, z
     for _ in range(STEPS):
@@ -64,30 +35,30 @@ def interior_point(
         error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
         if error < best[0]:
             best = error, lam, z
-        if error < SOLVED or not error <= DIVERGED * best[0] or stop():
+        if error < tol.INTERIOR_SOLVED or not error <= tol.DIVERGED_ERROR * best[0] or stop():
             break
         if not system.factor(z / lam + ridge):
             ridge *= 100
-            if ridge > LARGEST_RIDGE:
+            if ridge > tol.LARGEST_RIDGE:
                 break
             continue
-        newton = _newton(system, lam, defect)
+        newton = partial(_newton, system, lam, defect)
         _, lam, z, length = predictor_corrector(newton, lam, z, mu, max(TO_BOUNDARY, 1 - mu))
-        if length < ACCURATE_ERROR:
+        if length < tol.INTERIOR_ACCURATE:
             break
     error, lam, z = best
-    return _polished(system, b, lam, np.asarray(lam > z)), error < ACCURATE_ERROR
+    return _polished(system, b, lam, np.asarray(lam > z)), error < tol.INTERIOR_ACCURATE
 
 
-def _newton(system: _System, lam: Array, defect: Array) -> Callable[[Array], tuple[Array, Array]]:
-    """Return what solves the Newton equations; there are no other unknowns than lam and z."""
-    return lambda target: (NOTHING, system.solve(defect + target / lam))
+def _newton(system: _System, lam: Array, defect: Array, target: Array) -> tuple[Array, Array]:
+    """Return the steps of no other unknowns and of lam."""
+    return np.zeros(0), system.solve(defect + target / lam)
 
 
 def _polished(system: _System, b: Array, lam: Array, active: Mask) -> Array:
     """Return lam with zero slope on the active rows and zeros elsewhere, if that keeps it positive."""
     lam = np.where(active, lam, 0.0)
-    if not active.any() or not system.factor(np.where(active, RIDGE, FAR)):
+    if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
         return lam
     polished = lam.copy()
     for _ in range(POLISHES):
@@ -107,12 +78,12 @@ class _System:
     def __init__(self, A: Array, unconstrained: Array | None):
         self.A, self.V, self.base = A, None, unconstrained
         if unconstrained is not None and len(A) > LOW_RANK_ROWS and (unconstrained > 0).all():
-            factor, pivots, rank, _ = dpstrf(np.diag(unconstrained) - A, tol=RANK_TOLERANCE, lower=1)
+            factor, pivots, rank, _ = dpstrf(np.diag(unconstrained) - A, tol=tol.RANK_TOLERANCE, lower=1)
             if rank < len(A) / 2:
                 V = np.empty((len(A), rank), order="F")
                 V[pivots - 1] = np.tril(factor)[:, :rank]
                 missed = unconstrained - np.diagonal(A) - (V * V).sum(1)
-                self.V = V if np.abs(missed).max() < LOW_RANK_ERROR else None
+                self.V = V if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
 
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""

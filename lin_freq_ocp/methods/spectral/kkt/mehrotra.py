@@ -9,16 +9,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.spectral import tolerances as tol
 
-TO_BOUNDARY = 0.995
-"""Part of the way to the boundary that a step goes: the usual value."""
-
-TINY = 1e-300
-"""Keeps the step to a boundary that is never reached finite."""
+TO_BOUNDARY = 0.995  # fraction of the step to the boundary
 
 
 class Step(NamedTuple):
-    """A step of other unknowns, the new weights and slacks, and its length."""
+    """The step of other unknowns, the new weights and slacks, and the step length."""
 
     other: Array
     weights: Array
@@ -33,18 +30,9 @@ def predictor_corrector(
     mu: float,
     to_boundary: float = TO_BOUNDARY,
 ) -> Step:
-    """Return the step from weights l and slacks z.
+    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
 
-    Parameters
-    ----------
-    newton : callable
-        Returns the steps of other unknowns and of l, from Newton equations the last of which is z dl + l dz = target.
-    weights, z : (count,)
-        l and z, above zero.
-    mu : float
-        l'z / count.
-    to_boundary : float, optional
-        Part of the way to the boundary that the step goes at most.
+    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target.
     """
     _, dw = newton(-weights * z)
     dz = (-weights * z - z * dw) / weights
@@ -59,4 +47,4 @@ def predictor_corrector(
 
 def _reach(v: Array, dv: Array) -> float:
     """Return the step at which the first entry of v + step dv becomes zero."""
-    return 1 / max(TINY, float((-dv / v).max()))
+    return 1 / max(tol.TINY, float((-dv / v).max()))

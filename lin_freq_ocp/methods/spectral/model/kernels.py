@@ -10,20 +10,14 @@ from lin_freq_ocp.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
 
-SMALL_TABLE = 500_000
-"""Entries up to which all kernels are made at once: calls cost more than numbers."""
+SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
 class Kernels:
-    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0. Long ones are made when needed.
+    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
 
-    Attributes
-    ----------
-    table : (rows, rows, T)
-        Entries of pairs that are not ``known`` are undefined, and their memory is never touched.
-    known : (rows, rows)
-    complete : bool
-        Whether all are, without asking ``known``.
+    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs are computed on demand: the others are undefined,
+    and use no memory.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces):
@@ -50,7 +44,7 @@ class Kernels:
         return later[:, :, T:0:-1].transpose(0, 3, 1, 2)
 
     def free_response(self, f: Indices) -> Array:
-        """Return K_ff(0) of each row: how far a unit force moves its own row without any equations."""
+        """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
         if not self.complete:
             self._require([(int(a), int(a)) for a in np.unique(f)])
         return self.table[f, f, 0]

@@ -17,78 +17,44 @@ from scipy.linalg import matrix_balance
 
 from lin_freq_ocp.analysis.measures import FAR_BEYOND, given_sizes, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 
-LEAST_SIZE = 1e-4
-"""In natural units: what should be zero holds rounding only, and is not measured more finely than this."""
-
-MUCH_SMALLER = 1e-5
-"""Largest value of a component, in its unit, below which that unit was wrong."""
-
-MUCH_LARGER = 30.0
-"""Factor between what is said of a component's size and what others say (states that it swings with; a control's
-bounds) from which they are right."""
-
-NEGLIGIBLE = 1e-13
-"""Largest value below which the component only holds rounding."""
-
-STATE_BAND_ROWS = 2000
-"""Real rows of state bands up to which they may be dense equations of the border."""
+STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
 
 
 @dataclass(frozen=True, eq=False)
 class Lti:
-    """The problem; what a re-solve may change comes last.
-
-    Attributes
-    ----------
-    A : (n, n), B : (n, m), M : (n+m, n+m), P : (n, n)
-    F : (rows, n+m)
-        The identity, then the stage rows.
-    passed : (m, T//2 + 1)
-        Which bins each control may use.
-    state_stop : ((T+1)//2 + 1, n)
-        Which bins are removed from each state.
-    horizon : int
-        T.
-    start, end : (n,)
-        x_0 and x_T where they are fixed, NaN where they are free.
-    linear : (n+m, T) or None; p : (n,); offset : (n, T) or None
-        h_t, p and d_t.
-    lower, upper : (rows, T); last_lower, last_upper : (n,)
-        Bounds for t < T, and of x_T.
-    constant : float
-        Cost at x = 0, u = 0.
-    """
+    """The problem; a new solve may change what follows ``horizon``."""
 
     A: Array
     B: Array
     M: Array
     P: Array
-    F: Array
-    passed: Mask
-    state_stop: Mask
+    F: Array  # (rows, n+m): the identity, then the stage rows
+    passed: Mask  # (m, T//2 + 1): which bins each control may use
+    state_stop: Mask  # ((T+1)//2 + 1, n): which bins are removed from each state
     horizon: int
-    start: Array
-    end: Array
-    linear: Array | None
+    start: Array  # x_0, NaN where it is free
+    end: Array  # x_T, NaN where it is free
+    linear: Array | None  # h_t, (n+m, T)
     p: Array
-    offset: Array | None
-    lower: Array
+    offset: Array | None  # d_t, (n, T)
+    lower: Array  # (rows, T)
     upper: Array
-    last_lower: Array
+    last_lower: Array  # of x_T, (n,)
     last_upper: Array
-    constant: float
+    constant: float  # cost at x = 0, u = 0
 
     @property
     def state_dim(self) -> int:
-        """Return n."""
+        """Number of states n."""
         return len(self.A)
 
     @property
     def control_dim(self) -> int:
-        """Return m."""
+        """Number of controls m."""
         return self.B.shape[1]
 
     @cached_property
@@ -98,18 +64,18 @@ class Lti:
 
     @cached_property
     def curvature_unit(self) -> float:
-        """Return the mean diagonal entry of R, of Q if R = 0: what a small Hessian is small against."""
+        """Mean diagonal entry of R, of Q if R = 0: small Hessians are relative to it."""
         n = self.state_dim
         return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
 
     @cached_property
     def cost_level(self) -> float:
-        """Return what a stage or the end costs where states and controls are of order 1."""
+        """Cost of a stage or the end where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
 
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
-        """Return (t, f) of the rows F_f y_t that bounds leave no freedom, other than fixed ends: 0 <= t < T."""
+        """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""
         f, t = np.nonzero(self.lower == self.upper)
         elsewhere = (t > 0) | (f >= self.state_dim)
         return t[elsewhere], f[elsewhere]
@@ -128,9 +94,9 @@ class Units:
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
     cost, dynamics = problem.quadratic, problem.linear
-    beyond = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
-    if beyond:
-        return f"{beyond[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    others = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
+    if others:
+        return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
     if dynamics.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
@@ -150,16 +116,15 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     x, u = _power_of_two(_state_sizes(problem)), _power_of_two(_control_sizes(problem))
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
-    norms = [np.abs(_joined(rows.C * x, rows.D * u)).max(1) for rows in problem.stage_rows]
-    rows = np.concatenate([*norms, np.zeros(0)])
+    rows = np.abs(_scaled_rows(problem, x, u)).max(1)
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
 
 def _state_sizes(problem: OptimalControlProblem) -> Array:
-    """Return sizes of the states, (n,): as stated, else as the states say that act on them and that they act on.
+    """Return sizes of the states, (n,): as stated, else such that A is balanced among states that act on each other.
 
-    What |x| <= T |A| |x| says of a state about which nothing is stated grows with T, once per state of a chain, also
-    where states only swing against each other. Measured so, A would be all but defective.
+    The estimate |x| <= T |A| |x| of a state without a stated size grows with T, once per state of a chain, even where
+    states oscillate against each other. In such units A would be nearly defective.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import
 
@@ -172,31 +137,28 @@ def _state_sizes(problem: OptimalControlProblem) -> Array:
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[mine], sizes[mine] / balanced
         level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
-        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
+        wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
         sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
     return sizes
 
 
 def _control_sizes(problem: OptimalControlProblem) -> Array:
-    """Return sizes of the controls, (m,): as stated, but of their bounds where a small reference is all that is stated.
-
-    A reference near zero says little of a control whose bounds are much larger, and do not stand for none.
-    """
+    """Return sizes of the controls, (m,): as stated, or their bounds where only a much smaller reference is stated."""
     sizes, tube = stated_sizes(problem)[1], problem.control_tube
     bounds = np.maximum(
-        *(np.median(np.where(np.isfinite(one), np.abs(one), 0.0), axis=0) for one in (tube.lower, tube.upper))
+        *(np.median(np.where(np.isfinite(side), np.abs(side), 0.0), axis=0) for side in (tube.lower, tube.upper))
     )
-    larger = (bounds > MUCH_LARGER * sizes) & (bounds <= FAR_BEYOND * sizes)
+    larger = (bounds > tol.MUCH_LARGER * sizes) & (bounds <= FAR_BEYOND * sizes)
     return np.where(larger, bounds, sizes)
 
 
 def revised_units(units: Units, y: Array) -> Units | None:
-    """Return units from a solution y (n+m, T) in the given ones, or None if those were right.
+    """Return units from a solution y (n+m, T) in the given units, or None if those were right.
 
-    Bounds written for "none" (1e9) make units in which everything that happens is rounding.
+    With bounds such as 1e9 that stand for none, all signals may be rounding in the first units.
     """
     reached = np.abs(y).max(1)
-    wrong = (reached > NEGLIGIBLE) & (reached < MUCH_SMALLER)
+    wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
     if not wrong.any():
         return None
     factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
@@ -210,9 +172,6 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.linear
     x, u = units.x, units.u
     y = np.concatenate([x, u])
-    rows = [_joined(one.C * x, one.D * u) for one in problem.stage_rows]
-    scaled_rows = np.concatenate([*rows, np.zeros((0, len(y)))]) / units.rows[:, None]
-    M = cost.stage_hessians()[0] * y * y[:, None] / units.cost
     linear = _linear_terms(problem)
     offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
     lower, upper = _bounds(problem, units)
@@ -221,9 +180,9 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     return Lti(
         A=dynamics.A * x / x[:, None],
         B=dynamics.B * u / x[:, None],
-        M=M,
+        M=cost.stage_hessians()[0] * y * y[:, None] / units.cost,
         P=cost.P * x * x[:, None] / units.cost,
-        F=np.vstack([np.eye(len(y)), scaled_rows]),
+        F=np.vstack([np.eye(len(y)), _scaled_rows(problem, x, u) / units.rows[:, None]]),
         passed=~problem.control_stop.T,
         state_stop=problem.state_stop,
         horizon=T,
@@ -241,7 +200,7 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
 
 
 def with_ends(lti: Lti, problem: OptimalControlProblem, units: Units) -> Lti:
-    """Return what ``lti_problem`` does, from its answer for other ends; x_0 is a point in both."""
+    """Return the problem in the given units from its form for other ends; x_0 is a point in both."""
     start, end = problem.ends
     return replace(
         lti,
@@ -282,26 +241,23 @@ def _cost_at_zero(problem: OptimalControlProblem) -> float:
 def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]:
     """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
     T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
-    given = ~states.fixed[0]  # a fixed start is no bound on x_0: it says nothing that x(0) = x_0 does not say
-    both: list[Array] = []
-    for side, none in (("lower", -np.inf), ("upper", np.inf)):
-        state, control = getattr(states, side)[:T], getattr(controls, side)
-        first = np.where(given, state[0], state[min(1, T - 1)])
-        joint = [one.e if side == "upper" else np.full(one.e.shape, none) for one in problem.stage_rows]
-        parts = [_as_columns(state, first) / units.x[:, None], _as_columns(control, control[0]) / units.u[:, None]]
-        count = 0
-        for rows in joint:
-            scale = units.rows[count : count + rows.shape[-1], None]
-            parts.append(np.atleast_2d(rows).T / scale)
-            count += len(scale)
-        times = max(part.shape[1] for part in parts)
-        rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in parts])
-        both.append(np.broadcast_to(rows, (len(rows), T)))
-    return both[0], both[1]
+    free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
+    joint = [np.atleast_2d(rows.e).T for rows in problem.stage_rows]
+
+    def side(state: Array, control: Array, joint: list[Array]) -> Array:
+        first = np.where(free, state[0], state[min(1, T - 1)])
+        columns = [_as_columns(state[:T], first), _as_columns(control, control[0]), *joint]
+        times = max(part.shape[1] for part in columns)
+        rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in columns])
+        rows /= np.concatenate([units.x, units.u, units.rows])[:, None]
+        return np.broadcast_to(rows, (len(rows), T))
+
+    absent = [np.full((len(e), 1), -np.inf) for e in joint]
+    return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
 
 
 def _as_columns(bounds: Array, first: Array) -> Array:
-    """Return bounds (T, k) as columns (k, T), with other ones at t = 0; (k, 1) if they do not depend on time."""
+    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
     if (bounds[1:] == first).all():
         return first[:, None]
     columns = np.array(bounds.T)
@@ -309,8 +265,10 @@ def _as_columns(bounds: Array, first: Array) -> Array:
     return columns
 
 
-def _joined(C: Array, D: Array) -> Array:
-    return np.concatenate([C, D], axis=-1)
+def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:
+    """Return [C D] of all stage rows, for states and controls in the units x and u, (rows, n+m)."""
+    rows = [np.hstack([given.C * x, given.D * u]) for given in problem.stage_rows]
+    return np.concatenate([*rows, np.zeros((0, len(x) + len(u)))])
 
 
 def _power_of_two(size: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Polyhedral sets as joint rows, which the Fourier-domain method takes, and the multipliers on the way back.
+"""Polyhedral sets as joint rows, which the Fourier-domain method takes, and their multipliers.
 
 F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There the
 adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
@@ -16,21 +16,12 @@ from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
-AT_THE_END = " at the end"
-"""What the name of rows on x_T ends with."""
+AT_THE_END = " at the end"  # suffix of the names of rows on x_T
 
 
 @dataclass(frozen=True, eq=False)
 class RowForm:
-    """A problem whose polyhedral sets are joint rows.
-
-    Attributes
-    ----------
-    given, problem : OptimalControlProblem
-        Before and after.
-    polyhedra : tuple of LinearRows
-        Of the given problem, those that became rows.
-    """
+    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows."""
 
     given: OptimalControlProblem
     problem: OptimalControlProblem
@@ -53,13 +44,13 @@ class RowForm:
 
 
 def row_form(problem: OptimalControlProblem) -> RowForm:
-    """Return the problem with its hard polyhedral sets as joint rows; as it is if it has none, or other sets, too."""
+    """Return the problem with its hard polyhedral sets as joint rows; unchanged if it has none, or other sets too."""
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
     polyhedra = tuple(rows for term in sets if (rows := _polyhedron(problem, term)) is not None)
     if not sets or problem.linear.time_varying or len(polyhedra) < len(sets):
         return RowForm(problem, problem, ())
     try:
-        rows = [one for given in polyhedra for one in _stage_rows(problem, given)]
+        rows = [joint for given in polyhedra for joint in _stage_rows(problem, given)]
         changed = replace(
             problem,
             state_set=problem.state_boxes,
@@ -74,7 +65,7 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
-    """Return the rows of a polyhedral set that is the same at all its times; None of other terms."""
+    """Return the rows of a polyhedral set that is the same at all its times; else None."""
     rows = term.polyhedron(problem.state_dim, problem.control_dim)
     if rows is None or term.kind not in (TermKind.STATE_SET, TermKind.CONTROL_SET) or len(rows.C) > 1:
         return None

@@ -13,74 +13,77 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import schur
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.lti import Lti
-from lin_freq_ocp.methods.spectral.model.resolvent import Resolvent
 
-NEAR = 1e2
-"""Size of the resolvent from which a bin is near an eigenvalue: what is divided by loses two digits there."""
+MOST_BORDER = 128  # directions of small cost beyond which only the smallest become border unknowns: they are dense
 
-NEAR_RADIUS = 0.3
-"""Distance to an eigenvalue beyond which a bin is far, however large the resolvent."""
 
-SMALL_SINGULAR_VALUE = 1e-5
-"""Relative singular value of F_k below which its direction may become a border unknown instead of being divided by."""
+class Resolvent:
+    """(zI - A)^{-1} at all bins at once, by back substitution in a Schur form of A: no powers of A occur."""
 
-RESOLVED_PHASE = 10.0
-"""Distance of a bin to every eigenvalue, times T, beyond which it does not: |1 - (lambda / z)^T| is then of order 1, or
-|lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Else few bins per eigenvalue are
-nearer, on any horizon."""
+    def __init__(self, A: Array):
+        self.triangle, self.unitary = schur(A.astype(np.complex128), output="complex")
+        self.eigenvalues: ComplexArray = np.diagonal(self.triangle)
+        self._adjoint = self.unitary.conj().T
 
-LEAST_DIVISOR = 1e-11
-"""Relative singular value below which its direction becomes a border unknown all the same: fewer than five digits of it
-are known."""
+    def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
+        """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
+        Y = _times(self._adjoint, rhs)
+        for i in range(len(Y) - 1, -1, -1):
+            for j in range(i + 1, len(Y)):
+                if self.triangle[i, j]:
+                    Y[i] += self.triangle[i, j] * Y[j]
+            Y[i] /= z - self.triangle[i, i]
+        return _times(self.unitary, Y)
 
-ZERO_SINGULAR_VALUE = 1e-13
-"""Relative singular value that is rounding: an equation without unknown. As a number it would decide the answer."""
+    def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
+        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, bins)."""
+        Y = self._adjoint @ rhs
+        for i in range(len(Y)):
+            for j in range(i):
+                if self.triangle[j, i]:
+                    Y[i] += self.triangle[j, i].conj() * Y[j]
+            Y[i] /= (z - self.triangle[i, i]).conj()
+        return self.unitary @ Y
 
-SMALL_HESSIAN = 1e-4
-"""Cost of a null direction, relative to that of a control, below which it becomes a border unknown."""
+    def size(self, z: ComplexArray) -> Array:
+        """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
+        n = len(self.triangle)
+        identity = np.broadcast_to(np.eye(n, dtype=np.complex128)[:, :, None], (n, n, len(z)))
+        return np.abs(self.apply(z, identity)).sum((0, 1))
 
-LEAST_HESSIAN = 1e-10
-"""Cost below which it does so however many there are."""
 
-MOST_BORDER = 128
-"""BorderedSystem directions of small cost beyond which only the smallest become ones: the border matrix is dense."""
-
-SINGULAR_HESSIAN = 1e-13
-"""Relative eigenvalue of N^*MN at which the cost does not see a direction, and the method refuses."""
+def _times(matrix: ComplexArray, X: ComplexArray) -> ComplexArray:
+    """Return the matrix applied along the first axis of X (n, columns, bins)."""
+    return (matrix @ X.reshape(len(X), -1)).reshape(X.shape)
 
 
 class NearBins:
-    """F_k = L diag(sigma) V^* at the near bins.
+    """F_k = L diag(sigma) V^* at the near bins k (count,): left (count, n, n), sigma (count, n), right (count, n+m, n).
 
-    Attributes
-    ----------
-    k : (count,)
-    left : (count, n, n); sigma : (count, n); right : (count, n+m, n)
-        Rows of stopped controls in ``right`` are zero.
-    good : (count, n)
-        Which singular values are divided by.
-    null : (count, n+m, m); cost : (count, m)
-        Null vectors of F_k that diagonalise M, and their costs; zero, and inf, where a control is stopped.
+    ``good`` (count, n) are the singular values that are divided by. ``null`` (count, n+m, m) are the null vectors of
+    F_k that diagonalise M, and ``cost`` (count, m) their costs: zero, and inf, for stopped controls.
     """
 
     def __init__(self, lti: Lti, k: Indices, z: ComplexArray, distance: Array):
-        """Decompose bins k of all z (bins,), ``distance`` (bins,) from the nearest eigenvalue."""
+        """Decompose bins k of all z (bins,), at ``distance`` (bins,) from the nearest eigenvalue."""
         self.k, n, m = k, lti.state_dim, lti.control_dim
         self.left = np.empty((len(k), n, n), dtype=np.complex128)
         self.sigma = np.empty((len(k), n))
         self.right = np.zeros((len(k), n + m, n), dtype=np.complex128)
         self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
         self.cost = np.full((len(k), m), np.inf)
-        for places, passed, real in _alike(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
+        for places, passed, real in _equal_groups(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
             self._decompose(lti, places, passed, z[k[places]].real if real else z[k[places]])
         largest = np.maximum(1.0, self.sigma[:, :1])
-        self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
-        resolved = lti.horizon * distance[k, None] > RESOLVED_PHASE
-        self.good = self.sigma > np.where(resolved, LEAST_DIVISOR, SMALL_SINGULAR_VALUE) * largest
+        self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
+        resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
+        self.good = self.sigma > np.where(resolved, tol.LEAST_DIVISOR, tol.SMALL_SINGULAR_VALUE) * largest
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
     def _decompose(self, lti: Lti, places: Indices, passed: Mask, z: Array | ComplexArray) -> None:
@@ -110,20 +113,18 @@ class NearBins:
         return np.einsum("kij,kj->ik", self.left, projected)
 
 
-def _alike(passed: Mask, real: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
-    """Yield (places, mask, real) of bins that share a passed mask and are all real or all complex."""
-    groups: dict[bytes, list[int]] = {}
-    labels = np.vstack([passed, real]).T
-    for place, label in enumerate(labels):
-        groups.setdefault(label.tobytes(), []).append(place)
-    for places in groups.values():
-        label = labels[places[0]]
-        yield np.array(places), label[:-1], bool(label[-1])
+def _equal_groups(passed: Mask, real: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
+    """Yield (bins, mask, real) of bins that share a passed mask and are all real or all complex."""
+    if not len(real):
+        return
+    labels, group = np.unique(np.vstack([passed, real]), axis=1, return_inverse=True)
+    for i, label in enumerate(labels.T):
+        yield np.flatnonzero(group.ravel() == i), label[:-1], bool(label[-1])
 
 
 @dataclass(frozen=True, eq=False)
 class Singular:
-    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of a border direction."""
+    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of border direction ``direction``."""
 
     k: int
     left: ComplexArray
@@ -132,16 +133,10 @@ class Singular:
 
 
 class BinSpaces:
-    """The null spaces and particular responses of all bins 0 .. T/2; spectra are (component, bin).
+    """The null spaces N (n+m, m, bins) and particular responses of all bins 0 .. T/2; spectra are (component, bin).
 
-    Attributes
-    ----------
-    z, weight : (bins,)
-        exp(2 pi i k / T), and how often a bin counts in sums over the full circle (1 or 2).
-    N : (n+m, m, bins)
-    border_bin : (directions,), border_vector : (n+m, directions)
-        The border directions, M-orthogonal to N.
-    singular : list of Singular
+    z = exp(2 pi i k / T); ``weight`` says how often a bin counts in sums over the full circle (1 or 2). The border
+    directions border_vector (n+m, directions) at border_bin (directions,) are M-orthogonal to N.
     """
 
     def __init__(self, lti: Lti):
@@ -151,23 +146,20 @@ class BinSpaces:
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
         distance = self._distance()
-        self.near = NearBins(lti, self._near_bins(distance), self.z, distance)
+        close = np.flatnonzero(distance < tol.NEAR_RADIUS)
+        with np.errstate(all="ignore"):
+            size = self.resolvent.size(self.z[close])
+        self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.singular: list[Singular] = []
         self._set_border()
 
     def _distance(self) -> Array:
-        """Return the distance of each bin to the nearest eigenvalue of A."""
+        """Return the distance of each bin to the nearest eigenvalue of A, (bins,)."""
         distance = np.full(len(self.z), np.inf)
         for eigenvalue in self.resolvent.eigenvalues:
             np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
         return distance
-
-    def _near_bins(self, distance: Array) -> Indices:
-        close = np.flatnonzero(distance < NEAR_RADIUS)
-        with np.errstate(all="ignore"):
-            size = self.resolvent.size(self.z[close])
-        return close[~(size < NEAR)]
 
     def _far_null_spaces(self) -> ComplexArray:
         """Return N normalised at far bins, zero at near ones."""
@@ -180,35 +172,22 @@ class BinSpaces:
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
-        if m == 1:
-            self._normalise_single(N[:, 0], passed[0])
-        else:
-            N = self._normalised(N, passed)
-        return N
+        return np.einsum("iak,kba->ibk", N, self._inverse_factors(N, passed).conj())
 
-    def _normalise_single(self, N: ComplexArray, passed: Mask) -> None:
-        """Normalise the null vectors N (n+m, bins) of a single control, in place."""
-        H = (
-            (N.conj() * (self.lti.M @ N)).sum(0).real
-            if self.lti.state_cost
-            else np.full(len(self.z), self.lti.M[-1, -1])
-        )
-        unseen = SINGULAR_HESSIAN**2 * self.lti.curvature_unit * (np.abs(N) ** 2).sum(0)
-        if (H <= unseen)[passed].any():
-            raise _flat()
-        N /= np.sqrt(np.where(passed, H, 1.0))
-
-    def _normalised(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+    def _inverse_factors(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+        """Return L^{-1} with N^*MN = L L^* per bin, (bins, m, m); stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
-        if lti.state_cost:
+        if not lti.state_cost:
+            passed, which = np.unique(passed, axis=1, return_inverse=True)
+            H = np.array(lti.M[n:, n:] * (passed[:, None] & passed[None]).transpose(2, 0, 1), dtype=np.complex128)
+        else:
+            which = np.arange(N.shape[2])
             H = np.einsum("iak,ibk->kab", N.conj(), np.tensordot(lti.M, N, 1))
-            H[:, np.arange(m), np.arange(m)] += ~passed.T
-            return np.einsum("iak,kba->ibk", N, _inverse_factor(H).conj())
-        patterns, which = np.unique(passed, axis=1, return_inverse=True)
-        H = np.array(lti.M[n:, n:] * (patterns[:, None] & patterns[None]).transpose(2, 0, 1), dtype=np.complex128)
-        H[:, np.arange(m), np.arange(m)] += ~patterns.T
-        factors = _inverse_factor(H)[which.ravel()]
-        return np.einsum("iak,kba->ibk", N, factors.conj())
+            unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(N) ** 2).sum(0)
+            if (np.einsum("kaa->ak", H).real <= unseen)[passed].any():
+                raise _flat()
+        H[:, np.arange(m), np.arange(m)] += ~passed.T
+        return _inverse_factor(H)[which.ravel()]
 
     def _set_border(self) -> None:
         """Choose the border directions among those of the near bins, and complete N by the others."""
@@ -230,7 +209,7 @@ class BinSpaces:
         costs = self.near.cost[np.isfinite(self.near.cost)]
         unit = self.lti.curvature_unit
         smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
-        return unit * max(LEAST_HESSIAN, min(SMALL_HESSIAN, smallest / unit))
+        return unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
@@ -253,13 +232,6 @@ class BinSpaces:
         N = self.N[:, :, bins]
         return np.einsum("iak,ack->ick", N, np.einsum("iak,ick->ack", N.conj(), g))
 
-    def response(self, force: ComplexArray) -> ComplexArray:
-        """Return N N^* force, shape (n+m, bins)."""
-        if self.lti.control_dim == 1:
-            N = self.N[:, 0]
-            return N * (N.conj() * force).sum(0)
-        return self.project(force[:, None])[:, 0]
-
     def respond(self, force: ComplexArray, used: Mask, spectrum: ComplexArray) -> None:
         """Subtract N N^* force from the spectrum (n+m, bins), in place; only the ``used`` components are not zero."""
         components = np.flatnonzero(used)
@@ -273,11 +245,13 @@ def _inverse_factor(H: ComplexArray) -> ComplexArray:
     units = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
     if not (units > 0).all():
         raise _flat()
+    if H.shape[1] == 1:
+        return np.asarray(1 / units[:, :, None], dtype=np.complex128)
     try:
         factor = np.linalg.cholesky(H / (units[:, :, None] * units[:, None]))
     except np.linalg.LinAlgError:
         raise _flat() from None
-    if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= SINGULAR_HESSIAN:
+    if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
         raise _flat()
     return np.asarray(np.linalg.inv(factor) / units[:, None], dtype=np.complex128)
 

@@ -1,4 +1,4 @@
-"""Rows near the working ones, whose values a step changes as kernels say: rounds without FFTs (docs/spectral.md, 7).
+"""Rows near the working rows, whose values after a step follow from kernels: rounds without FFTs (docs/spectral.md, 7).
 
 Between two evaluations of all signals, the small QP is repeated with the rows that its own step violates.
 """
@@ -12,24 +12,13 @@ from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.rows.violations import Violations, nearly_active
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
-WORTHWHILE = 10_000
-"""Horizon from which looking here costs less than FFTs."""
-
-WINDOW = 24
-"""Samples on each side of a working row."""
-
-LARGEST = 20_000
-"""Rows of a neighbourhood beyond which FFTs are cheaper."""
+LEAST_HORIZON = 10_000  # from which kernels cost less than FFTs
+WINDOW = 24  # samples on each side of a working row
+MOST_ROWS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
 
 
 class Neighbourhood:
-    """Rows F_f y_t, t < T, with both their bounds.
-
-    Attributes
-    ----------
-    t, f : (count,)
-        In the order of f, then t.
-    """
+    """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
 
     def __init__(self, border: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
@@ -70,11 +59,11 @@ class Neighbourhood:
 
 
 def around(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if they are many or none, or not worthwhile."""
+    """Return the samples around the working rows; None if there are none or many, or the horizon is short."""
     T, inner = violations.lti.horizon, working.inner
-    if T < WORTHWHILE:
+    if T < LEAST_HORIZON:
         return None
     window = np.arange(-WINDOW, WINDOW + 1)
     times = (working.t[inner, None] + window).clip(0, T - 1)
     keys = np.unique((working.f[inner, None] * T + times).ravel())
-    return Neighbourhood(border, violations, keys % T, keys // T) if 0 < len(keys) <= LARGEST else None
+    return Neighbourhood(border, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_ROWS else None

@@ -7,35 +7,18 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 
-STATE_PEAKS = 40
-"""Violated local maxima of states that enter in one round: all samples of a long arc would be nearly dependent rows."""
-
-NEARLY_ACTIVE = 0.05
-"""Distance inside a control's bound, relative to it, up to which samples enter too: arcs then do not crawl."""
-
-SMALL_VIOLATION = 0.3
-"""Relative violation from which on nearly active samples say something."""
-
-LARGEST_SCALE = 1e3
-"""Bounds are measured relative to their size, up to this many units of what they bound: larger ones stand for none."""
-
-ABSENT = -1.0
-"""Excess of a row that cannot be violated."""
+STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent
+NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
+SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
+LARGEST_SCALE = 1e3  # largest size, in units of what they bound, that violations are relative to
+ABSENT = -1.0  # excess of a row that cannot be violated
 
 
 class Violations:
-    """Excess over the bounds, relative to them, of every bounded row at every time.
+    """Excess over the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
-    Attributes
-    ----------
-    rows : (bounded,)
-        The rows of F with a bound at some time.
-    excess : (bounded, T), last : (n,)
-        Of rows at t < T and of x_T; below 0 inside.
-    worst : float
-        The largest.
-    fixed_keys : (fixed,)
-        f T + t of the rows that equations fix: they cannot be violated.
+    ``rows`` are the rows of F with a bound at some time, ``excess`` (bounded, T) is theirs at t < T, ``last`` (n,) that
+    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated.
     """
 
     def __init__(self, lti: Lti):
@@ -133,7 +116,7 @@ class Violations:
 
 
 def _chosen(bounds: Array, rows: Indices) -> Array:
-    """Return rows of bounds (rows, T), without memory where they do not depend on time."""
+    """Return some rows of bounds (rows, T), without memory where they do not depend on time."""
     if bounds.strides[1] == 0:
         return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
     return bounds[rows]
@@ -145,7 +128,7 @@ def nearly_active(worst: float, tolerance: float) -> float:
 
 
 def _largest_finite(bounds: Array) -> Array:
-    """Return the largest |bound| of every row that is finite, 0 where none is; bounds (rows, T)."""
+    """Return the largest finite |bound| of every row, 0 where there is none; bounds (rows, T)."""
     if bounds.size and bounds.strides[1] == 0:
         bounds = bounds[:, :1]
     return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)

@@ -1,4 +1,4 @@
-"""Rounds on a model of all bounded values, short horizons only: a round then costs little but its FFTs.
+"""Rounds on a model of all bounded values, on short horizons: a round then costs little but its FFTs.
 
 With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu (docs/spectral.md, 5), with
 S for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
@@ -16,34 +16,17 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
-from lin_freq_ocp.methods.spectral.rows.working_set import Rows
+from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows
 
-LARGEST = 10_000
-"""Bounded values up to which what they need of the border is made at once."""
-
-LARGEST_TABLE = 2000
-"""Bounded values up to which all their responses to each other are kept for solving again: 32 MB."""
-
-ROUNDS = 12
-"""Rounds after which the true signals are asked."""
-
-MOST_ROWS = 300
-"""Working rows beyond which the small QP costs more than the signals."""
+LARGEST = 10_000  # bounded values up to which the border's effect on all of them is computed at once
+LARGEST_TABLE = 2000  # bounded values up to which all their responses to each other are kept for solving again: 32 MB
+MODEL_ROUNDS = 12  # after which the true signals are evaluated
 
 
 class WholeHorizon:
-    """The bounded rows of F at all t < T in turn, then the components of x_T: one flat index.
+    """The bounded ``rows`` of F at all t < T in turn, then the components of x_T (t = T): one flat index.
 
-    Attributes
-    ----------
-    rows : (bounded,)
-        The rows of F.
-    t, f : (values,)
-        Time and row of F of every value; t = T, and the component of x_T.
-    coupling : (size + equations, values)
-        How the border moves the values, as in WorkingSet.
-    through : (size + equations, values)
-        K_b^{-1} times that.
+    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
     """
 
     def __init__(self, border: BorderedSystem, rows: Indices):
@@ -60,18 +43,18 @@ class WholeHorizon:
         self._S: Array | None = None
 
     def places(self, t: Indices, f: Indices) -> Indices:
-        """Return the flat indices of rows f at times t; of x_T's component f at t = T."""
+        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
         T = self._border.lti.horizon
         return np.where(t < T, self._place[f] * T + t, self._inner + f)
 
-    def multiplied(self, rows: Rows) -> Multiplied:
-        """Return the same rows as places."""
+    def duals(self, rows: Rows) -> ActiveSetDuals:
+        """Return the same rows by flat indices."""
         places, once = np.unique(self.places(rows.t, rows.f), return_index=True)
         weights = np.zeros(len(places)) if rows.weights is None else rows.weights[once]
-        return Multiplied(places, rows.sign[once], weights)
+        return ActiveSetDuals(places, rows.sign[once], weights)
 
     def tabulate(self) -> None:
-        """Keep S from now on, if it is not large: solving again is then faster."""
+        """Keep S, if it is not large: solving again is then faster."""
         n, count = self._border.lti.state_dim, len(self.t)
         if self._S is not None or count > LARGEST_TABLE:
             return
@@ -100,17 +83,16 @@ class WholeHorizon:
         lti, pulses = self._border.lti, np.zeros(len(self.t))
         pulses[index] = mu
         forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
-        y = fft.irfft(self._border.spaces.response(lti.F[self.rows].T @ forces), lti.horizon)
+        spectrum = np.zeros((len(lti.M), forces.shape[1]), dtype=np.complex128)
+        self._border.spaces.respond(lti.F[self.rows].T @ forces, lti.F[self.rows].any(0), spectrum)
+        y = fft.irfft(spectrum, lti.horizon)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += (y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y).ravel()
+        values[: self._inner] -= (y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y).ravel()
         return values
 
 
-class Multiplied(NamedTuple):
-    """Values with multipliers: flat indices, +1 at upper and -1 at lower bounds, weights >= 0; rounds to get there.
-
-    If not ``accurate``, values conflict or depend on each other, and the weights mean nothing.
-    """
+class ActiveSetDuals(NamedTuple):
+    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
 
     places: Indices
     sign: Array
@@ -122,26 +104,26 @@ class Multiplied(NamedTuple):
 def exchanged(
     whole: WholeHorizon,
     violations: Violations,
-    start: Multiplied,
+    start: ActiveSetDuals,
     base: Array,
     tolerance: float,
     unconstrained: Array | None,
     stop: Callable[[], str | None],
-) -> Multiplied:
-    """Exchange until no value violates its bound by more than the tolerance, for ROUNDS, or until asked to stop.
+) -> ActiveSetDuals:
+    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` is v_0, shape (values,); ``unconstrained`` has a figure per row of F, see ``nonnegative_qp``.
+    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``nonnegative_qp``.
     """
     index, sign, weights = start.places, start.sign, start.weights
     found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
     lower, upper = violations.flat_bounds()
-    for count in range(1, ROUNDS + 1):
+    for count in range(1, MODEL_ROUNDS + 1):
         values = base
         if len(index):
             d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
             free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
             weights, accurate = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
-            found = Multiplied(index, sign, weights, count, accurate)
+            found = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
@@ -154,7 +136,7 @@ def exchanged(
         entering, side = violations.chosen(tolerance)
         new = ~inside[entering]
         added = np.count_nonzero(new)
-        if not added or len(index) + added > MOST_ROWS:
+        if not added or len(index) + added > LOCAL_ROWS:
             break
         index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
         weights = np.concatenate([weights, np.zeros(added)])

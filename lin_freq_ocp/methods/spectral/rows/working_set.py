@@ -12,12 +12,12 @@ from lin_freq_ocp.memory import require_memory
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 
-COPIES = 6
-"""Dense matrices of the size of the working set, that a small QP has at the same time."""
+LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
+COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
 
 
 class Rows(NamedTuple):
-    """Rows to start from: times, rows of F, +1 (upper) or -1 (lower), and multipliers where there are some."""
+    """Pointwise rows: times t, rows f of F, signs +1 (upper bound) or -1 (lower), and multipliers if known."""
 
     t: Indices
     f: Indices
@@ -26,7 +26,7 @@ class Rows(NamedTuple):
 
 
 def bounded(rows: Rows, lti: Lti) -> Rows:
-    """Return those of the rows that have a bound, and are no equation."""
+    """Return the rows that have a bound and are no equation."""
     inner = rows.t < lti.horizon
     lower, upper = np.full(len(rows.t), -np.inf), np.full(len(rows.t), np.inf)
     t, f = rows.t[inner], rows.f[inner]
@@ -41,15 +41,9 @@ def bounded(rows: Rows, lti: Lti) -> Rows:
 
 
 class WorkingSet:
-    """Rows sign F_f y_t <= limit; at t = T, rows on the free components of x_T.
+    """Rows sign F_f y_t <= limit with multipliers ``weights`` >= 0; at t = T, rows on the free components of x_T.
 
-    Attributes
-    ----------
-    t, f : (count,), sign : (count,) of +1 (upper bound) and -1 (lower)
-    weights : (count,)
-        Their multipliers, >= 0.
-    coupling : (size + equations, count)
-        C = [dG/dtheta'; -S_EW].
+    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
     """
 
     def __init__(self, border: BorderedSystem):
@@ -67,7 +61,7 @@ class WorkingSet:
 
     @property
     def gram(self) -> Array:
-        """Return S_W, without the border's part, shape (count, count)."""
+        """S_W without the border's part, (count, count)."""
         if self._known_gram is None:
             self._known_gram = self._gram()
         return self._known_gram
@@ -97,7 +91,7 @@ class WorkingSet:
             self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
 
     def add(self, t: Indices, f: Indices, sign: Array) -> int:
-        """Add the rows that are not here yet, with weight 0; return how many."""
+        """Add the rows that are new, with weight 0; return how many."""
         new = ~self._present[(sign > 0).astype(np.intp), f, t]
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
