@@ -1,4 +1,4 @@
-"""What mixed-integer solvers say of a problem: measured, and never believed."""
+"""What mixed-integer solvers claim of a problem; nothing of it is proven."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-DEFAULT_GAP = 1e-6  # Relative gap asked of a solver: what its rows are met to; the claims it makes are no finer
-# Part of the cost by which the claimed one may differ from that of the trajectory that the claim leads to
-AGREEMENT = 1e-6
+DEFAULT_GAP = 1e-6  # relative gap asked of a solver, as accurate as its rows
+AGREEMENT = 1e-6  # relative difference allowed between the claimed cost and that of the claimed trajectory
 
 STATUS = {
     Claim.SOLVED: "optimal",
@@ -24,38 +23,19 @@ STATUS = {
 
 @dataclass(frozen=True, eq=False)
 class SolverClaim:
-    """What a mixed-integer solver says of a problem; nothing of it is proven.
+    """The claim of a mixed-integer solver about a problem, in the problem's units."""
 
-    Attributes
-    ----------
-    status : str
-        "optimal", "infeasible", "unbounded", "limit", "interrupted" or "failed", by its own word; "failed" also where
-        the claimed point is none.
-    sequence : (T,) or None
-        Modes of the best point found.
-    trajectory : Trajectory or None
-        That point, as accurate as the solver's tolerances.
-    cost : float or None
-        Its cost J, in the problem's units, as far as the solver's point is a trajectory.
-    bound : float or None
-        A claimed lower bound on J.
-    words : str
-        The solver's own status, and what is wrong with its claim.
-    seconds : dict
-        Wall time of "setup" and "solve".
-    """
-
-    status: str
-    sequence: Indices | None
-    trajectory: Trajectory | None
+    status: str  # "optimal", "infeasible", "unbounded", "limit", "interrupted" or "failed"
+    sequence: Indices | None  # modes (T,) of the best point found
+    trajectory: Trajectory | None  # that point, as accurate as the solver's tolerances
     cost: float | None
-    bound: float | None
-    words: str
-    seconds: dict[str, float] = field(default_factory=dict[str, float])
+    bound: float | None  # claimed lower bound on the cost
+    words: str  # the solver's own status, and what is wrong with its claim
+    seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
 
 
 def status_of(solution: Solution) -> tuple[str, str]:
-    """Return the status of a solver's answer, and its words: without a point, nothing is optimal."""
+    """Return the status of a solver's answer and its words; without a point, nothing is optimal."""
     if solution.claim is Claim.SOLVED and solution.z is None:
         return "failed", f"{solution.words}, without a point"
     return STATUS[solution.claim], solution.words

@@ -8,7 +8,6 @@ At a fixed point z of the program, with g = P z + q and N the normal cone of the
 
 s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
 is that of the gap -<y, A z - lower> of a cone: a solver's point has a direction that is wrong by the root of its gap.
-Nothing here judges: the judge sees only what comes out.
 """
 
 from __future__ import annotations
@@ -23,19 +22,17 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.methods.convex.attempts import consecutive
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
-# Distance to a bound, on a program scaled to order 1, at which it counts as active: other tools stop at about 1e-8
-ACTIVE = 1e-6
-# Price of a unit of a cone's gap, against squares of residuals: gaps are squares of errors in direction
-GAP_PRICE = 1e-3
-NONTRIVIAL = 1e-6  # Abnormal multipliers whose largest entry is below this are zero: the linear program would make it 1
-# Singular values of the active gradients, each of norm 1, below this part of the largest one are zero
-DEPENDENT = 1e-10
-MOST_GRADIENTS = 2000  # More of them take more than a few seconds
+ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; other tools stop near 1e-8
+GAP_PRICE = 1e-3  # of a cone's gap, against squares of residuals: gaps are squares of errors in direction
+NONTRIVIAL = 1e-6  # largest entry up to which abnormal multipliers are zero; the linear program would make it 1
+DEPENDENT = 1e-10  # relative singular value of the normalised active gradients that is zero
+MOST_GRADIENTS = 2000  # more take more than a few seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +45,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _NormalCone:
-    """All y = basis w with w in [lower, upper], and -w in the second-order cones at some entries; prices of w."""
+    """All y = basis w with w in [lower, upper], and -w in second-order cones at ``polars``; prices of w."""
 
     basis: sp.csc_array
     lower: Array
@@ -58,31 +55,14 @@ class _NormalCone:
 
 
 def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near: float = ACTIVE) -> Fit:
-    """Return normal multipliers (eta_C = 1) that fit the trajectory best.
-
-    Parameters
-    ----------
-    near : float
-        Distance at which a bound counts as active, on a program scaled to order 1.
-
-    Raises
-    ------
-    NumericalError
-        If the fitting problem could not be solved.
-    """
+    """Return normal multipliers (eta_C = 1) that fit best; bounds within ``near`` (scaled to order 1) are active."""
     transcription, scaling, program = scaled_program(problem)
     y, s = fitted_duals(program, scaling.scaled_primal(transcription.point(trajectory)), near)
     return Fit(transcription.multipliers(scaling.dual(y), 1.0), transcription.direction(scaling.primal(-s)))
 
 
 def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Array, Array]:
-    """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s.
-
-    Raises
-    ------
-    NumericalError
-        If the fitting problem could not be solved.
-    """
+    """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s, or raise NumericalError."""
     cone = _normal_cone(program, z, near)
     solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
     if solution.z is None:
@@ -92,10 +72,10 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
 
 
 def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers | None:
-    """Return multipliers with eta_C = 0, of which some are not zero, or None if none were found.
+    """Return multipliers with eta_C = 0 that are not all zero, or None if none were found.
 
-    They exist where the gradients of active constraints depend on each other with signs that fit: A'y = 0, y in N. The
-    linear program asks for those with the largest product with a fixed random vector, all entries within [-1, 1].
+    They exist where A'y = 0 for some y in N. The linear program maximises the product with a fixed random vector, with
+    all entries within [-1, 1].
     """
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE)
@@ -116,7 +96,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
         lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
         upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
         rows={},
-        cones=_following(cone.polars, variables + count),
+        cones=consecutive(cone.polars, variables + count),
     )
     solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
     if solution.z is None or np.abs(solution.z).max() < NONTRIVIAL:
@@ -126,22 +106,14 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
 
 @dataclass(frozen=True)
 class Uniqueness:
-    """Whether the multipliers of a trajectory are the only ones.
+    """Whether the multipliers of a trajectory are unique."""
 
-    Attributes
-    ----------
-    active : int
-        Gradients of equations and active constraints.
-    rank : int
-        How many of them are independent.
-    """
-
-    active: int
-    rank: int
+    active: int  # gradients of equations and active constraints
+    rank: int  # how many of them are independent
 
     @property
     def unique(self) -> bool:
-        """Whether all are independent: then there is at most one set of normal multipliers, and no abnormal one."""
+        """Whether all are independent: there is at most one set of normal multipliers, and no abnormal one."""
         return self.rank == self.active
 
     def __str__(self) -> str:
@@ -151,12 +123,9 @@ class Uniqueness:
 
 
 def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Uniqueness:
-    """Return the number and rank of the active gradients at a trajectory; with modes, those of its mode sequence.
+    """Return the number and rank of the active gradients at a trajectory; with modes, of its mode sequence.
 
-    Raises
-    ------
-    UnsupportedError
-        If there are more than MOST_GRADIENTS: the rank is that of a dense matrix.
+    UnsupportedError if there are more than MOST_GRADIENTS.
     """
     problem = problem.affine_at(trajectory)
     if problem.dynamics.mode_names:
@@ -169,7 +138,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         raise UnsupportedError(f"uniqueness: got {what}.")
     gradients = (program.A.T @ cone.basis[:, active]).toarray()
     norms = np.linalg.norm(gradients, axis=0)
-    with one_blas_thread():  # several hinder each other where other processes are at work
+    with one_blas_thread():
         values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
     return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
@@ -222,12 +191,5 @@ def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
         lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
         upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
         rows={},
-        cones=_following(cone.polars, first),
+        cones=consecutive(cone.polars, first),
     )
-
-
-def _following(cones: tuple[slice, ...], first: int) -> tuple[slice, ...]:
-    """Return slices of the same sizes, one after the other."""
-    sizes = [cone.stop - cone.start for cone in cones]
-    starts = first + np.cumsum([0, *sizes])
-    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,37 +17,23 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
 from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
 
-# Relative residuals up to which a backend's "solved" is accepted, in units in which the answer is of order 1
-SOLVED_TOLERANCE = 1e-6
-ACCURATE = 1e-8  # Relative residuals from which an answer of Clarabel is not improved by other units
-ENDLESS = 1e100  # A point beyond so many units is no point
-# Bounds that are so many times as large as what they bound is expected to be are left out, as they disturb solvers;
-# where the answer does not keep them, they come back
-FAR = 1e4
-LEAST_TIME = 1e-3  # Seconds that are left to a solver when the time is over: it makes a step, and ends
-UNBOUNDED_TOLERANCE = 1e-6  # Residual of a direction of descent, scaled to slope -1, up to which it counts as one
+SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a backend's "solved" is accepted, in units of the answer
+ACCURATE = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
+DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
+FAR_BOUND = 1e4  # size, in expected units, from which bounds are left out at first, as they disturb solvers
+LEAST_TIME = 1e-3  # seconds given to a solver when the time is over: it makes a step, and ends
+UNBOUNDED_TOLERANCE = 1e-6  # residual of a direction of descent, scaled to slope -1
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What one solve in some units ended with.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    scaling : Scaling
-        The units.
-    z, y : (variables,), (rows,) or None
-        The point and its duals, in the program's own units.
-    error : float
-        How far it is from an answer: its residuals, in its own units if it is a point.
-    """
+    """What one solve in some units ended with; a point z with duals y is in the program's own units."""
 
     candidate: Candidate
     scaling: Scaling
     z: Array | None
     y: Array | None
-    error: float
+    error: float  # its largest residual, of a point in units of its own size
 
     @property
     def ended(self) -> bool:
@@ -58,24 +45,24 @@ class Attempt:
 
 @dataclass(frozen=True, eq=False)
 class Solves:
-    """One program, a solver, and what is asked of it."""
+    """One program, a solver, and its limits."""
 
     transcription: LinearTranscription
     solver: Solver
-    tolerance: float | None
-    asked: float
-    end: float
-    enough: float
+    tolerance: float | None  # asked by the user
+    asked: float  # of the solver
+    end: float  # by time.perf_counter
+    target: float  # residuals at which an answer is not improved
 
     @property
     def left(self) -> float | None:
-        """Return the seconds that are left, or None for no limit."""
+        """The seconds that are left, or None for no limit."""
         return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
 
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, and measure."""
         program = self.transcription.program.scaled(scaling)
-        near = program.without_bounds_beyond(FAR)
+        near = program.without_bounds_beyond(FAR_BOUND)
         if near is None:
             return self._solve(program, scaling, tolerance)
         attempt = self._solve(near, scaling, tolerance)
@@ -85,15 +72,12 @@ class Solves:
         return complete if attempt.candidate.status == "unbounded" else better_of(attempt, complete)
 
     def complete(self, scaling: Scaling) -> Attempt:
-        """Solve in the given units with all bounds, however far, and measure."""
+        """Solve in the given units with all bounds, and measure."""
         return self._solve(self.transcription.program.scaled(scaling), scaling, None)
 
     def near(self, scaling: Scaling) -> Attempt | None:
-        """Solve in the given units without far bounds, and measure with them.
-
-        None if there are no far bounds, or nothing else bounds the cost.
-        """
-        near = self.transcription.program.scaled(scaling).without_bounds_beyond(FAR)
+        """Solve in the given units without far bounds, and measure with them; None if none are far, or unbounded."""
+        near = self.transcription.program.scaled(scaling).without_bounds_beyond(FAR_BOUND)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
@@ -104,7 +88,7 @@ class Solves:
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)
         attempt = self.measured(scaling, program, solution)
-        if attempt.z is None or attempt.ended or attempt.error <= self.enough or program.cones or over(self):
+        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or over(self):
             return attempt
         assert solution.z is not None
         assert solution.y is not None
@@ -116,7 +100,7 @@ class Solves:
 
 
 def better_of(one: Attempt, other: Attempt) -> Attempt:
-    """Return the better of two attempts, the other one later; a point is kept where the later solve was cut short."""
+    """Return the better of two attempts; the first if the later was cut short."""
     if other.ended:
         return replace(one, candidate=replace(one.candidate, interrupted=other.candidate.interrupted))
     return other if other.error < one.error else one
@@ -127,11 +111,18 @@ def over(solves: Solves) -> bool:
     return time.perf_counter() >= solves.end
 
 
-def nearest_recession(program: Program, z: Array) -> Array:
-    """Return the point nearest to z that recedes from no constraint, P z = 0; z itself if it was not found.
+def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:
+    """Return slices of the same sizes, one after the other."""
+    sizes = [cone.stop - cone.start for cone in cones]
+    starts = first + np.cumsum([0, *sizes])
+    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))
 
-    A ray ends where its slope is steep enough, however inaccurate: equations are met to the root of a tolerance where
-    they stand in a cone. Here s_0 >= |(s_1, ...)| with a constant s_0, as of a mask, says s = 0.
+
+def nearest_recession(program: Program, z: Array) -> Array:
+    """Return the recession direction nearest to z, with P z = 0; z itself if it was not found.
+
+    A solver's ray may satisfy cones to the root of a tolerance only. A cone with a constant s_0, as of a mask, says
+    s = 0 for a direction.
     """
     fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
     kept, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
@@ -145,8 +136,6 @@ def nearest_recession(program: Program, z: Array) -> Array:
     first, size = len(alone) + len(z), float(np.abs(z).max())
     lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
     upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
-    sizes = [cone.stop - cone.start for cone in program.cones if not constant[cone.start]]
-    starts = first + np.cumsum([0, *sizes])
     nearest = Program(
         P=sp.csc_array(sp.eye_array(len(z))),
         q=-z / size,
@@ -155,7 +144,7 @@ def nearest_recession(program: Program, z: Array) -> Array:
         lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
         upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
         rows={},
-        cones=tuple(slice(int(start), int(start) + count) for start, count in zip(starts, sizes, strict=False)),
+        cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first),
     )
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
     return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
@@ -164,7 +153,7 @@ def nearest_recession(program: Program, z: Array) -> Array:
 def measured(
     transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution, tolerance: float | None
 ) -> Attempt:
-    """Return an attempt from what a solver said of a program in some units."""
+    """Return an attempt from a solver's answer to a program in some units."""
     z, y, claim = solution.z, solution.y, solution.claim
     if claim is Claim.INFEASIBLE:
         ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
@@ -211,7 +200,7 @@ def _failed(words: str) -> Candidate:
 
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
     """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
-    if not (np.abs(z) < ENDLESS * scaling.columns).all():  # it has diverged
+    if not (np.abs(z) < DIVERGED_SIZE * scaling.columns).all():
         return Residuals(np.inf, np.inf, np.inf)
     own = own_scaling(transcription, z, scaling.columns)
     sizes = own.scaled_primal(own_sizes(transcription, z))

@@ -1,8 +1,8 @@
-"""Further answers to a convex program, for where the judge proves nothing of the best one.
+"""Further answers to a convex program, for where the best is not proven.
 
-Small residuals of a program are not always enough: a component that should be zero holds rounding and is judged by its
-own size, or a bound that nothing reaches has spoilt the solve. So there are versions of an answer (polished, and with
-exact zeros for what is rounding), and solves in other units, each with and without far bounds.
+Small residuals of a program do not suffice if a component that should be zero holds rounding, which is judged by its
+own size, or if a far bound disturbed the solver. So answers are polished and rounded, and the program is solved in
+other units, with and without far bounds.
 """
 
 from __future__ import annotations
@@ -19,23 +19,12 @@ from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.transcription.linear.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
 from lin_freq_ocp.transcription.program import Scaling
 
-# Parts of a variable's and a dual's unit below which they may be rounding: the judge decides
-ROUNDING_LEVELS = (1e-12, 1e-9)
-HOPELESS = 1e-3  # Relative residuals from which versions of a point are not worth a judgement
-POLISHED = "polished"  # Words for a point that no solver has returned as it is
+ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
+LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
 
 
 def further(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
-    """Return other candidates than the best attempt, one after the other, until the time is over or Ctrl-C.
-
-    Parameters
-    ----------
-    solves : Solves
-    natural : Scaling
-        The units in which the program is expected to be of order 1.
-    best : Attempt
-        What is known already.
-    """
+    """Yield other candidates than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
     yield from _versions(solves, natural, best)
@@ -58,7 +47,7 @@ def further(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candida
 
 
 def _units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling | None]]:
-    """Return other units, each from the best attempt until then; those that need its point come last."""
+    """Return other units, each from the best attempt so far; units that need its point come last."""
     transcription = solves.transcription
 
     def own(best: Attempt, per_time: bool) -> Scaling | None:
@@ -75,8 +64,8 @@ def _units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling
 
 
 def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
-    """Return a point with exact zeros for rounding, polished, and both."""
-    if attempt.z is None or attempt.y is None or attempt.error > HOPELESS:
+    """Yield a point with exact zeros for rounding, polished, and both."""
+    if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
         return
     yield from _rounded(solves, natural, attempt)
     program = solves.transcription.program.scaled(attempt.scaling)
@@ -85,14 +74,14 @@ def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Ca
     scaling = attempt.scaling
     found = polished(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
     if found is not None:
-        better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, POLISHED))
-        if better.z is not None and better.error <= HOPELESS:
+        better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
+        if better.z is not None and better.error <= LARGEST_ERROR:
             yield better.candidate
             yield from _rounded(solves, natural, better)
 
 
 def _rounded(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
-    """Return a point with exact zeros for what is rounding in the natural units, if that changes it."""
+    """Yield a point with exact zeros for what is rounding in the natural units, if that changes it."""
     assert attempt.z is not None
     assert attempt.y is not None
     program, before = solves.transcription.program.scaled(natural), (attempt.z, attempt.y)

@@ -32,15 +32,10 @@ REVISIONS = 2  # How often the units may follow the answer
 def solve_convex(
     problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
 ) -> Candidate:
-    """Solve a problem with linear dynamics and a convex quadratic cost.
+    """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
 
-    The program is solved in units in which its numbers are expected to be of order 1. Where the answer shows that they
-    are not, or is no answer, it is solved again in others; the answer with the smallest residuals counts.
-
-    Raises
-    ------
-    UnsupportedError
-        If the cost is not convex, there is no such backend, or the program does not fit into memory.
+    Where the answer shows other sizes, or is inaccurate, it is solved again in other units; the smallest residuals
+    count. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not fit into memory.
     """
     return next(convex_candidates(problem, backend_name, tolerance, time_limit))
 
@@ -48,10 +43,9 @@ def solve_convex(
 def convex_candidates(
     problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
 ) -> Iterator[Candidate]:
-    """Return what ``solve_convex`` returns, and then other answers, for who proves nothing of the first.
+    """Yield what ``solve_convex`` returns, then other answers, until the time limit, for where the first is not proven.
 
-    The others are computed when they are asked for. They end with the time limit; after Ctrl-C the last one is the
-    first again, interrupted. Raises what ``solve_convex`` raises.
+    After Ctrl-C the last is the first again, interrupted. Raises what ``solve_convex`` raises.
     """
     require_convex(problem)
     solver = backend(backend_name)
@@ -69,10 +63,10 @@ def convex_candidates(
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         yield Candidate("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0})
         return
-    interior = backend_name == "clarabel"  # whose last steps cost little, and are worth a proof
-    enough = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
+    interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
+    target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
-    solves = Solves(transcription, solver, tolerance, asked, end, enough)
+    solves = Solves(transcription, solver, tolerance, asked, end, target)
     best = _best(solves, scaling)
     seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
     yield replace(best.candidate, seconds=seconds)
@@ -81,7 +75,7 @@ def convex_candidates(
 
 
 def _best(solves: Solves, scaling: Scaling) -> Attempt:
-    """Return the best attempt: in the given units, in those of the answers, and in others if none is good."""
+    """Return the best attempt: in the given units, in those of the answers, and in others if none is accurate."""
     best = _followed(solves, solves.attempt(scaling))
     allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
     for other in _others(solves, scaling):
@@ -92,7 +86,7 @@ def _best(solves: Solves, scaling: Scaling) -> Attempt:
 
 
 def _others(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
-    """Return further ways to an answer, each from the best attempt until then."""
+    """Return further solves, each from the best attempt so far."""
     transcription = solves.transcription
     ways: list[Callable[[Attempt], Attempt]] = [
         lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
@@ -109,10 +103,10 @@ def _of_point(transcription: LinearTranscription, best: Attempt, natural: Scalin
 
 
 def _followed(solves: Solves, attempt: Attempt) -> Attempt:
-    """Return the attempt, or a better one in the units that its answer turned out to need."""
+    """Return the attempt, or a better one in units of its own answer."""
     best = attempt
     for _ in range(REVISIONS):
-        if best.ended or best.z is None or best.error <= solves.enough or over(solves):
+        if best.ended or best.z is None or best.error <= solves.target or over(solves):
             break
         revised = revised_scaling(solves.transcription, best.scaling, best.z)
         if revised is None:

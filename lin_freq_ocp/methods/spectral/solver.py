@@ -24,15 +24,7 @@ from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.model.lti import (
-    Lti,
-    Units,
-    lti_problem,
-    natural_units,
-    refusal,
-    revised_units,
-    with_ends,
-)
+from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -44,12 +36,12 @@ REFERENCES, BOUNDS = ("x_ref", "u_ref"), ("state_set", "control_set")
 
 @dataclass(frozen=True, eq=False)
 class SpectralSolution(Candidate):
-    """A Candidate, with what a next solve can start from.
+    """A claimed solution, with what the next solve can start from.
 
     Attributes
     ----------
     problem : OptimalControlProblem or None
-        The one that was solved, with this solve's ends, references and bounds.
+        The problem that was solved, with this solve's ends, references and bounds.
     active : Rows or None
         Rows with a multiplier: times t, rows f of [I; C D] acting on (x_t, u_t), sign +1 at upper and -1 at lower
         bounds, and weights in the method's own units.
@@ -63,7 +55,7 @@ class SpectralSolution(Candidate):
 
 
 class Answer(NamedTuple):
-    """How an exchange ended, with the multipliers and residuals of its point (or its ray, without residuals)."""
+    """How an exchange ended, with the multipliers and residuals of its point, or of its ray without residuals."""
 
     outcome: Outcome
     found: Recovered
@@ -116,11 +108,11 @@ class SpectralSolver:
         self._set_up(natural_units(problem))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what another process needs; a lock stays where it is."""
+        """Return what another process needs; not the lock."""
         return {name: value for name, value in self.__dict__.items() if name != "_turn"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what ``__getstate__`` returned, with a lock of its own."""
+        """Restore the state, with a new lock."""
         self.__dict__.update(state, _turn=threading.Lock())
 
     def solve(
@@ -164,7 +156,7 @@ class SpectralSolver:
     def _solved(
         self, data: tuple[Any, ...], warm_start: SpectralSolution | None, tolerance: float | None, limit: float | None
     ) -> SpectralSolution:
-        """Solve with the ends, references and bounds in ``data``, while no other thread does."""
+        """Solve with the ends, references and bounds in ``data``; the caller holds the lock."""
         started = time.perf_counter()
         problem, lti = self._with(*data)
         ray = contradiction_at_ends(problem)
@@ -258,8 +250,7 @@ class SpectralSolver:
             problem = problem.with_ends(initial_state, terminal_state)
         if not (changes or moved):
             return self.problem, self._lti
-        points = all(one.ends[0].fixed.all() for one in (self.problem, problem))
-        lti = lti_problem(problem, self._units) if changes or not points else with_ends(self._lti, problem, self._units)
+        lti = lti_problem(problem, self._units)
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),

@@ -9,7 +9,6 @@ import lin_freq_ocp as lfo
 from helpers.spectral_plants import LARGE_BOX, START, T, problem_of
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
 from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.rows import whole_horizon
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows, WorkingSet
@@ -49,11 +48,8 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     return structure, whole, working
 
 
-@pytest.mark.parametrize("kept", [False, True])
-def test_the_model_says_what_working_rows_say(model, kept):
+def test_the_model_says_what_working_rows_say(model):
     structure, whole, working = model
-    if kept:
-        whole.tabulate()
     places = whole.places(working.t, working.f)
     np.testing.assert_allclose(whole.coupling[:, places], working.coupling, rtol=0, atol=1e-12)
     expected = working.gram + working.coupling.T @ structure.border.inverse @ working.coupling
@@ -66,21 +62,13 @@ def test_the_model_says_what_working_rows_say(model, kept):
     )
 
 
-def test_a_large_model_keeps_no_table(model, monkeypatch):
-    _, whole, working = model
-    monkeypatch.setattr(whole_horizon, "LARGEST_TABLE", len(whole.t) - 1)
-    before = whole.gram(whole.places(working.t, working.f))
-    whole.tabulate()
-    np.testing.assert_array_equal(whole.gram(whole.places(working.t, working.f)), before)
-
-
 def test_rows_named_twice_count_once(model):
     _, whole, working = model
     t, f, sign = working.rows()
     twice = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]))
-    multiplied = whole.multiplied(twice)
-    np.testing.assert_array_equal(np.sort(multiplied.places), np.sort(whole.places(t, f)))
-    np.testing.assert_array_equal(multiplied.weights, 0.0)
+    duals = whole.duals(twice)
+    np.testing.assert_array_equal(np.sort(duals.places), np.sort(whole.places(t, f)))
+    np.testing.assert_array_equal(duals.weights, 0.0)
 
 
 def test_bounds_that_appear_make_another_model():

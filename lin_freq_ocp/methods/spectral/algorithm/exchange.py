@@ -20,6 +20,7 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Str
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
+from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
 
@@ -62,7 +63,7 @@ class Exchange:
     def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
-        self.violations = structure.violations(data.lti)
+        self.violations = Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
         self.first = None if first is None else bounded(first, data.lti)
         if self.first is not None and self.whole is None:

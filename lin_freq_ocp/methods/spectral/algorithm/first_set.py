@@ -15,30 +15,19 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 
-LEAST_HORIZON = 600  # Horizon from which a first guess costs less than the rounds it saves
-HOLD_FACTOR = 8  # Hold factor: samples of a control that are one on the coarse problem
-SPREAD = 2  # Samples by which a coarse active control spreads beyond its own ones
-# Decay exp(-DECAY_EXPONENT) of the slowest mode off the circle at which the two ends no longer act on each other
-DECAY_EXPONENT = 40.0
-ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay: it is not counted
-# How many times shorter that horizon must be at least; HOLD_FACTOR times where samples may be held instead
-LEAST_SHORTENING = 2
-HOLD_GROWTH = 4.0  # Growth of the fastest mode over held samples up to which they may be held together
-SHORTEST = 10  # The shortened horizon is at least this fraction of the whole
+GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
+HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
+SPREAD = 2  # further samples on each side of an active coarse control
+DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
+ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
+HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
+LARGEST_SHORTENING = 10  # largest ratio of the horizons
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
-    """Return a guess of the active rows, or None: start cold.
-
-    Parameters
-    ----------
-    lti : Lti
-    stop : callable
-        Says why to stop early, or None.
-    structures : dict
-        Structures of the cheaper problems by horizon; kept there for other data.
-    """
-    if lti.horizon < LEAST_HORIZON:
+    """Return a guess of the active rows, or None; ``structures`` keeps those of the cheaper problems by horizon."""
+    if lti.horizon < GUESSED_HORIZON:
         return None
     shorter = _shortened_horizon(lti)
     hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
@@ -51,7 +40,7 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
         structure = structures[coarse.horizon]
         guess = first_working_set(coarse, stop, structures)
         outcome = Exchange(structure, prepare(structure, coarse), guess, tolerance, stop).run()
-    except (UnsupportedError, np.linalg.LinAlgError):  # a guess is all that is lost
+    except (UnsupportedError, np.linalg.LinAlgError):
         return None
     if outcome.status != "optimal":
         return None
@@ -64,16 +53,16 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
 
 
 def _may_be_held(lti: Lti) -> bool:
-    """Whether the dynamics hardly grow while a control is held: else it could not hold them back."""
+    """Whether the dynamics hardly grow while a control is held."""
     return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
 
 
 def _shortened_horizon(lti: Lti) -> int:
-    """Return the horizon at which the ends no longer act on each other; the given one if they always do."""
+    """Return the horizon at which the ends do not affect each other; the given horizon if there is none."""
     rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
     rate = rate[rate > ON_CIRCLE]
     decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
-    return max(2 * decay_time, lti.horizon // SHORTEST)
+    return max(2 * decay_time, lti.horizon // LARGEST_SHORTENING)
 
 
 def _shortened(lti: Lti, T: int) -> Lti:
@@ -88,7 +77,7 @@ def _shortened(lti: Lti, T: int) -> Lti:
 
 
 def _held(lti: Lti) -> Lti:
-    """Return the problem in which HOLD_FACTOR samples of the control are one."""
+    """Return the problem in which HOLD_FACTOR samples of the control are equal."""
     T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
     A, B = np.eye(n), np.zeros_like(lti.B)
     offset = None if lti.offset is None else np.zeros((n, T))
@@ -118,7 +107,7 @@ def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Ar
 
 
 def _spread(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
-    """Return held samples as samples: a control's with its neighbours, a state's first one, x_T as x_T."""
+    """Return rows of the coarse problem as rows of the given: controls with their neighbours, states once, and x_T."""
     n, T = lti.state_dim, lti.horizon
     last = t == T // HOLD_FACTOR
     states = ~last & ~lti.F[f, n:].any(1)

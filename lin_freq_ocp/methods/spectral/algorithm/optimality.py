@@ -1,4 +1,4 @@
-"""How far an answer is from optimal, from the raw data in the time domain: nothing of how it was found is trusted."""
+"""Residuals of the maximum principle, from the data in the time domain."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from lin_freq_ocp.transcription.program import Residuals
 def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     """Return the residuals of the maximum principle, each relative to the size of its own terms.
 
-    primal: dynamics, ends, bands, bounds (as the exchange measured them). dual: adjoint equation, transversality,
-    stationarity in u. gap: multipliers times slacks, and dual residuals times the trajectory. With a convex cost these
-    say optimal.
+    primal: dynamics, ends, bands, bounds. dual: adjoint equation, transversality, stationarity in u. gap: multipliers
+    times slacks, and dual residuals times the trajectory.
     """
     y, last, n = outcome.signals.y, outcome.signals.last, lti.state_dim
     x = np.hstack([y[:n], last[:, None]])
@@ -45,7 +44,7 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
 
 
 def _missed_values(lti: Lti, y: Array, x: Array) -> float:
-    """Return how far x_0, values that bounds fix, and the stopped bins of states are off, relative to the signals."""
+    """Return the errors of x_0, fixed values and stopped bins of states, relative to the signals."""
     size = max(float(np.abs(y).max()), tol.LEAST_SIZE)
     t, f = lti.fixed_points
     start = np.where(np.isnan(lti.start), 0.0, lti.start - x[:, 0])

@@ -33,27 +33,14 @@ def trajectory(outcome: Outcome, units: Units) -> Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """Multipliers in the units of the Lti problem, time or bins last.
-
-    Attributes
-    ----------
-    eta_C : float
-    eta : (n, T)
-    on_rows : (rows, T+1)
-        Of F y_t: the states' mu, the controls' nu, the stage rows'; at T of x_T.
-    band : (m, bins)
-        Spectrum of the stop bands' forces R'rho_u; zero at passed bins.
-    stationarity : float
-        Stationarity residual: amplitude in time of B'eta - (gradient in u) at passed bins, which should vanish.
-    rho_x : ((T+1)//2 + 1, n)
-    """
+    """Multipliers in the units of the Lti problem, time or bins last."""
 
     eta_C: float
-    eta: Array
-    on_rows: Array
-    band: ComplexArray
-    stationarity: float
-    rho_x: ComplexArray
+    eta: Array  # (n, T)
+    on_rows: Array  # of F y_t, (rows, T+1): the states' mu, the controls' nu, the stage rows'; at T of x_T
+    band: ComplexArray  # spectrum of the stop bands' forces R'rho_u, (m, bins); zero at passed bins
+    stationarity: float  # stationarity residual: largest amplitude of B'eta - (gradient in u) at passed bins
+    rho_x: ComplexArray  # ((T+1)//2 + 1, n)
 
 
 def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:

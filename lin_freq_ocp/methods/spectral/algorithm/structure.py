@@ -13,23 +13,16 @@ from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
-from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
-TEMPORARIES = 2.0  # Memory at the peak over that of the arrays that are kept; 1.9 was measured
+TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
 
 
 class Structure:
     """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free.
 
-    Attributes
-    ----------
-    spaces : BinSpaces; kernels : Kernels; border : BorderedSystem
-    jumps : (n, (n+m) bins) or None
-        On short horizons: what the jumps x_0 - x_T of one unit make of y.
-    unconstrained : (rows of F,) or None
-        1/R for control rows and 0 for others, where diag(1/R) - S >= 0: R diagonal, S = 0.
+    ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
     """
 
     def __init__(self, lti: Lti):
@@ -37,16 +30,8 @@ class Structure:
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
         self.border = BorderedSystem(lti, self.spaces, self.kernels)
-        self.jumps = None if len(lti.M) * lti.horizon > LARGEST else _unit_jumps(lti, self.spaces)
         self.unconstrained = _unconstrained_response(lti)
         self._whole: WholeHorizon | None = None
-        self._violations: Violations | None = None
-
-    def violations(self, lti: Lti) -> Violations:
-        """Return what measures the bounds of ``lti``; the one before, if they are the same."""
-        if self._violations is None or not self._violations.take(lti):
-            self._violations = Violations(lti)
-        return self._violations
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
         """Return the responses of all values of the given rows of F; None if they are many, or the border is soft."""
@@ -55,8 +40,6 @@ class Structure:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.border, rows)
-        else:
-            self._whole.tabulate()
         return self._whole
 
 
@@ -89,32 +72,15 @@ def _unconstrained_response(lti: Lti) -> Array | None:
     return response
 
 
-def _unit_jumps(lti: Lti, spaces: BinSpaces) -> ComplexArray:
-    jumps = spaces.particular(spaces.z * np.eye(lti.state_dim, dtype=np.complex128)[:, :, None])
-    return jumps.swapaxes(0, 1).reshape(lti.state_dim, -1)
-
-
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What depends on ends, linear terms, offsets and bounds.
-
-    Attributes
-    ----------
-    lti : Lti
-        With these data.
-    base : (n+m, bins)
-        The spectrum of y without forces and border variables.
-    linear : (n+m, bins) or None
-        The spectrum of h.
-    h : (size,), e : (equations,)
-        Gradient in theta at 0, and right-hand sides of the equations.
-    """
+    """What depends on ends, linear terms, offsets and bounds."""
 
     lti: Lti
-    base: ComplexArray
-    linear: ComplexArray | None
-    h: Array
-    e: Array
+    base: ComplexArray  # spectrum of y without forces and border variables, (n+m, bins)
+    linear: ComplexArray | None  # spectrum of h, (n+m, bins)
+    h: Array  # gradient in theta at 0, (size,)
+    e: Array  # right-hand sides of the equations, (equations,)
 
 
 def prepare(structure: Structure, lti: Lti) -> Data:
@@ -125,10 +91,7 @@ def prepare(structure: Structure, lti: Lti) -> Data:
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
     linear = None if lti.linear is None else fft.rfft(lti.linear)
-    if structure.jumps is None or lti.offset is not None:
-        base = spaces.particular(jump[:, None])[:, 0]
-    else:
-        base = ((start - end) @ structure.jumps).reshape(len(lti.M), -1)
+    base = spaces.particular(jump[:, None])[:, 0]
     h = border.gradient(lti.M @ base + (0 if linear is None else linear))
     h[border.at_end] += (lti.P @ end + lti.p)[border.free_end]
     if linear is not None:
@@ -138,20 +101,12 @@ def prepare(structure: Structure, lti: Lti) -> Data:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """A point in time and frequency: it satisfies the dynamics and the control bands to rounding.
+    """A point in time and frequency: it satisfies the dynamics and the control bands to rounding."""
 
-    Attributes
-    ----------
-    y : (n+m, T), last : (n,)
-        x_t and u_t, and x_T.
-    spectrum, force : (n+m, bins)
-        Of y, and of the forces of working rows and equations.
-    """
-
-    y: Array
-    last: Array
-    spectrum: ComplexArray
-    force: ComplexArray
+    y: Array  # (x_t, u_t), (n+m, T)
+    last: Array  # x_T
+    spectrum: ComplexArray  # of y, (n+m, bins)
+    force: ComplexArray  # spectrum of the forces of working rows and equations
 
 
 def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
@@ -194,7 +149,7 @@ def _forces(structure: Structure, lti: Lti, multipliers: Array, working: Working
 
 
 def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
-    """Return e - E(x, theta), from the signals where an equation sees them, and not from the formula."""
+    """Return e - E(x, theta), measured on the signals where possible."""
     border, points = structure.border, len(structure.border.point_t)
     residual = data.e - border.E @ theta
     residual[:points] = data.e[:points] - at.y[border.point_f, border.point_t]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices
@@ -36,12 +35,6 @@ class Kernels:
         if not self.complete:
             self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
         return self.table[f[:, None], g, t[:, None] - s]  # a negative index counts from the end of the circle
-
-    def everywhere(self, rows: Indices) -> Array:
-        """Return K_fg(t - s) of the given rows at all times, shape (len(rows), T, len(rows), T); all are known."""
-        T, given = self.lti.horizon, self.table[rows[:, None], rows]
-        later = sliding_window_view(np.concatenate([given, given], axis=2), T, axis=2)  # K(t + lag) at [lag, t]
-        return later[:, :, T:0:-1].transpose(0, 3, 1, 2)
 
     def free_response(self, f: Indices) -> Array:
         """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""

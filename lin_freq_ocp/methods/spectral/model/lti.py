@@ -9,7 +9,7 @@ Units are powers of two: changing to them and back rounds nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -196,18 +196,6 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         last_lower=problem.ends[1].lower / x,
         last_upper=problem.ends[1].upper / x,
         constant=_cost_at_zero(problem) / units.cost,
-    )
-
-
-def with_ends(lti: Lti, problem: OptimalControlProblem, units: Units) -> Lti:
-    """Return the problem in the given units from its form for other ends; x_0 is a point in both."""
-    start, end = problem.ends
-    return replace(
-        lti,
-        start=start.lower / units.x,
-        end=_point(end) / units.x,
-        last_lower=end.lower / units.x,
-        last_upper=end.upper / units.x,
     )
 
 

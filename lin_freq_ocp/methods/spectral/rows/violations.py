@@ -43,17 +43,6 @@ class Violations:
         self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
 
-    def take(self, lti: Lti) -> bool:
-        """Whether these are the bounds of another problem, too, which differs in its fixed ends only: then take it."""
-        before, free = self.lti, self.free_end
-        same = lti.lower is before.lower and lti.upper is before.upper and np.array_equal(free, np.isnan(lti.end))
-        same = same and np.array_equal(np.isnan(lti.start), np.isnan(before.start))
-        same = same and np.array_equal(lti.last_lower[free], before.last_lower[free])
-        same = same and np.array_equal(lti.last_upper[free], before.last_upper[free])
-        if same:
-            self.lti = lti
-        return same
-
     def measure(self, y: Array, last: Array) -> float:
         """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
         return self.measure_values(self.values(y), last)

@@ -19,7 +19,6 @@ from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows
 
 LARGEST = 10_000  # bounded values up to which the border's effect on all of them is computed at once
-LARGEST_TABLE = 2000  # bounded values up to which all their responses to each other are kept for solving again: 32 MB
 MODEL_ROUNDS = 12  # after which the true signals are evaluated
 
 
@@ -40,7 +39,6 @@ class WholeHorizon:
         self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
         self.coupling[border.at_end, self._inner + border.free_end] = 1.0
         self.through = border.inverse @ self.coupling
-        self._S: Array | None = None
 
     def places(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
@@ -53,20 +51,8 @@ class WholeHorizon:
         weights = np.zeros(len(places)) if rows.weights is None else rows.weights[once]
         return ActiveSetDuals(places, rows.sign[once], weights)
 
-    def tabulate(self) -> None:
-        """Keep S, if it is not large: solving again is then faster."""
-        n, count = self._border.lti.state_dim, len(self.t)
-        if self._S is not None or count > LARGEST_TABLE:
-            return
-        self._S = self.coupling.T @ self.through
-        kernels = self._border.kernels.everywhere(self.rows)
-        self._S[:-n, :-n] += kernels.reshape(count - n, count - n)
-
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
-        if self._S is not None:
-            S = self._S[index[:, None], index]
-            return (S + S.T) / 2
         t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
@@ -78,8 +64,6 @@ class WholeHorizon:
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
-        if self._S is not None:
-            return mu @ self._S[index]
         lti, pulses = self._border.lti, np.zeros(len(self.t))
         pulses[index] = mu
         forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
