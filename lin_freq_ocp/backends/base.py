@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
@@ -19,7 +20,7 @@ EXCLUDED = 1e-6
 
 
 class Claim(Enum):
-    """What a solver says of its own answer; none is believed before its residuals are computed."""
+    """What a solver claims of its answer; the residuals decide."""
 
     SOLVED = "solved"
     INFEASIBLE = "infeasible"
@@ -31,29 +32,15 @@ class Claim(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solver's answer in the program's units and signs (P z + q + A'y = 0).
-
-    Attributes
-    ----------
-    claim : Claim
-    z : (variables,) or None
-        A point, of programs with binaries the best found; with UNBOUNDED, a direction of descent.
-    y : (rows,) or None
-        Duals; with INFEASIBLE, a Farkas ray (A'y = 0 and support < 0 for the bounds). None with binaries.
-    words : str
-        The solver's own status.
-    bound : float or None
-        With binaries: a claimed lower bound on the program's objective, constant included.
-    """
+    """A solver's answer in the program's units and signs (P z + q + A'y = 0)."""
 
     claim: Claim
-    z: Array | None
-    y: Array | None
-    words: str
-    bound: float | None = None
+    z: Array | None  # a point, with binaries the best found; with UNBOUNDED, a direction of descent
+    y: Array | None  # duals; with INFEASIBLE, a Farkas ray (A'y = 0, support < 0 for the bounds); None with binaries
+    words: str  # the solver's own status
+    bound: float | None = None  # with binaries: claimed lower bound on the objective, constant included
 
 
-# The answer to a program whose bounds exclude each other
 NO_POINT = Solution(Claim.INFEASIBLE, None, None, "infeasible without a search")
 # (program, tolerance, time limit in seconds or None) -> Solution. The tolerance is that of residuals and gap; of a
 # program with binaries, the relative gap between cost and bound.
@@ -62,7 +49,7 @@ Solver = Callable[[Program, float, float | None], Solution]
 
 @dataclass(frozen=True)
 class _Entry:
-    """How a registered solver is loaded, the package it needs, and which programs it takes."""
+    """A registered solver; the fields are those of ``register``."""
 
     load: Callable[[str], Solver]
     package: str | None
@@ -82,13 +69,13 @@ def register(
     cones: bool = False,
     example: str | None = None,
 ) -> None:
-    """Make a solver known.
+    """Register a solver.
 
     Parameters
     ----------
     name : str
     load : callable
-        Returns the solver, given what follows ``name:``; called when the solver is first asked for.
+        Returns the solver, given what follows ``name:``.
     package : str, optional
         What must be installed.
     binaries, cones : bool
@@ -107,12 +94,7 @@ def names(binaries: bool = False) -> list[str]:
 def backend(name: str, binaries: bool = False) -> Solver:
     """Return the solver of that name, for programs with binaries or without.
 
-    Raises
-    ------
-    UnsupportedError
-        If there is no such solver.
-    MissingExtraError
-        If its package is not installed.
+    Raises UnsupportedError if there is none, and MissingExtraError if its package is not installed.
     """
     family, _, member = name.partition(":")
     entry = _REGISTER.get(family)
@@ -144,13 +126,12 @@ def _expected(binaries: bool) -> str:
     return f"{', '.join(listed[:-1])} or {listed[-1]}{purpose}"
 
 
-def _module(name: str) -> Callable[[str], Solver]:
-    """Return what loads ``solver(member)`` of a module of this folder."""
-    return lambda member: import_module(f"lin_freq_ocp.backends.{name}").solver(member)
+def _module(name: str) -> Any:
+    return import_module(f"lin_freq_ocp.backends.{name}")
 
 
-register("clarabel", _module("clarabel_"), cones=True)
-register("osqp", _module("osqp_"))
-register("qpsolvers", _module("qpsolvers_"), example="piqp")
-register("scip", _module("scip_"), package="pyscipopt", binaries=True, cones=True)
-register("daqp", _module("daqp_"), package="daqp", binaries=True)
+register("clarabel", lambda _: _module("clarabel_").solve, cones=True)
+register("osqp", lambda _: _module("osqp_").solve)
+register("qpsolvers", lambda member: _module("qpsolvers_").solver(member), example="piqp")
+register("scip", lambda _: _module("scip_").solve, package="pyscipopt", binaries=True, cones=True)
+register("daqp", lambda _: _module("daqp_").solve, package="daqp", binaries=True)

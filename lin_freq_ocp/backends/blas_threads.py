@@ -12,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 
 class _BlasThreads:
-    """Counts who wants one BLAS thread; the last one to leave restores what the first one found."""
+    """Counts the users of one BLAS thread; the last to leave restores what the first found."""
 
     def __init__(self) -> None:
         self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()

@@ -8,7 +8,7 @@ import time
 import clarabel
 import numpy as np
 
-from lin_freq_ocp.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program
 
@@ -25,12 +25,7 @@ CLAIMS = {
     "CallbackTerminated": Claim.INTERRUPTED,
 }
 
-COST_FACTOR = 10.0  # Its regularisation is absolute and disturbs small costs: it gets the cost this much larger
-
-
-def solver(member: str) -> Solver:
-    """Return the solver."""
-    return solve
+COST_FACTOR = 10.0  # on the cost, as Clarabel's regularisation is absolute and disturbs small costs
 
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:

@@ -21,25 +21,20 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solver
+from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
-# Of delta^2 - delta, in a cost whose slopes are of order 10: much more weakens the relaxations, much less makes all
-# rows parallel once they are measured in the metric of the Hessian, as DAQP does. The second is tried where DAQP
-# cycles with the first, or finds nothing feasible: of 200 random problems, it cycled on one with each, on none with
-# both.
+# Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
+# is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
 BINARY_CURVATURES = (0.1, 0.01)
-# Least eigenvalue of a block of P, relative to the largest row sum of P, with which nothing is added to it
-SINGULAR = 1e-7
-# What is added to the diagonal of a singular block, relative to that row sum: 1e-6 of the cost or so, where variables
-# are of order 1
-REGULARISATION = 1e-7
-# Of rows of order 1. With 1e-8 it called nodes infeasible that are not, in one of 60 random problems; with its own
-# 1e-6, costs were too low by 5e-6 of themselves.
+SINGULAR = 1e-7  # eigenvalue, relative to the largest row sum of P, below which a block of P is regularised ...
+REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cost where variables are of order 1
+# Of rows of order 1. With 1e-8, one of 60 random problems was called infeasible wrongly; with its own 1e-6, costs were
+# too low by 5e-6.
 FEASIBILITY = 1e-7
-INFINITE = 1e30  # What DAQP calls infinite
-EQUATION, BINARY = 5, 16  # Kinds of rows
+INFINITE = 1e30  # as DAQP has it
+EQUATION, BINARY = 5, 16  # kinds of rows
 
 CLAIMS = {
     1: (Claim.SOLVED, "optimal"),
@@ -55,11 +50,6 @@ CLAIMS = {
 }
 
 
-def solver(member: str) -> Solver:
-    """Return the solver."""
-    return solve
-
-
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; what it stops with early has no bound."""
     started, found = time.perf_counter(), list[Solution]()
@@ -69,9 +59,9 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
             found.append(_attempt(program, curvature, left, gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
             break
-    answers = [one for one in found if one.claim is not Claim.FAILED]
+    answers = [solution for solution in found if solution.claim is not Claim.FAILED]
     last = answers[-1] if answers else found[-1]
-    return replace(last, words="; then ".join(one.words for one in found))
+    return replace(last, words="; then ".join(solution.words for solution in found))
 
 
 def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
@@ -99,16 +89,7 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
 
 @dataclass(frozen=True, eq=False)
 class _Dense:
-    """The program without its fixed variables, strictly convex; bounds of variables are the first rows.
-
-    Attributes
-    ----------
-    fixed : (variables,)
-        Values of fixed variables, 0 elsewhere.
-    free : indices of the others
-    added : (variables,)
-        Regularisation on the diagonal.
-    """
+    """The program without its fixed variables, strictly convex; bounds of variables are the first rows."""
 
     hessian: Array
     gradient: Array
@@ -116,9 +97,9 @@ class _Dense:
     lower: Array
     upper: Array
     kinds: NDArray[np.intc]
-    fixed: Array
-    free: Indices
-    added: Array
+    fixed: Array  # values of fixed variables, 0 elsewhere
+    free: Indices  # the others
+    added: Array  # regularisation on the diagonal, (variables,)
 
 
 def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | None:
@@ -151,7 +132,7 @@ def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | N
 
 
 def _regularisation(program: Program) -> Array:
-    """Return what is added to the diagonal of P, (variables,): nothing to blocks that have curvature of their own."""
+    """Return what is added to the diagonal of P, (variables,): nothing to blocks that are strictly convex."""
     added = np.zeros(len(program.q))
     _, labels = connected_components(program.P, directed=False)
     block = np.asarray(labels, dtype=np.intp)
@@ -184,7 +165,7 @@ def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array,
 
 
 def _bound(program: Program, rows: SingleBounds, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
-    """Return the bound that follows if the claim is true, and which part of the cost regularisation leaves unknown."""
+    """Return the bound that the claim implies, and the part of the cost that regularisation leaves unknown."""
     objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
     searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to
     widest = np.maximum(np.abs(rows.below), np.abs(rows.above))

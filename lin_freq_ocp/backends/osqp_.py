@@ -9,12 +9,11 @@ import numpy as np
 import osqp
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.transcription.program import Program
 
-# A first-order method needs many cheap iterations; its default of 4000 stops far from the answer
-MAX_ITERATIONS = 200_000
-FINEST = 1e-7  # Below this OSQP's own residuals stall, and polishing does the rest
+MAX_ITERATIONS = 200_000  # its default of 4000 stops far from the answer
+FINEST = 1e-7  # tolerance below which OSQP stalls; polishing does the rest
 
 CLAIMS = {
     "solved": Claim.SOLVED,
@@ -27,11 +26,6 @@ CLAIMS = {
     "run time limit reached": Claim.LIMIT,
     "interrupted": Claim.INTERRUPTED,
 }
-
-
-def solver(member: str) -> Solver:
-    """Return the solver."""
-    return solve
 
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:

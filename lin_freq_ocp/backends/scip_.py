@@ -20,16 +20,14 @@ from pyscipopt.scip import PY_SCIP_EVENTTYPE
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution, Solver
+from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
-# Of rows of order 1: SCIP's own. With less, its LP solver is asked for what it cannot give, and says so on stderr or
-# fails; a mode sequence is re-solved anyway.
-FEASIBILITY = 1e-6
-NEGLIGIBLE = 1e-14  # Eigenvalue of a block of P, relative to its largest, that is rounding of 0
-LEAST_TIME = 1e-3  # Seconds that SCIP is given when building its model has used them all
-INFINITE = 1e20  # What SCIP calls infinite
+FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
+NEGLIGIBLE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
+LEAST_TIME = 1e-3  # seconds given to SCIP when building its model has used them all
+INFINITE = 1e20  # as SCIP has it
 
 SETTINGS: dict[str, Any] = {
     "numerics/feastol": FEASIBILITY,
@@ -51,13 +49,8 @@ CLAIMS = {
     "userinterrupt": Claim.INTERRUPTED,
 }
 
-# Between these, Python does not run
+# events at which Python runs
 WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_EVENTTYPE.NODEFOCUSED)
-
-
-def solver(member: str) -> Solver:
-    """Return the solver."""
-    return solve
 
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:

@@ -21,8 +21,7 @@ from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.algorithm.optimality import residuals
-from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, trajectory
+from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, residuals, trajectory
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.model.row_form import row_form

@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import equilibration
-from lin_freq_ocp.methods.spectral.kkt.mehrotra import predictor_corrector
+from lin_freq_ocp.methods.spectral.kkt.interior_point import predictor_corrector
 
 STEPS = 60  # after which the best iterate is returned; 10 to 30 are usual
 DROPPINGS = 5  # passes that drop active rows of the wrong sign

@@ -3,12 +3,15 @@
 On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
 There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band times the length
 of the arcs: each step is then a small system (docs/spectral.md, 6).
+
+Mehrotra (1992), On the implementation of a primal-dual interior point method.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -16,10 +19,10 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.kkt.mehrotra import TO_BOUNDARY, predictor_corrector
 
 STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
 LOW_RANK_ROWS = 200  # from which a factor of low rank saves time
+TO_BOUNDARY = 0.995  # fraction of the step to the boundary
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 
 
@@ -108,3 +111,39 @@ class _System:
         assert self.base is not None
         diagonal = self.base + self.w
         return (r + self.V @ dpotrs(self.lower, self.V.T @ (r / diagonal), lower=1)[0]) / diagonal
+
+
+class Step(NamedTuple):
+    """The step of other unknowns, the new weights and slacks, and the step length."""
+
+    other: Array
+    weights: Array
+    z: Array
+    length: float
+
+
+def predictor_corrector(
+    newton: Callable[[Array], tuple[Array, Array]],
+    weights: Array,
+    z: Array,
+    mu: float,
+    to_boundary: float = TO_BOUNDARY,
+) -> Step:
+    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
+
+    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target.
+    """
+    _, dw = newton(-weights * z)
+    dz = (-weights * z - z * dw) / weights
+    length = min(1.0, _reach(weights, dw), _reach(z, dz))
+    after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
+    target = after**3 * mu - weights * z - dw * dz
+    other, dw = newton(target)
+    dz = (target - z * dw) / weights
+    length = min(1.0, to_boundary * min(_reach(weights, dw), _reach(z, dz)))
+    return Step(length * other, weights + length * dw, z + length * dz, length)
+
+
+def _reach(v: Array, dv: Array) -> float:
+    """Return the step at which the first entry of v + step dv becomes zero."""
+    return 1 / max(tol.TINY, float((-dv / v).max()))
