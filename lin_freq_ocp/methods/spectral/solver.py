@@ -26,11 +26,8 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.program import Residuals
-
-REFERENCES, BOUNDS = ("x_ref", "u_ref"), ("state_set", "control_set")
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +162,7 @@ class SpectralSolver:
         if warm_start is not None:
             self._require_own(warm_start)
         allowed = tolerance or tol.VIOLATION_TOLERANCE
-        with (
-            one_blas_thread(),
-            interrupts_noted() as interrupt,
-            np.errstate(all="ignore"),
-        ):  # what overflows is no answer
+        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
             stop = deadline(limit, interrupt.is_set)
             first = None if warm_start is None else warm_start.active
             answer = self._exchange(lti, first, allowed, stop)
@@ -196,7 +189,12 @@ class SpectralSolver:
         started = time.perf_counter()
         with one_blas_thread():
             self._units, self._lti = units, lti_problem(self.problem, units)
-            self._structure = _structure(self._lti)
+            try:
+                self._structure = Structure(self._lti)
+            except np.linalg.LinAlgError as error:
+                raise UnsupportedError(
+                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+                ) from None
         self._coarser: dict[int, Structure] = {}
         self.setup_seconds = time.perf_counter() - started
 
@@ -213,18 +211,15 @@ class SpectralSolver:
 
     def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
         found = recover(self._structure, exchange.data, outcome)
-        infeasible = outcome.status == "infeasible"
-        return Answer(outcome, found, None if infeasible else residuals(exchange.data.lti, outcome, found))
+        return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
 
     def _require_own(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):
             raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
-        other, rows = warm_start.problem, sum(family.rows for family in self.problem.stage_rows)
-        shape = self.problem.horizon, self.problem.state_dim, self.problem.control_dim, rows
-        got = None
-        if other is not None:
-            rows = sum(family.rows for family in other.stage_rows)
-            got = other.horizon, other.state_dim, other.control_dim, rows
+        got, shape = (
+            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
+            for given in (warm_start.problem, self.problem)
+        )
         if got != shape:
             raise ProblemError(
                 "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
@@ -238,11 +233,10 @@ class SpectralSolver:
         bounds: Mapping[str, Any] | None,
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
-        changes: dict[str, Any] = dict(_known("bounds", bounds, BOUNDS))
+        changes: dict[str, Any] = dict(_known("bounds", bounds, ("state_set", "control_set")))
         if references:
-            cost, known = self.problem.quadratic, _known("references", references, REFERENCES)
-            terms = {name: getattr(cost, name) for name in ("Q", "R", "S", "q", "r", "P", "p", *REFERENCES)}
-            changes["cost"] = QuadraticCost(**(terms | dict(known)))
+            known: dict[str, Any] = dict(_known("references", references, ("x_ref", "u_ref")))
+            changes["cost"] = replace(self.problem.quadratic, **known)
         problem = replace(self.problem, **changes) if changes else self.problem
         moved = initial_state is not None or terminal_state is not None
         if moved:
@@ -288,15 +282,6 @@ class SpectralSolver:
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
-
-
-def _structure(lti: Lti) -> Structure:
-    try:
-        return Structure(lti)
-    except np.linalg.LinAlgError as error:
-        raise UnsupportedError(
-            f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
-        ) from None
 
 
 def _known(field: str, given: Mapping[str, Any] | None, keys: tuple[str, ...]) -> Mapping[str, Any]:

@@ -16,6 +16,7 @@ from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure
+from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -60,9 +61,14 @@ def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:
     band = lti.B.T @ eta_hat - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
-    eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, lti, working, y)
-    _set_ends(structure, lti, outcome, eta_C, eta, on_rows, y)
-    return Recovered(eta_C, eta, on_rows, band, stationarity, _state_band_multipliers(structure, lti, y))
+    eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, working, y)
+    border = structure.border
+    on_bands, rho_x = y[len(y) - len(border.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
+    for i in border.band_components:
+        rho_x[:, i] = bin_multipliers(lti.horizon + 1, lti.state_stop[:, i], on_bands[border.band_component == i])
+    found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
+    _set_ends(border, lti, outcome, found, on_bands)
+    return found
 
 
 def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:
@@ -80,9 +86,9 @@ def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) ->
     return eta
 
 
-def _row_multipliers(structure: Structure, lti: Lti, working: WorkingSet, y: Array) -> Array:
-    """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1); of states, controls, stage rows in turn."""
-    border, n = structure.border, lti.state_dim
+def _row_multipliers(structure: Structure, working: WorkingSet, y: Array) -> Array:
+    """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1)."""
+    border, lti, n = structure.border, structure.border.lti, structure.border.lti.state_dim
     on_rows = np.zeros((len(lti.F), lti.horizon + 1))
     np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
     fixed = slice(n, len(border.point_t))
@@ -90,26 +96,14 @@ def _row_multipliers(structure: Structure, lti: Lti, working: WorkingSet, y: Arr
     return on_rows
 
 
-def _state_band_multipliers(structure: Structure, lti: Lti, y: Array) -> ComplexArray:
-    border = structure.border
-    rho = np.zeros(lti.state_stop.shape, dtype=np.complex128)
-    on_bands = y[len(y) - len(border.bands) :]
-    for i in border.band_components:
-        rho[:, i] = bin_multipliers(lti.horizon + 1, lti.state_stop[:, i], on_bands[border.band_component == i])
-    return rho
-
-
-def _set_ends(
-    structure: Structure, lti: Lti, outcome: Outcome, eta_C: float, eta: Array, on_rows: Array, y: Array
-) -> None:
-    """Set mu_0, mu_T where ends are fixed: any vector is normal there, and transversality says which."""
-    border, n, at = structure.border, lti.state_dim, outcome.signals
-    on_bands = y[len(y) - len(border.bands) :]
+def _set_ends(border: BorderedSystem, lti: Lti, outcome: Outcome, found: Recovered, on_bands: Array) -> None:
+    """Set mu_0, mu_T where ends are fixed by transversality: any vector is normal there."""
+    n, at, eta, on_rows = lti.state_dim, outcome.signals, found.eta, found.on_rows
     first, last = np.zeros(n), np.zeros(n)
     np.add.at(first, border.band_component, on_bands * border.bands[:, 0])
     np.add.at(last, border.band_component, on_bands * border.bands[:, -1])
     first += lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
-    if eta_C:
+    if found.eta_C:
         first += lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
         last += lti.P @ at.last + lti.p
     start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
@@ -153,7 +147,9 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     missed = max(_missed_values(lti, y, x), outcome.violation, 0.0)
     adjoint, terms = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
-    gap = _complementarity(outcome, lti) + float(np.abs(adjoint * x).sum() + found.stationarity * np.abs(y[n:]).sum())
+    working, at = outcome.working, outcome.signals
+    complementarity = float(working.weights @ np.abs(working.limits(lti) - working.values(at.y, at.last)))
+    gap = complementarity + float(np.abs(adjoint * x).sum() + found.stationarity * np.abs(y[n:]).sum())
     return Residuals(
         primal=max(float(np.abs(dynamics).max()) / size, float(band) / energy, missed),
         dual=max(
@@ -198,9 +194,3 @@ def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[Array, float
         terms.append(time_signal(found.rho_x, lti.horizon + 1).T)
     size = sum(float(np.abs(term).max()) for term in terms)
     return sum(terms[1:], start=terms[0]), max(size, tol.LEAST_SIZE * lti.curvature_unit)
-
-
-def _complementarity(outcome: Outcome, lti: Lti) -> float:
-    """Return <l, |slack|> of the working rows."""
-    working, at = outcome.working, outcome.signals
-    return float(working.weights @ np.abs(working.limits(lti) - working.values(at.y, at.last)))
