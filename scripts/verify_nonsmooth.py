@@ -7,13 +7,12 @@ point leads to.
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.testing.reference import PIECEWISE_SMOOTH
 
 COST, CONDITION = 1e-7, 1e-8  # relative difference of costs, and the worst condition of the certificate
 GAP, SECONDS = 1e-4, 60.0  # relative gap to prove, and the time for that together with the search
@@ -23,34 +22,6 @@ ROUNDING = 1e-9  # of the cost: a bound may be above the optimum by this, as the
 # SCIP is asked for problems of so many steps at most, and given so long for each
 OPINION_HORIZON, OPINION_SECONDS = 8, 60.0
 CLAIMED = 1e-5  # relative difference of a claimed cost, whose trajectory violates its rows by up to 1e-6
-FREE: dict[str, Any] = {"terminal_state": None}
-
-OPTIMA: dict[str, tuple[str, dict[str, Any], float]] = {
-    "norm from (0, 1), T = 3": ("norm_dynamics", {"initial_state": (0.0, 1.0), "horizon": 3}, 1.0),
-    "norm from (1, 0), T = 3": ("norm_dynamics", {"initial_state": (1.0, 0.0), "horizon": 3}, 1.959023692803284),
-    "norm from (1, 0), T = 10": ("norm_dynamics", {"initial_state": (1.0, 0.0)}, 2.382234308047054),
-    "norm from (1, 1), T = 10": ("norm_dynamics", {"initial_state": (1.0, 1.0)}, 3.644688839725019),
-    "buck, T = 3": ("buck_converter", {"horizon": 3}, 17.345547997984184),
-    "buck, T = 4": ("buck_converter", {"horizon": 4}, 22.36493035150289),
-    "buck, T = 8": ("buck_converter", {"horizon": 8}, 44.67772239475926),
-    "buck to I_ref, T = 4": ("buck_converter", {"horizon": 4, "terminal_state": [1.0]}, 22.400633302541934),
-    "buck, T = 8, bins 3 to 5": ("buck_converter", {"control_spectrum": [3, 4, 5]}, 44.69913880875864),
-    "buck, T = 15": ("buck_converter", {"horizon": 15}, 83.66744364376612),
-    "buck, T = 20": ("buck_converter", {"horizon": 20}, 111.447689650827),
-    "buck, T = 20, bins 7 to 10": ("buck_converter", {"horizon": 20, "control_spectrum": [7, 8, 9, 10]}, 111.45769391),
-    "buck, wrong sign at 0": (
-        "buck_converter",
-        {"horizon": 2, "initial_state": [0.9351278729299871], **FREE},
-        11.554464138730564,
-    ),
-    "buck, wrong sign inside": (
-        "buck_converter",
-        {"horizon": 3, "initial_state": [0.8281718171540953], **FREE},
-        17.080332697458882,
-    ),
-    "buck as posed, T = 8": ("buck_converter", {"v_min": None, "v_max": None}, 11.221825808084372),
-    "buck on the border, T = 4": ("buck_converter", {"horizon": 4, "terminal_price": -40.0, **FREE}, -17.5993666975),
-}
 
 
 def verify(console: Console, bounds: bool = True) -> bool:
@@ -58,8 +29,8 @@ def verify(console: Console, bounds: bool = True) -> bool:
     table, good = Table("problem", "optimal cost", title="piecewise-smooth dynamics from cold starts"), True
     for heading in ("error of cost", "worst condition", "joint", "printed", "found in", "proven gap", "in"):
         table.add_column(heading, justify="right")
-    for name in track(list(OPTIMA), "solving", console=Console(stderr=True), transient=True):
-        problem, optimum = _problem(name), OPTIMA[name][2]
+    for name in track(list(PIECEWISE_SMOOTH), "solving", console=Console(stderr=True), transient=True):
+        problem, optimum = _problem(name), PIECEWISE_SMOOTH[name][2]
         method, limit = ("auto", SECONDS) if bounds else ("nonsmooth", None)
         result = lfo.solve(problem, method, time_limit=limit, tolerance=TOLERANCES.get(name), throw=False)
         certificate = result.certificate
@@ -95,9 +66,9 @@ def second_opinion(console: Console) -> bool:
     table, good = Table("problem", "optimal cost", title="SCIP's second opinion, by its own word, and polished"), True
     for heading in ("claimed cost", "claimed bound", "ended", "seconds", "error of the polished cost"):
         table.add_column(heading, justify="right")
-    short = [name for name in OPTIMA if _problem(name).horizon <= OPINION_HORIZON]
+    short = [name for name in PIECEWISE_SMOOTH if _problem(name).horizon <= OPINION_HORIZON]
     for name in track(short, "asking SCIP", console=Console(stderr=True), transient=True):
-        problem, optimum = _problem(name), OPTIMA[name][2]
+        problem, optimum = _problem(name), PIECEWISE_SMOOTH[name][2]
         claim = solve_minlp(problem, time_limit=OPINION_SECONDS)
         size, local = abs(optimum), polished(problem, claim)
         good &= claim.bound is None or claim.bound <= optimum + CLAIMED * size
@@ -119,5 +90,5 @@ def second_opinion(console: Console) -> bool:
 
 
 def _problem(name: str) -> lfo.OptimalControlProblem:
-    system, arguments, _ = OPTIMA[name]
+    system, arguments, _ = PIECEWISE_SMOOTH[name]
     return lfo.library.by_name(system)(**arguments)

@@ -1,23 +1,21 @@
-"""Random problems, known optima and independent answers, to test a solver with.
+"""Conformance cases and random problems, to run against a solver of one's own.
 
-======================  ================================================================================================
-``reference``           linear problems with known optimal values
-``random_convex``       linear dynamics of every kind, bounds and stop bands around a random trajectory
-``random_linear``       the same in units of 1e-9 to 1e9, with degenerate dynamics, and bounds that stand for none
-``random_lti``          the whole class of the Fourier-domain method, with a trajectory that satisfies the constraints
-``random_mixed``        sets, terms and spectra of every kind, each with a CVXPY model written by hand
-``random_units``        problems that can be written in any units
-``random_infeasible``   problems without a feasible trajectory
-``random_kinks``        continuous piecewise-affine dynamics
-``oracle``              the optimal cost by plain Clarabel, on a program that shares no code with the package
-``checks``              one seed solved by the package and by an oracle, and compared
-======================  ================================================================================================
-
-Nothing here is imported by the rest of the package, and nothing here needs pytest.
+``conformance_cases()`` have known optimal costs; ``random_case(family, seed)`` has one that this package proves:
+"convex" (linear dynamics, bounds, stop bands), "lti" (the class of the Fourier-domain method), "linear" (any units,
+degenerate dynamics), "mixed" (sets, terms and spectra of every kind), "kinks" (continuous piecewise-affine dynamics),
+"infeasible". The generators are the modules ``random_convex``, ``random_lti``, ...; ``random_mixed`` has a CVXPY model
+beside each problem, and ``oracle`` solves linear problems by plain Clarabel, sharing no code with the package.
 
 Examples
 --------
->>> from lin_freq_ocp.testing.random_lti import random_lti
->>> random_lti(4).horizon > 0
-True
+>>> from lin_freq_ocp.testing import check, conformance_cases
+>>> def my_solver(problem):  # OptimalControlProblem -> Trajectory, or None if infeasible
+...     return lfo.solve(problem, throw=False).trajectory
+>>> reports = [check(case, my_solver) for case in conformance_cases("linear")]
+>>> [report.message for report in reports if not report.passed]
+[]
 """
+
+from lin_freq_ocp.testing.conformance import Case, Report, check, conformance_cases, random_case
+
+__all__ = ["Case", "Report", "check", "conformance_cases", "random_case"]

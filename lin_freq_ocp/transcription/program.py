@@ -1,4 +1,4 @@
-"""A convex program, quadratic or conic, with named rows: what solvers get, and what their answers are measured by."""
+"""Convex programs, quadratic or conic, with named rows and the residuals of their solutions."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 
-# An objective whose terms add up to less than this part of what they are at a typical point is measured by that
-NOTHING = 1e-3
-ROUNDING = 1e-13  # an objective below this part of what it is where all variables are 1 is zero
-CONIC_ROUNDING = 1e-6  # the same with cones, where a point is as an interior-point method leaves it
+# The gap is relative to the sum |terms| of the objective, but not to less than these parts of it
+TYPICAL_SHARE = 1e-3  # at a typical point
+UNIT_SHARE = 1e-13  # where all variables are 1
+CONIC_UNIT_SHARE = 1e-6  # the same with cones, where a point is as an interior-point method leaves it
 
 
 class Block(Enum):
@@ -33,17 +33,11 @@ class Block(Enum):
 
 @dataclass(frozen=True)
 class Residuals:
-    """How far (z, y) is from solving its program; each relative to the size of its own terms (at least 1).
+    """Residuals of (z, y), each relative to the size of its own terms (at least 1).
 
-    Attributes
-    ----------
-    primal : float
-        Largest violation of lower <= A z <= upper.
-    dual : float
-        Largest entry of P z + q + A'y, and of duals with a sign that their row cannot have.
-    gap : float
-        How wrong the objective can be to first order: violations times duals, duals of rows that are not at their
-        bound, and slopes that are left times variables; relative to what the terms of the objective add up to.
+    ``primal`` is the largest violation of lower <= A z <= upper; ``dual`` the largest entry of P z + q + A'y and of
+    duals with the wrong sign; ``gap`` the first-order error of the objective: violations times duals, complementarity,
+    and slopes times variables, relative to the sum of the objective's terms.
     """
 
     primal: float
@@ -58,20 +52,10 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class StandardForm:
-    """Minimise 1/2 z'P z + q'z subject to A z + s = b, s in cones, with the way back for duals.
+    """Minimise 1/2 z'P z + q'z subject to A z + s = b, s in cones, with the inverse map of duals.
 
-    Rows in this order: equations (s = 0), inequalities (s >= 0), second-order cones (s_0 >= |(s_1, ...)|).
-
-    Attributes
-    ----------
-    P : sparse (variables, variables), the upper triangle; q : (variables,)
-    A : sparse (rows, variables); b : (rows,)
-    equations, inequalities : int
-        Numbers of rows.
-    cones : tuple of int
-        Numbers of rows of each cone.
-    row, sign : (rows,)
-        The row of the program that each row is, and its sign.
+    P is the upper triangle. Rows in this order: ``equations`` (s = 0), ``inequalities`` (s >= 0), second-order cones
+    (s_0 >= |(s_1, ...)|) with so many rows each, from these rows of the program with these signs.
     """
 
     P: sp.csc_array
@@ -93,16 +77,9 @@ class StandardForm:
 
 @dataclass(frozen=True, eq=False)
 class SingleBounds:
-    """The rows of a program outside cones, with those on one variable as bounds of that variable.
+    """The rows of a program outside cones, with those on one variable as its bounds ``below`` and ``above``.
 
-    Attributes
-    ----------
-    below, above : (variables,)
-        Bounds of the variables.
-    A : sparse (rows, variables); lower, upper : (rows,)
-        The other rows; none is empty.
-    excess : float
-        By how much two bounds exclude each other, or rows without variables are violated.
+    ``excess`` is the violation of rows without variables, and of contradicting bounds.
     """
 
     below: Array
@@ -158,7 +135,7 @@ class Program:
         return alone
 
     def without_bounds_beyond(self, size: float) -> Program | None:
-        """Return the program without bounds that are farther than ``size`` from zero; None if there are none."""
+        """Return the program without bounds farther than ``size`` from zero; None if there are none."""
         above = self.alone & np.isfinite(self.upper) & (self.upper > size) & ~self.equality
         below = self.alone & np.isfinite(self.lower) & (self.lower < -size) & ~self.equality
         if not (above.any() or below.any()):
@@ -166,7 +143,7 @@ class Program:
         return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
 
     def standard(self) -> StandardForm:
-        """Return the program as interior-point methods take it."""
+        """Return the program in the form of interior-point methods."""
         equal = self.equality
         above = ~equal & np.isfinite(self.upper)
         below = ~equal & np.isfinite(self.lower) & self.alone
@@ -204,7 +181,7 @@ class Program:
         return SingleBounds(below, above, sp.csr_array(A[rest]), self.lower[rest], self.upper[rest], float(excess))
 
     def scaled(self, scaling: Scaling) -> Program:
-        """Return the program in other units; the scaling is the way back."""
+        """Return the program in other units."""
         D, E = sp.diags_array(scaling.columns), sp.diags_array(scaling.rows)
         return replace(
             self,
@@ -221,10 +198,7 @@ class Program:
         return float(0.5 * z @ (self.P @ z) + self.q @ z + self.constant)
 
     def residuals(self, z: Array, y: Array, sizes: Array | float = 1.0) -> Residuals:
-        """Measure an answer from the data alone; no solver's word is taken.
-
-        An objective is zero if it is small beside the one at a point of these sizes, (variables,).
-        """
+        """Return the residuals of a point and duals; ``sizes`` (variables,) are those of a typical point."""
         if not (np.isfinite(z).all() and np.isfinite(y).all()):
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
@@ -234,11 +208,12 @@ class Program:
         bound, carried = self._bound_of(y)
         impossible = ~carried & (y != 0)
         slope, apart = Pz + self.q + Aty, bound - Az
-        with np.errstate(over="ignore", invalid="ignore"):  # what has diverged has large residuals
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence gives large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
             wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
-            rounding = CONIC_ROUNDING if self.cones else ROUNDING
-            least = NOTHING * self._magnitude(sizes * np.ones(len(z))), rounding * self._magnitude(np.ones(len(z)))
+            rounding = CONIC_UNIT_SHARE if self.cones else UNIT_SHARE
+            ones = np.ones(len(z))
+            least = TYPICAL_SHARE * self._magnitude(sizes * ones), rounding * self._magnitude(ones)
             total = max(self._magnitude(np.abs(z)), *least)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
@@ -260,13 +235,13 @@ class Program:
         return np.where(finite, bound, 0.0), finite
 
     def _magnitude(self, z: Array) -> float:
-        """Return what the terms of the objective add up to in absolute value, for z >= 0."""
+        """Return the sum of the absolute terms of the objective, for z >= 0."""
         return float(0.5 * z @ (abs(self.P) @ z) + np.abs(self.q) @ z)
 
     def infeasibility_residual(self, y: Array) -> float:
-        """Return how far y is from a proof that no point exists: A'y = 0, scaled to a support of -1; inf if it is >= 0.
+        """Return the residual of y as a Farkas proof: A'y = 0, scaled to a support of -1; inf if that is >= 0.
 
-        What a row's bounds cannot carry, y on a side without one or outside the polar of a cone, counts likewise.
+        Duals of missing bounds, or outside the polar of a cone, count likewise.
         """
         bound, carried = self._bound_of(y)
         support = float((y * bound).sum())
@@ -277,7 +252,7 @@ class Program:
         return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
 
     def descent_ray_residual(self, z: Array) -> float:
-        """Return how far z is from unbounded descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
+        """Return the residual of z as a ray of descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
         slope = float(self.q @ z)
         if slope >= 0:
             return np.inf

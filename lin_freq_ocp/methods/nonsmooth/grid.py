@@ -1,7 +1,7 @@
 """Dynamic programming on a grid of states and controls: a trajectory to start from, for one or two states.
 
-Values between grid points are interpolated linearly, so the answer is near the best one and proves nothing. A frequency
-constraint ties all times together; its multipliers, as functions of time, stand in the stage costs instead.
+Values between grid points are interpolated linearly, so the result is near an optimum and proves nothing. Frequency
+constraints couple all times; their multipliers, as functions of time, are in the stage costs instead.
 """
 
 from __future__ import annotations
@@ -23,26 +23,21 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator
 
-# Grid points of each state, and of each control, by how many there are of both: some 10^5 pairs
+# Grid points of each state and of each control, by the numbers of states and controls: some 10^5 pairs
 POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}
-FINER = 4  # times as many control points where the trajectory is followed
-SAMPLES = 64  # random control sequences whose trajectories tell how far states without bounds go
+FINER = 4  # times as many control points in the forward pass
+SAMPLES = 64  # random control sequences, for the range of states without bounds
 # Of the distance to the terminal set, relative to the spread of stage costs over the range of a state: no control of
-# the grid meets the set, so that a high price decides by how nearly, and a low one by the cost. Each is worth a try.
+# the grid reaches the set exactly; a high price favours the distance, a low one the cost
 END_PRICES = (2.0, 10.0, 50.0)
 
 
 def grid_trajectories(
     problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
 ) -> Iterator[Trajectory]:
-    """Yield trajectories that the grid's values lead to; none with more states or controls, or without bounds.
+    """Yield trajectories of the grid's values until ``deadline``; none with more than two states, or without bounds.
 
-    Parameters
-    ----------
-    multipliers : Multipliers, optional
-        Those of the frequency constraints stand in the cost.
-    deadline : float
-        Of ``time.perf_counter``, after which there are no more.
+    The frequency multipliers are in the cost.
     """
     from scipy.interpolate import RegularGridInterpolator  # slow to import
 
@@ -126,7 +121,7 @@ class _StageCosts:
 
 
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
-    """Return what the first mode that holds makes of pairs, (points, n); not a number where there is none."""
+    """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
     dynamics = problem.smooth_pieces
     found = np.full((len(pairs), problem.state_dim), np.nan)
     missing = np.ones(len(pairs), dtype=bool)
@@ -147,7 +142,7 @@ def _controls(problem: OptimalControlProblem, points: int) -> Array:
 
 
 def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return bounds of the states, (n,) and (n,): those that are stated, else what random controls lead to."""
+    """Return bounds of the states, (n,) and (n,): as stated, else by simulation with random controls."""
     tube, rng = problem.state_tube, np.random.default_rng(0)
     lower, upper = tube.lower.min(axis=0), tube.upper.max(axis=0)
     if np.isfinite(lower).all() and np.isfinite(upper).all():

@@ -20,9 +20,8 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-# Constant controls to start from, as parts of the way from the lower bound to the upper one
-SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
-BETTER = 1e-9  # A sequence is better from this part of the cost
+SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
+DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
 @dataclass(frozen=True)
@@ -56,21 +55,10 @@ class SmoothProgress:
 
 @dataclass
 class LocalSearch:
-    """One search; ``run`` it once, then ``look_near`` what else may be better.
+    """One search; ``run`` it once, then ``look_near`` other starts.
 
-    Attributes
-    ----------
-    best : LocalOptimum or None
-        The least cost of those that are trajectories, else the one that violates least.
-    tried : int
-        Sequences, each from one start.
-    words : str
-        Why it stopped early.
-    interrupted : bool
-    progress : callable, optional
-        Called with a ``SmoothProgress`` after every start.
-    start : Start, optional
-        Where to search first.
+    ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``words`` say why
+    the search stopped early; ``progress`` is called after every start, the first being ``start``.
     """
 
     problem: OptimalControlProblem
@@ -104,7 +92,7 @@ class LocalSearch:
         return self
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
-        """Try one more start, and improve what it leads to; return whether that is a better trajectory."""
+        """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
         before = self.best
         self._try(trajectory, sequence, PRICES[:1])
         while self.best is not before and self._improved():
@@ -155,7 +143,7 @@ class LocalSearch:
         return True
 
     def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
-        """Yield trajectories of constant controls with the modes that they go through, then with each mode alone."""
+        """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
         dynamics = self.problem.smooth_pieces
         for share in SHARES:
             trajectory = self._held(share)
@@ -164,7 +152,7 @@ class LocalSearch:
             yield self._held(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _held(self, share: float) -> Trajectory:
-        """Return the trajectory of constant controls, so far between their bounds; the state rests if it has none."""
+        """Return the trajectory of controls at a share between their bounds; the state is constant if it has none."""
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
         try:
@@ -174,8 +162,8 @@ class LocalSearch:
 
 
 def _middle(box: Box, share: Array) -> Array:
-    """Return a point of a box, so far between its bounds; at its only bound, or at zero, if it has not two."""
-    lower, upper = np.asarray(box.lower, dtype=float), np.asarray(box.upper, dtype=float)
+    """Return a point of a box at a share between its bounds; at its only bound, or at zero, if it has not two."""
+    lower, upper = np.asarray(box.lower), np.asarray(box.upper)
     low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
     high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
     return low + share * (high - low)
@@ -186,4 +174,4 @@ def _better(problem: OptimalControlProblem, one: LocalOptimum, other: LocalOptim
         return one.feasible
     if not one.feasible:
         return one.violation < other.violation
-    return one.cost < other.cost - BETTER * search_scale(problem, other.trajectory)
+    return one.cost < other.cost - DECREASE * search_scale(problem, other.trajectory)

@@ -10,39 +10,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.nonsmooth.system import System, SystemValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
+from lin_freq_ocp.transcription.linear.real_rows import spectrum_multipliers
 
-NEAR_KINK = 1e-3  # A border of modes, or the zero of a norm, this near in natural units gets a selection of its own
+NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
 CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
-# Of the decrease that the slope promises, what a step must reach; the shortest step that is tried with one damping
-SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14
-# Weight at which multipliers of bounds are kept small where multipliers are fitted: others explain what they can
-SMALL_NORMALS = 1e-2
+SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
+SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
-# Of the damping term, relative to |J|^2 |Phi|, one after the other until a step is found: it vanishes with the
-# residual, so that convergence stays fast
+# Relative to |J|^2 |Phi|, until a step is found: they vanish with the residual, so that convergence stays fast
 DAMPINGS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 MOST_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonRun:
-    """Where Newton's method ended.
-
-    Attributes
-    ----------
-    trajectory, multipliers
-        With weights of modes.
-    residuals : tuple of float
-        |Phi| before the first step and after each.
-    converged : bool
-    """
+    """The end of Newton's method; ``residuals`` are |Phi| before the first step and after each."""
 
     trajectory: Trajectory
     multipliers: Multipliers
@@ -58,22 +46,11 @@ def newton(
     near: float = NEAR_KINK,
     most_steps: int = MOST_STEPS,
 ) -> NewtonRun:
-    """Solve the conditions of the maximum principle from a point near to a solution.
+    """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
 
-    Parameters
-    ----------
-    multipliers : Multipliers or None
-        eta, rho_u and rho_x are looked at, and weights if there are any. None: those that fit best, with normals to
-        the bounds that are nearer than ``near``.
-    sequence : (T,)
-        The first mode at every time.
-    near : float
-        Kinks this near, in natural units, get a selection.
-
-    Raises
-    ------
-    UnsupportedError
-        If the problem has more than bounds, stop bands and a quadratic cost.
+    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
+    None: the best fit, with normals to the bounds nearer than ``near``. Raises UnsupportedError if the problem has more
+    than bounds, stop bands and a quadratic cost.
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
@@ -82,7 +59,7 @@ def newton(
     for weights in ("of the side", "one half"):
         start = starting_point(system, trajectory, multipliers, near, weights == "one half")
         runs.append(_run(system, start, most_steps))
-        if runs[-1].converged or multipliers is not None or not system.borders:
+        if runs[-1].converged or multipliers is not None or not system.switches:
             break
     return min(runs, key=lambda run: run.residuals[-1])
 
@@ -101,7 +78,7 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
 
 
 def _stepped(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
-    """Return where a step leads with which |Phi|^2 falls, damped as little as possible; None: nowhere."""
+    """Return the point after a step that decreases |Phi|^2, damped as little as possible, or None."""
     U, sizes, V = np.linalg.svd(value.slopes)
     gradient, along = value.slopes.T @ value.phi, U.T @ value.phi
     for damping in DAMPINGS:
@@ -123,7 +100,7 @@ def starting_point(
 ) -> Array:
     """Return the unknowns at a trajectory, in natural units; see ``newton`` for the multipliers.
 
-    ``halved``: where there are none, weights at borders are one half, else those of the side of the trajectory.
+    Where there are none, weights are one half if ``halved``, else those of the trajectory's side.
     """
     v = np.zeros(len(system.units))
     v[system.x], v[system.u] = trajectory.x, trajectory.u
@@ -131,22 +108,22 @@ def starting_point(
         v[system.alpha] = 0.5 if halved else _sides(system, trajectory)
         return _fitted(system, v / system.units, near)
     v[system.eta] = multipliers.eta
-    for place, rows, signal in (
+    for block, rows, signal in (
         (system.rho_x, system.rows_x, time_signal(multipliers.rho_x, len(trajectory.x))),
         (system.rho_u, system.rows_u, time_signal(multipliers.rho_u, len(trajectory.u))),
     ):
-        if len(place):
-            v[place] = np.linalg.lstsq(rows.T, signal.ravel(), rcond=None)[0]
-    for k, (t, second, _) in enumerate(system.borders):
+        if len(block):
+            v[block] = np.linalg.lstsq(rows.T, signal.ravel(), rcond=None)[0]
+    for k, (t, second, _) in enumerate(system.switches):
         v[system.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
     return v / system.units
 
 
 def _sides(system: System, trajectory: Trajectory) -> Array:
-    """Return 1 where a border is crossed, else 0."""
+    """Return 1 where a switching surface is crossed, else 0."""
     T = system.problem.horizon
     found = system.problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
-    crossed = [found.regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.borders]
+    crossed = [found.regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
     return np.array(crossed, dtype=float)
 
 
@@ -158,18 +135,18 @@ def _fitted(system: System, v: Array, near: float) -> Array:
     signals = np.concatenate([system.x.ravel(), system.u.ravel()])
     signals = signals[system.lower[signals] < system.upper[signals]]
     at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
-    pressed = np.flatnonzero(at_lower | at_upper)
+    held = np.flatnonzero(at_lower | at_upper)
     found = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
     slopes = system.scales[signals, None] * J[np.ix_(signals, found)] * system.units[found]
-    normals = np.zeros((len(signals), len(pressed)))
-    normals[pressed, np.arange(len(pressed))] = 1.0
-    small = np.hstack([np.zeros((len(pressed), len(found))), SMALL_NORMALS * np.eye(len(pressed))])
-    wanted = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(pressed))])
+    normals = np.zeros((len(signals), len(held)))
+    normals[held, np.arange(len(held))] = 1.0
+    small = np.hstack([np.zeros((len(held), len(found))), SMALL_NORMALS * np.eye(len(held))])
+    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(held))])
     free = np.full(len(found), np.inf)
-    above = np.where(at_upper[pressed], np.inf, 0.0)
-    below = np.where(at_lower[pressed], -np.inf, 0.0)
+    above = np.where(at_upper[held], np.inf, 0.0)
+    below = np.where(at_lower[held], -np.inf, 0.0)
     bounds = np.append(-free, below), np.append(free, above)
-    v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), wanted, bounds).x[: len(found)]
+    v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(found)]
     return v
 
 
@@ -179,27 +156,17 @@ def _answer(system: System, v: Array, value: SystemValue) -> tuple[Trajectory, M
     T = problem.horizon
     weights = np.zeros((T, len(problem.smooth_pieces.modes)))
     weights[np.arange(T), system.sequence] = 1.0
-    for k, (t, second, _) in enumerate(system.borders):
+    for k, (t, second, _) in enumerate(system.switches):
         share = float(np.clip(values[system.alpha[k]], 0.0, 1.0))
         weights[t, system.sequence[t]], weights[t, second] = 1 - share, share
     x = np.clip(values[system.x], problem.state_tube.lower, problem.state_tube.upper)
     u = np.clip(values[system.u], problem.control_tube.lower, problem.control_tube.upper)
     mu, nu = (
-        np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[place], 0.0)
-        for place, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
+        np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
+        for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
     )
     rho = [
-        _bins(stop, length, values[place])
-        for stop, length, place in ((problem.control_stop, T, system.rho_u), (problem.state_stop, T + 1, system.rho_x))
+        spectrum_multipliers(stop, length, values[block])
+        for stop, length, block in ((problem.control_stop, T, system.rho_u), (problem.state_stop, T + 1, system.rho_x))
     ]
     return Trajectory(x, u), Multipliers(1.0, values[system.eta], mu, nu, rho[0], rho[1], None, weights)
-
-
-def _bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
-    """Return the multipliers of every bin, complex (bins, components)."""
-    result, first = np.zeros(stop.shape, dtype=np.complex128), 0
-    for j in range(stop.shape[1]):
-        count = len(real_rows(length, stop[:, j]))
-        result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
-        first += count
-    return result

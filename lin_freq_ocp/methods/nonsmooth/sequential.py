@@ -1,11 +1,11 @@
 """A local optimum of one mode sequence of piecewise-smooth dynamics, by sequential quadratic programming.
 
-Each program has the dynamics of the modes, and their regions, linearised at the last trajectory; frequency constraints,
-sets and costs stand in it as they are. The curvature of <eta_t, f_t> is added to that of the cost as far as the sum of
-a stage stays convex, so that the last steps are Newton's. Steps are limited to a trust region in natural units, and
-dynamics and regions may be violated at a price: then every program has a solution. A step is taken if it improves
+Each program has the dynamics and regions of the modes linearised at the last trajectory, and the frequency
+constraints, sets and costs as they are. The curvature of <eta_t, f_t> is added to that of the cost as far as a stage
+stays convex, so that the last steps are Newton's. Steps are limited to a trust region, and violations of dynamics and
+regions have a price, so that every program has a solution. A step is taken if it improves the merit
 
-    cost + price * (sum |x_{t+1} - f_t(x_t, u_t)| + sum of what lies outside the regions),     all in natural units.
+    cost + price * (sum |x_{t+1} - f_t(x_t, u_t)| + sum of violations of regions),     all in natural units.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import Claim, backend
+from lin_freq_ocp.methods.nonsmooth.system import jets_of
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -26,34 +27,22 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import natural_scaling
 from lin_freq_ocp.transcription.program import Program, Scaling
 
-# Of violations, in a cost whose slopes are of order 10: above the multipliers it leaves none; the next is taken if some
-# are left
-PRICES = (1e2, 1e4, 1e6)
-# Of the trust region, in natural units, in which trajectories are of order 1
-FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 1.0, 1e3, 1e-9
-# Shares of the predicted improvement from which a step is taken, and from which the trust region grows
-ACCEPTED, GOOD = 1e-4, 0.7
-CONVERGED = 1e-9  # steps in natural units below which the last program is the answer; its solver is as accurate
+PRICES = (1e2, 1e4, 1e6)  # of violations, one after the other while some are left; slopes of the cost are of order 10
+FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 1.0, 1e3, 1e-9  # of the trust region, in natural units
+ACCEPTED, GOOD = 1e-4, 0.7  # shares of the predicted improvement for a step to be taken, and for the region to grow
+SMALLEST_STEP = 1e-9  # in natural units: the accuracy of the programs' solver
 VIOLATION = 1e-8  # violations of order-1 rows up to which a point is feasible
-# Of the slacks of costs and soft constraints, where the nearest trajectory within the sets is looked for
-SLACK_PRICE = 1e-3
-ROUNDING = 16 * float(np.finfo(np.float64).eps)  # predicted improvements below this part of the merit are rounding
+SLACK_PRICE = 1e-3  # of slacks of costs and soft constraints, in the projection on the sets
+MERIT_ROUNDING = 16 * float(np.finfo(np.float64).eps)  # part of the merit
 MOST_STEPS = 60
 QP_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class LocalOptimum:
-    """Where a sequence of programs ended.
+    """The end of a sequence of programs; ``violation`` is that of dynamics and regions in natural units.
 
-    Attributes
-    ----------
-    sequence : (T,)
-    trajectory, multipliers
-        The multipliers of the linearised problem of the sequence: those of its regions under REGION.
-    cost, violation : float
-        The violation of dynamics and regions is in natural units.
-    steps : int
+    The multipliers are those of the linearised problem of the mode sequence, with those of regions under REGION.
     """
 
     sequence: Indices
@@ -61,7 +50,6 @@ class LocalOptimum:
     multipliers: Multipliers
     cost: float
     violation: float
-    steps: int
 
     @property
     def feasible(self) -> bool:
@@ -76,10 +64,9 @@ def local_optimum(
     prices: Sequence[float] = PRICES,
     end: float = np.inf,
 ) -> LocalOptimum | None:
-    """Return the local optimum of a mode sequence that is found from a trajectory, which need not be feasible.
+    """Return the local optimum of a mode sequence from a trajectory, which need not be feasible, or the last point.
 
-    None if no program could be solved, as where a piece is not defined. At ``end``, by ``time.perf_counter``, what was
-    reached until then.
+    None if no program could be solved, as where a piece is not defined; ``end`` is by ``time.perf_counter``.
     """
     best: LocalOptimum | None = None
     for price in prices:
@@ -93,10 +80,10 @@ def local_optimum(
 
 
 def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
-    """Yield the sequences with one mode changed: across regions that hold back the cost first, then all others."""
+    """Yield the sequences with one mode changed, first where the multipliers of regions are largest."""
     T, modes = problem.horizon, len(problem.smooth_pieces.modes)
-    pull = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
-    for t in np.argsort(-pull, kind="stable"):
+    largest = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
+    for t in np.argsort(-largest, kind="stable"):
         for i in range(modes):
             if i != local.sequence[t]:
                 changed = local.sequence.copy()
@@ -107,50 +94,44 @@ def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Ind
 def _descended(
     problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float, end: float
 ) -> LocalOptimum | None:
-    frame = _Frame.of(problem, start, sequence)
-    z = None if frame is None else frame.within_sets(start)
-    place = None if frame is None or z is None else frame.place(z, None)
+    fixed = _SequenceProgram.of(problem, start, sequence)
+    z = None if fixed is None else fixed.within_sets(start)
+    point = None if fixed is None or z is None else fixed.at(z, None)
     radius, taken, steps = FIRST_RADIUS, None, 0
     multipliers: Multipliers | None = None
-    while place is not None and steps < MOST_STEPS and radius > SMALLEST_RADIUS:
+    while point is not None and steps < MOST_STEPS and radius > SMALLEST_RADIUS:
         if time.perf_counter() > end:
             break
         steps += 1
-        step = _step(place, price, radius)
+        step = _step(point, price, radius)
         if step is None:
             break
         z, y, predicted = step
-        moved = float(np.abs(z - place.z).max())
-        found = place.frame.multipliers(y)
-        after = place.frame.place(z, found.eta)
-        gained = -np.inf if after is None else place.merit(price) - after.merit(price)
-        if moved <= CONVERGED or predicted <= ROUNDING * abs(place.merit(price)):
-            multipliers, taken = found, place if gained < 0 else after
+        moved = float(np.abs(z - point.z).max())
+        found = point.fixed.multipliers(y)
+        after = point.fixed.at(z, found.eta)
+        gained = -np.inf if after is None else point.merit(price) - after.merit(price)
+        if moved <= SMALLEST_STEP or predicted <= MERIT_ROUNDING * abs(point.merit(price)):
+            multipliers, taken = found, point if gained < 0 else after
             break
         if after is not None and gained >= ACCEPTED * predicted:
-            place, multipliers, taken = after, found, after
+            point, multipliers, taken = after, found, after
             radius = min(2 * radius, LARGEST_RADIUS) if gained >= GOOD * predicted else radius
         else:
             radius = 0.25 * min(radius, moved)
-            place = replace(place, eta=found.eta)
+            point = replace(point, eta=found.eta)
     if taken is None or multipliers is None:
         return None
     cost = problem.value(taken.trajectory.x, taken.trajectory.u)
-    return LocalOptimum(sequence, taken.trajectory, multipliers, cost, taken.violation, steps)
+    return LocalOptimum(sequence, taken.trajectory, multipliers, cost, taken.violation)
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    """What the programs of a mode sequence have in common: all rows but those of its maps and regions.
+class _SequenceProgram:
+    """The program of a mode sequence in natural units, without the derivatives of maps and regions.
 
-    Attributes
-    ----------
-    program : Program
-        In natural units; the rows of maps have x_{t+1} only, those of regions nothing.
-    signals : (T, n + m)
-        The variables of (x_t, u_t); the states (T+1, n) come first.
-    maps : (T, n), regions : (T, rows)
-        The rows of the program.
+    ``signals`` (T, n + m) are the variables of (x_t, u_t), ``maps`` (T, n) and ``regions`` (T, rows) rows of the
+    program; -1 where there is no row.
     """
 
     problem: OptimalControlProblem
@@ -163,8 +144,8 @@ class _Frame:
     regions: Indices
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _Frame | None:
-        """Return the frame in units that suit the dynamics at the start; None if a piece is not defined there."""
+    def of(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
+        """Return the program in the natural units at the start; None if a piece is not defined there."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = problem.smooth_pieces
         y = np.hstack([start.x[:T], start.u])
@@ -191,11 +172,11 @@ class _Frame:
         return self.transcription.trajectory(self.scaling.primal(z))
 
     def multipliers(self, y: Array) -> Multipliers:
-        """Return the multipliers of duals of which the first are those of the program."""
+        """Return the multipliers of duals that begin with those of the program."""
         return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
 
     def within_sets(self, trajectory: Trajectory) -> Array | None:
-        """Return the nearest point that satisfies everything but maps and regions; None if it was not found."""
+        """Return the nearest point that satisfies all but maps and regions; None if it was not found."""
         z, program = self.scaling.scaled_primal(self.transcription.point(trajectory)), self.program
         kept = np.ones(len(program.lower), dtype=bool)
         kept[self.maps] = kept[self.regions[self.regions >= 0]] = False
@@ -209,40 +190,46 @@ class _Frame:
         solution = backend("clarabel")(replace(sets, P=P, q=q), QP_TOLERANCE, None)
         return solution.z if solution.claim is Claim.SOLVED else None
 
-    def place(self, z: Array, eta: Array | None) -> _Place | None:
-        """Return a point with its program; None if a piece is not defined there."""
+    def at(self, z: Array, eta: Array | None) -> _Linearised | None:
+        """Return the linearised program at a point; None if a piece is not defined there."""
         problem, T = self.problem, self.problem.horizon
         trajectory, times = self.trajectory(z), np.arange(T)
         found = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
         if not found.defined()[times, self.sequence].all():
             return None
-        values, slopes, curvatures = (
-            np.stack([getattr(one, part) for one in found.f], axis=1)[times, self.sequence]
-            for part in ("values", "slopes", "curvatures")
-        )
+        values, slopes, curvatures = jets_of(found, times, self.sequence)
         most = self.regions.shape[1]
-        excess, facets = np.full((T, most), -np.inf), np.zeros((T, most, self.signals.shape[1]))
+        switching, facets = np.full((T, most), -np.inf), np.zeros((T, most, self.signals.shape[1]))
         for i, region in enumerate(found.regions):
             here, rows = self.sequence == i, region.values.shape[1]
-            excess[here, :rows], facets[here, :rows] = region.values[here], region.slopes[here]
-        return _Place.of(self, trajectory, z, eta, (values, -slopes, curvatures), (excess, facets))
+            switching[here, :rows], facets[here, :rows] = region.values[here], region.slopes[here]
+        scale, base, chosen = self.scaling.rows, self.program, self.regions >= 0
+        maps, regions = self.maps.ravel(), self.regions[chosen]
+        rows = np.concatenate([maps, regions])
+        stage = np.concatenate([np.repeat(times, self.maps.shape[1]), np.nonzero(chosen)[0]])
+        column = self.signals[stage]
+        entries = np.vstack([-slopes.reshape(-1, column.shape[1]), facets[chosen]])
+        entries = entries * scale[rows, None] * self.scaling.columns[column]
+        row = np.broadcast_to(rows[:, None], column.shape).ravel()
+        A = sp.csc_array(base.A + sp.csc_array((entries.ravel(), (row, column.ravel())), shape=base.A.shape))
+        Az, lower, upper = A @ z, base.lower.copy(), base.upper.copy()
+        defects = scale[maps] * (trajectory.x[1:] - values).ravel()
+        outside = scale[regions] * switching[chosen]
+        lower[maps] = upper[maps] = Az[maps] - defects
+        upper[regions] = Az[regions] - outside
+        program = replace(base, A=A, lower=lower, upper=upper)
+        return _Linearised(self, trajectory, program, z, defects, np.maximum(outside, 0.0), curvatures, eta)
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _Linearised:
     """A trajectory with the program of the mode sequence linearised there, in natural units.
 
-    Attributes
-    ----------
-    defects : (T * n,)
-        x_{t+1} - f_t(x_t, u_t).
-    outside : (region rows,)
-        How far the switching functions are above zero.
-    curvatures : (T, n, n + m, n + m)
-        Of the maps, in the problem's units.
+    ``defects`` are x_{t+1} - f_t(x_t, u_t), ``outside`` the positive parts of the switching functions, ``curvatures``
+    (T, n, n + m, n + m) those of the maps in the problem's units.
     """
 
-    frame: _Frame
+    fixed: _SequenceProgram
     trajectory: Trajectory
     program: Program
     z: Array
@@ -251,35 +238,6 @@ class _Place:
     curvatures: Array
     eta: Array | None
 
-    @classmethod
-    def of(
-        cls,
-        frame: _Frame,
-        trajectory: Trajectory,
-        z: Array,
-        eta: Array | None,
-        maps: tuple[Array, Array, Array],
-        regions: tuple[Array, Array],
-    ) -> _Place:
-        values, negative, curvatures = maps
-        excess, facets = regions
-        scale, columns, base = frame.scaling.rows, frame.scaling.columns, frame.program
-        chosen = frame.regions >= 0
-        rows = np.concatenate([frame.maps.ravel(), frame.regions[chosen]])
-        times = np.concatenate([np.repeat(np.arange(len(values)), values.shape[1]), np.nonzero(chosen)[0]])
-        at = frame.signals[times]
-        slopes = np.vstack([negative.reshape(-1, at.shape[1]), facets[chosen]]) * scale[rows, None] * columns[at]
-        row, column = np.broadcast_to(rows[:, None], at.shape).ravel(), at.ravel()
-        A = base.A + sp.csc_array((slopes.ravel(), (row, column)), shape=base.A.shape)
-        Az = A @ z
-        defects = scale[frame.maps.ravel()] * (trajectory.x[1:] - values).ravel()
-        outside = scale[frame.regions[chosen]] * excess[chosen]
-        lower, upper = base.lower.copy(), base.upper.copy()
-        lower[frame.maps] = upper[frame.maps] = (Az[frame.maps.ravel()] - defects).reshape(frame.maps.shape)
-        upper[frame.regions[chosen]] = Az[frame.regions[chosen]] - outside
-        program = replace(base, A=sp.csc_array(A), lower=lower, upper=upper)
-        return cls(frame, trajectory, program, z, defects, np.maximum(outside, 0.0), curvatures, eta)
-
     @property
     def violation(self) -> float:
         """Return the largest violation of a row of maps or regions."""
@@ -287,31 +245,31 @@ class _Place:
 
     def merit(self, price: float) -> float:
         """Return the cost with the price of violations, in the units of the program."""
-        cost = self.frame.scaling.cost * self.frame.problem.value(self.trajectory.x, self.trajectory.u)
+        cost = self.fixed.scaling.cost * self.fixed.problem.value(self.trajectory.x, self.trajectory.u)
         return cost + price * float(np.abs(self.defects).sum() + self.outside.sum())
 
-    def bent(self) -> sp.csc_array:
-        """Return what the curvature of -<eta_t, f_t> adds to the Hessian, as far as every stage stays convex."""
-        shape, frame = (len(self.z), len(self.z)), self.frame
+    def added_curvature(self) -> sp.csc_array:
+        """Return the curvature of -<eta_t, f_t>, as far as every stage stays convex."""
+        shape, fixed = (len(self.z), len(self.z)), self.fixed
         if self.eta is None:
             return sp.csc_array(shape)
-        own = np.broadcast_to(frame.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
+        own = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
         values, vectors = np.linalg.eigh(own - np.einsum("ti,tijk->tjk", self.eta, self.curvatures))
         added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - own
-        units = frame.scaling.columns[frame.signals]
-        scaled = frame.scaling.cost * added * units[:, :, None] * units[:, None, :]
-        row = np.broadcast_to(frame.signals[:, :, None], scaled.shape).ravel()
-        column = np.broadcast_to(frame.signals[:, None, :], scaled.shape).ravel()
+        units = fixed.scaling.columns[fixed.signals]
+        scaled = fixed.scaling.cost * added * units[:, :, None] * units[:, None, :]
+        row = np.broadcast_to(fixed.signals[:, :, None], scaled.shape).ravel()
+        column = np.broadcast_to(fixed.signals[:, None, :], scaled.shape).ravel()
         return sp.csc_array(sp.coo_array((scaled.ravel(), (row, column)), shape=shape))
 
 
-def _step(place: _Place, price: float, radius: float) -> tuple[Array, Array, float] | None:
-    """Return the point that the program in the trust region leads to, its duals, and the improvement it predicts."""
-    program, frame, count = place.program, place.frame, len(place.z)
-    maps, regions = frame.maps.ravel(), frame.regions[frame.regions >= 0]
+def _step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array, float] | None:
+    """Solve the program in the trust region; return the point, its duals, and the predicted improvement."""
+    program, fixed, count = point.program, point.fixed, len(point.z)
+    maps, regions = fixed.maps.ravel(), fixed.regions[fixed.regions >= 0]
     relaxed = np.concatenate([maps, maps, regions])
     signs = np.concatenate([np.ones(len(maps)), -np.ones(len(maps) + len(regions))])
-    slacks, bent, signals = len(relaxed), place.bent(), frame.transcription.signals
+    slacks, curvature, signals = len(relaxed), point.added_curvature(), fixed.transcription.signals
     bounded = np.concatenate([np.arange(signals), np.arange(count, count + slacks)])
     rows = np.arange(len(bounded)) + len(program.lower)
     entries = sp.coo_array(program.A)
@@ -325,20 +283,20 @@ def _step(place: _Place, price: float, radius: float) -> tuple[Array, Array, flo
         ),
         shape=(len(program.lower) + len(bounded), count + slacks),
     )
-    P = sp.coo_array(program.P + bent)
-    widened = Program(
+    P = sp.coo_array(program.P + curvature)
+    penalised = Program(
         P=sp.csc_array((P.data, (P.coords[0], P.coords[1])), shape=(count + slacks, count + slacks)),
-        q=np.append(np.asarray(program.q - bent @ place.z), np.full(slacks, price)),
+        q=np.append(np.asarray(program.q - curvature @ point.z), np.full(slacks, price)),
         constant=0.0,
         A=A,
-        lower=np.concatenate([program.lower, place.z[:signals] - radius, np.zeros(slacks)]),
-        upper=np.concatenate([program.upper, place.z[:signals] + radius, np.full(slacks, np.inf)]),
+        lower=np.concatenate([program.lower, point.z[:signals] - radius, np.zeros(slacks)]),
+        upper=np.concatenate([program.upper, point.z[:signals] + radius, np.full(slacks, np.inf)]),
         rows=program.rows,
         cones=program.cones,
     )
-    solution = backend("clarabel")(widened, QP_TOLERANCE, None)
+    solution = backend("clarabel")(penalised, QP_TOLERANCE, None)
     if solution.z is None or solution.y is None or solution.claim not in (Claim.SOLVED, Claim.FAILED):
         return None
-    here = np.concatenate([np.maximum(-place.defects, 0.0), np.maximum(place.defects, 0.0), place.outside])
-    before = widened.objective(np.append(place.z, here))
-    return solution.z[:count], solution.y, before - widened.objective(solution.z)
+    here = np.concatenate([np.maximum(-point.defects, 0.0), np.maximum(point.defects, 0.0), point.outside])
+    before = penalised.objective(np.append(point.z, here))
+    return solution.z[:count], solution.y, before - penalised.objective(solution.z)

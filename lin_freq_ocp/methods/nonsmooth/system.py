@@ -1,8 +1,9 @@
 """The conditions of the maximum principle for piecewise-smooth dynamics as equations in as many unknowns.
 
-Unknowns are x, u, eta, the frequency multipliers, and a selection for every kink, shared by x and u: at a border of two
-modes the weight alpha in [0, 1] of the second, at a norm the vector xi. For every component v with bounds l <= v <= h,
-F >= 0 at l, F <= 0 at h, and F = 0 between say, with the function of Fischer and Burmeister, nested as by Billups,
+Unknowns are x, u, eta, the frequency multipliers, and a selection for every kink, shared by x and u: where two modes
+touch, the weight alpha in [0, 1] of the second; at the zero of a norm, the vector xi. For every component v with bounds
+l <= v <= h, the conditions F >= 0 at l, F <= 0 at h, and F = 0 between are, with the function of Fischer and
+Burmeister, nested as by Billups,
 
     phi(v - l, phi(h - v, -F)) = 0,    phi(a, b) = |(a, b)| - a - b,    where F is
 
@@ -21,13 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.transcription.linear.real_rows import rows_per_component, spectrum_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import natural_scaling
 
@@ -43,15 +44,10 @@ class SystemValue:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The equations near a trajectory, and where their unknowns stand.
+    """The equations near a trajectory, and the numbers of their unknowns.
 
-    Attributes
-    ----------
-    x, u, eta, rho_x, rho_u : Indices
-    borders : list of (time, second mode, region row of the first), with alpha : (as many,)
-    norms : list of (norm, time), with xi : list of Indices
-    units : (unknowns,), scales : (unknowns,)
-        Of the unknowns, and what each equation is multiplied by.
+    ``switches`` are (time, second mode, region row of the first), one for each alpha; ``norms`` are (norm, time), one
+    for each xi. Unknowns are divided by ``units``, equations multiplied by ``scales``.
     """
 
     problem: OptimalControlProblem
@@ -61,7 +57,7 @@ class System:
     eta: Indices
     rho_x: Indices
     rho_u: Indices
-    borders: list[tuple[int, int, int]]
+    switches: list[tuple[int, int, int]]
     alpha: Indices
     norms: list[tuple[Formula, int]]
     xi: list[Indices]
@@ -74,37 +70,38 @@ class System:
 
     @classmethod
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> System:
-        """Return the system near a trajectory, with numbers and units for its unknowns."""
+        """Return the system near a trajectory."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
         in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
-        rows_x, of_x = _rows(problem.state_stop, T + 1, in_x)
-        rows_u, of_u = _rows(problem.control_stop, T, in_u)
-        borders = _borders(problem, trajectory, sequence, np.append(in_x, in_u), near)
+        rows_x = spectrum_rows(problem.state_stop, T + 1, (T + 1) * n, 0).toarray()
+        rows_u = spectrum_rows(problem.control_stop, T, T * m, 0).toarray()
+        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, T + 1))
+        of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
+        switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
         norms = _norms(problem, trajectory, near)
-        sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(borders)]
-        sizes += [len(one.arguments) for one, _ in norms]
+        sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(switches)]
+        sizes += [len(norm.arguments) for norm, _ in norms]
         ends = np.cumsum(sizes)
-        places = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        x, u, eta, rho_x, rho_u, alpha = numbers[:6]
         units = np.ones(ends[-1])
-        units[places[0]], units[places[1]] = np.tile(in_x, T + 1), np.tile(in_u, T)
-        units[places[2]] = np.tile(1 / (scaling.cost * in_x), T)
-        units[places[3]], units[places[4]] = 1 / (scaling.cost * of_x), 1 / (scaling.cost * of_u)
+        units[x], units[u], units[eta] = np.tile(in_x, T + 1), np.tile(in_u, T), np.tile(1 / (scaling.cost * in_x), T)
+        units[rho_x], units[rho_u] = 1 / (scaling.cost * of_x), 1 / (scaling.cost * of_u)
         scales = np.ones(ends[-1])
-        signals = np.concatenate(places[:2])
+        signals = np.concatenate([x, u])
         scales[signals] = scaling.cost * units[signals]
-        scales[places[2]] = np.tile(1 / in_x, T)
-        scales[places[3]], scales[places[4]] = 1 / of_x, 1 / of_u
+        scales[eta], scales[rho_x], scales[rho_u] = np.tile(1 / in_x, T), 1 / of_x, 1 / of_u
         slopes = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
-        for k, (t, _, row) in enumerate(borders):
+        for k, (t, _, row) in enumerate(switches):
             slope = slopes.regions[sequence[t]].slopes[t, row] * np.append(in_x, in_u)
-            scales[places[5][k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
+            scales[alpha[k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
         lower, upper = np.full(ends[-1], -np.inf), np.full(ends[-1], np.inf)
-        for place, box in ((places[0], problem.state_tube), (places[1], problem.control_tube)):
-            lower[place], upper[place] = box.lower.ravel(), box.upper.ravel()
-        lower[places[5]], upper[places[5]] = 0.0, 1.0
-        x, u, eta = places[0].reshape(T + 1, n), places[1].reshape(T, m), places[2].reshape(T, n)
-        parts = x, u, eta, places[3], places[4], borders, places[5], norms, places[6:]
+        for signal, box in ((x, problem.state_tube), (u, problem.control_tube)):
+            lower[signal], upper[signal] = box.lower.ravel(), box.upper.ravel()
+        lower[alpha], upper[alpha] = 0.0, 1.0
+        shaped = x.reshape(T + 1, n), u.reshape(T, m), eta.reshape(T, n)
+        parts = *shaped, rho_x, rho_u, switches, alpha, norms, numbers[6:]
         return cls(problem, sequence, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
 
     def at(self, v: Array) -> SystemValue:
@@ -125,12 +122,11 @@ class System:
         y, at = np.hstack([x[:-1], u]), np.hstack([self.x[:-1], self.u])
         found = problem.smooth_pieces.jets_at(y, self._selections(v))
         times = np.arange(T)
-        first = _of(found, times, self.sequence)
-        values, slopes, curvatures = first
+        values, slopes, curvatures = jets_of(found, times, self.sequence)
         active = slopes.copy()
         F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
-        for k, (t, second, row) in enumerate(self.borders):
-            other = _of(found, np.array([t]), np.array([second]))
+        for k, (t, second, row) in enumerate(self.switches):
+            other = jets_of(found, np.array([t]), np.array([second]))
             region = found.regions[self.sequence[t]]
             switch, gradient = region.values[t, row], region.slopes[t, row]
             kink = other[1][0] - slopes[t]
@@ -147,52 +143,55 @@ class System:
         F[at] -= np.einsum("tij,ti->tj", slopes, eta)
         F[self.eta] = x[1:] - values
         hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, at.shape[1], at.shape[1]))
-        bent = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
+        curved = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
         for t in range(T):
-            J[np.ix_(at[t], at[t])] += bent[t]
+            J[np.ix_(at[t], at[t])] += curved[t]
             J[np.ix_(at[t], self.eta[t])] -= slopes[t].T
             J[np.ix_(self.eta[t], at[t])] -= active[t]
             J[self.eta[t], self.x[t + 1]] += 1.0
             J[self.x[t + 1], self.eta[t]] += 1.0
         J[np.ix_(self.x[T], self.x[T])] += problem.quadratic.P
-        for place, rows, signals in ((self.rho_x, self.rows_x, self.x), (self.rho_u, self.rows_u, self.u)):
-            if len(place):
-                F[signals.ravel()] += rows.T @ v[place]
-                F[place] = rows @ v[signals.ravel()]
-                J[np.ix_(signals.ravel(), place)] += rows.T
-                J[np.ix_(place, signals.ravel())] += rows
+        for rho, rows, signals in (
+            (self.rho_x, self.rows_x, self.x.ravel()),
+            (self.rho_u, self.rows_u, self.u.ravel()),
+        ):
+            F[signals] += rows.T @ v[rho]
+            F[rho] = rows @ v[signals]
+            J[np.ix_(signals, rho)] += rows.T
+            J[np.ix_(rho, signals)] += rows
         self._add_norms(v, F, J, y, at, eta)
         return F, J
 
     def _selections(self, v: Array) -> Mapping[Formula, Array]:
         selections: dict[Formula, Array] = {}
-        for (one, t), place in zip(self.norms, self.xi, strict=True):
-            rows = selections.setdefault(one, np.full((self.problem.horizon, len(one.arguments)), np.nan))
-            rows[t] = v[place]
+        for (norm, t), xi in zip(self.norms, self.xi, strict=True):
+            rows = selections.setdefault(norm, np.full((self.problem.horizon, len(norm.arguments)), np.nan))
+            rows[t] = v[xi]
         return selections
 
     def _add_norms(self, v: Array, F: Array, J: Array, y: Array, at: Indices, eta: Array) -> None:
-        """Add the equations of the selections of norms, and what these change in the others."""
+        """Add the equations of the selections of norms, and their terms in the others."""
         dynamics = self.problem.smooth_pieces
-        for (one, t), place in zip(self.norms, self.xi, strict=True):
-            inner = jets(one.arguments, y[t : t + 1])
-            q, slopes, xi = inner.values[0], inner.slopes[0], v[place]
+        for (norm, t), own in zip(self.norms, self.xi, strict=True):
+            inner = jets(norm.arguments, y[t : t + 1])
+            q, slopes, xi = inner.values[0], inner.slopes[0], v[own]
             reached = xi + q
             length = float(np.linalg.norm(reached))
             projection, onto = reached, np.eye(len(q))
             if length > 1:
                 projection = reached / length
                 onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
-            F[place] = xi - projection
-            J[np.ix_(place, place)] = np.eye(len(q)) - onto
-            J[np.ix_(place, at[t])] = -onto @ slopes
-            pull = dynamics.pull_of_norm(one, y[t], int(self.sequence[t]), eta[t])
-            J[np.ix_(at[t], place)] -= pull * slopes.T
+            F[own] = xi - projection
+            J[np.ix_(own, own)] = np.eye(len(q)) - onto
+            J[np.ix_(own, at[t])] = -onto @ slopes
+            pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
+            J[np.ix_(at[t], own)] -= pull * slopes.T
 
 
-def _of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
+def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
+    """Return values, slopes and curvatures of the maps of some modes at some times."""
     values, slopes, curvatures = (
-        np.stack([getattr(one, part) for one in found.f], axis=1)[times, modes]
+        np.stack([getattr(jet, part) for jet in found.f], axis=1)[times, modes]
         for part in ("values", "slopes", "curvatures")
     )
     return values, slopes, curvatures
@@ -224,10 +223,10 @@ def _fischer_burmeister(a: Array, b: Array) -> tuple[Array, Array, Array]:
     return length - a - b, np.where(zero, diagonal, a / safe) - 1, np.where(zero, diagonal, b / safe) - 1
 
 
-def _borders(
+def _switches(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, units: Array, near: float
 ) -> list[tuple[int, int, int]]:
-    """Return (time, second mode, row) where a row of the first mode's region touches and the second holds, nearly."""
+    """Return (time, second mode, row) where a row of the first mode's region is nearly zero and the second holds."""
     T = problem.horizon
     found = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
     defined = found.defined()
@@ -237,7 +236,7 @@ def _borders(
         sizes = np.linalg.norm(region.slopes[t] * units, axis=-1)
         return region.values[t] / np.where(sizes > 0, sizes, 1.0)
 
-    borders: list[tuple[int, int, int]] = []
+    switches: list[tuple[int, int, int]] = []
     for t in range(T):
         own = distances(int(sequence[t]), t)
         others = [
@@ -245,30 +244,17 @@ def _borders(
             for mode in np.flatnonzero(defined[t])
             if mode != sequence[t] and distances(int(mode), t).max(initial=-np.inf) <= near
         ]
-        touching = np.flatnonzero(np.abs(own) <= near)
-        if len(others) and len(touching):
-            borders.append((t, int(others[0]), int(touching[0])))
-    return borders
+        zero = np.flatnonzero(np.abs(own) <= near)
+        if len(others) and len(zero):
+            switches.append((t, int(others[0]), int(zero[0])))
+    return switches
 
 
 def _norms(problem: OptimalControlProblem, trajectory: Trajectory, near: float) -> list[tuple[Formula, int]]:
     T = problem.horizon
     y = np.hstack([trajectory.x[:T], trajectory.u])
     found: list[tuple[Formula, int]] = []
-    for one in problem.smooth_pieces.norms:
-        size = np.linalg.norm(jets(one.arguments, y).values, axis=1)
-        found += [(one, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
+    for norm in problem.smooth_pieces.norms:
+        size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+        found += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
     return found
-
-
-def _rows(stop: Mask, length: int, units: Array) -> tuple[Array, Array]:
-    """Return the rows of the removed bins on a signal (length, components) raveled, and the units of their signals."""
-    components = stop.shape[1]
-    parts, sizes = [np.zeros((0, length * components))], [np.zeros(0)]
-    for j in range(components):
-        rows = real_rows(length, stop[:, j])
-        placed = np.zeros((len(rows), length, components))
-        placed[:, :, j] = rows
-        parts.append(placed.reshape(len(rows), length * components))
-        sizes.append(np.full(len(rows), units[j]))
-    return np.vstack(parts), np.concatenate(sizes)

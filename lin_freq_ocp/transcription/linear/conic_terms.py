@@ -1,4 +1,4 @@
-"""The terms h(L(x, u)) of a problem as rows: v = L(x, u) with the conic form of h, whose slacks are paid for."""
+"""The terms h(L(x, u)) of a problem as rows: v = L(x, u) with the conic form of h, and slacks with prices."""
 
 from __future__ import annotations
 
@@ -16,20 +16,10 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class TermRows:
-    """The rows of one term.
+    """The rows of one term, with coefficients of signals and slacks.
 
-    Attributes
-    ----------
-    term : Term
-    signals : sparse (rows, signals), slacks : sparse (rows, slacks)
-        Coefficients.
-    lower, upper : (rows,)
-    cones : tuple of slice
-    prices : (slacks,)
-    entries : (rows,)
-        Which value of the term a row's dual is a multiplier of; -1: of none.
-    paid : (slacks, k)
-        The values whose excess each slack measures.
+    ``entries`` (rows,) is the value of the term whose multiplier a row's dual is (-1: none); ``paid`` (slacks, k) the
+    values whose excess each slack measures.
     """
 
     term: Term
@@ -92,7 +82,7 @@ class ConicTerms:
 
     @property
     def of_costs(self) -> Mask:
-        """Return which slacks are those of nonsmooth costs: their prices say how large the cost is."""
+        """Return which slacks belong to nonsmooth costs: their prices give the size of the cost."""
         counts = [len(part.prices) for part in self.parts]
         return np.repeat(np.array([part.term.kind.is_cost for part in self.parts], dtype=bool), counts)
 

@@ -1,4 +1,4 @@
-"""What frequency constraints cost a sparse program: dense rows, counted before they are made."""
+"""Memory and time of the dense rows of frequency constraints, estimated before they are made."""
 
 from __future__ import annotations
 
@@ -7,28 +7,16 @@ from dataclasses import dataclass
 from lin_freq_ocp.memory import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-# Of a dense row at the peak: its value, places while it is put in, and the scaled copies that solvers are given
-BYTES_PER_ENTRY = 100.0
+BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
-# To make, scale and order dense rows, measured with Clarabel; a solver's set-up does not stop before it is done
-SECONDS_PER_ENTRY = 7.5e-7
-# Of one factorisation, measured with Clarabel: d dense rows and V variables are d^2 V products
-SECONDS_PER_PRODUCT = 4e-10
-LEAST_FACTORISATIONS = 5.0  # fewer lead no interior-point method to an answer
+SECONDS_PER_ENTRY = 7.5e-7  # to make, scale and order dense rows, measured with Clarabel
+SECONDS_PER_PRODUCT = 4e-10  # of one factorisation, measured with Clarabel: d^2 V for d dense rows and V variables
+LEAST_FACTORISATIONS = 5.0  # of an interior-point method
 
 
 @dataclass(frozen=True)
 class DenseRows:
-    """Dense rows of a sparse program.
-
-    Attributes
-    ----------
-    count : int
-    entries : int
-        Numbers in them.
-    variables : int
-        Of the program.
-    """
+    """The numbers of dense rows, of their entries, and of the variables of the program."""
 
     count: int
     entries: int

@@ -23,13 +23,13 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.conic_terms import ConicTerms, conic_terms
 from lin_freq_ocp.transcription.linear.dense_rows import require_dense_memory
-from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers, real_rows
+from lin_freq_ocp.transcription.linear.real_rows import spectrum_multipliers, spectrum_rows
 from lin_freq_ocp.transcription.program import Block, Program
 
 
@@ -52,7 +52,7 @@ class LinearTranscription:
             (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
         ):
-            matrix = _spectrum_rows(stop, length, states + controls, first)
+            matrix = spectrum_rows(stop, length, states + controls, first)
             stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
         terms = self.conic_terms
         stack.add(Block.TERMS, terms.matrix, terms.lower, terms.upper)
@@ -79,12 +79,12 @@ class LinearTranscription:
         return Trajectory(x_ref + x.reshape(x_ref.shape), u_ref + u.reshape(u_ref.shape))
 
     def direction(self, z: Array) -> Trajectory:
-        """Return the change (dx, du) that is a change z of the point of the program."""
+        """Return the change (dx, du) of a change z of the point of the program."""
         x, u = np.split(z[: self.signals], [self._states])
         return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
 
     def point(self, trajectory: Trajectory) -> Array:
-        """Return the point of the program that is this trajectory."""
+        """Return the point of the program of a trajectory."""
         a, b = self.problem.quadratic.deviations(trajectory.x, trajectory.u)
         return np.concatenate([a.ravel(), b.ravel(), self.conic_terms.slacks_of(trajectory)])
 
@@ -100,8 +100,8 @@ class LinearTranscription:
             eta=y[rows[Block.DYNAMICS]].reshape(T, n),
             mu=mu,
             nu=nu,
-            rho_u=_split_bins(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
-            rho_x=_split_bins(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
+            rho_u=spectrum_multipliers(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
+            rho_x=spectrum_multipliers(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
             stage=self.conic_terms.multipliers(y[rows[Block.TERMS]]),
         )
 
@@ -164,12 +164,9 @@ class _RowStack:
         self._count += matrix.shape[0]
 
     def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array, cones: Sequence[slice]) -> Program:
-        """Return the program in the deviations from ``origin``, where the cost is ``constant`` and its gradient q.
-
-        ``cones`` count from the first row of the last block; matrices without columns for the slacks get zeros.
-        """
+        """Return the program in deviations from ``origin``; ``cones`` count from the first row of the last block."""
         matrices, lower, upper = zip(*self._parts, strict=True)
-        A = sp.csc_array(sp.vstack([sp.csc_array(_widened(matrix, len(q))) for matrix in matrices]))
+        A = sp.csc_array(sp.vstack([_widened(matrix, len(q)) for matrix in matrices]))
         A.eliminate_zeros()
         P.eliminate_zeros()
         shift = A @ origin
@@ -180,15 +177,13 @@ class _RowStack:
 
 
 def _widened(matrix: sp.csc_array, columns: int) -> sp.csc_array:
-    return sp.csc_array((matrix.data, matrix.indices, _pointers(matrix, columns)), shape=(matrix.shape[0], columns))
-
-
-def _pointers(matrix: sp.csc_array, columns: int) -> Indices:
-    return np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
+    """Return the matrix with columns of zeros for the slacks."""
+    pointers = np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
+    return sp.csc_array((matrix.data, matrix.indices, pointers), shape=(matrix.shape[0], columns))
 
 
 def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> tuple[Array, Indices, Indices]:
-    """Return values, rows and columns of diag(M_0 .. M_{times-1}), one matrix or one per time, from a place on."""
+    """Return values, rows and columns of diag(M_0 .. M_{times-1}), one or one per time, from (row, column) on."""
     rows, columns = matrices.shape[-2:]
     i = row + np.arange(times * rows).reshape(times, rows, 1)
     j = column + np.arange(times * columns).reshape(times, 1, columns)
@@ -213,25 +208,3 @@ def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_ar
         (np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns)
     )
     return matrix, tube.lower[bounded], tube.upper[bounded]
-
-
-def _spectrum_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
-    """Return the DFT rows of every component; component j of time t is variable first + t * components + j."""
-    components = stop.shape[1]
-    parts = [sp.csc_array((0, columns))]
-    for j in range(components):
-        rows = real_rows(length, stop[:, j])
-        place = first + np.arange(length) * components + j
-        row, time = np.nonzero(np.ones_like(rows, dtype=bool))
-        parts.append(sp.csc_array((rows.ravel(), (row, place[time])), shape=(len(rows), columns)))
-    return sp.csc_array(sp.vstack(parts))
-
-
-def _split_bins(stop: Mask, length: int, rho: Array) -> ComplexArray:
-    result, first = np.zeros(stop.shape, dtype=np.complex128), 0
-    for j in range(stop.shape[1]):
-        k = np.flatnonzero(stop[:, j])
-        count = 2 * len(k) - int(np.isin([0, length / 2], k).sum())
-        result[:, j] = bin_multipliers(length, stop[:, j], rho[first : first + count])
-        first += count
-    return result

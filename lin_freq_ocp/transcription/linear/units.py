@@ -1,15 +1,13 @@
 """Typical magnitudes of a problem's states, controls and cost, so that a solver sees numbers near 1.
 
-Bounds say what is allowed, not what happens (30 rad/s allowed, 0.5 reached), so magnitudes come from the trajectory
-that the costs and ends ask for when bounds and bands are forgotten; bounds only cap them. What counts is the deviation
-from the references, in which the program is written. Once there is a trajectory, its own magnitudes are the units: an
-answer is measured in them (``own_scaling``), and solved again in them if they are not those that it was found in.
+Magnitudes come from the optimum without bounds and bands; bounds only cap them, as they say what is allowed, not what
+happens. Variables are deviations from the references. Once there is a trajectory, its own magnitudes are the units: a
+solution is measured in them (``own_scaling``), and solved again in them if its units were very different.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,22 +20,14 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.program import Block, Program, Scaling
 
-# Added to the Hessian, relative to its mean diagonal: directions without cost get the smallest trajectory
-HESSIAN_REGULARISATION = 1e-6
-# Subtracted below the rows: dependent equations (an unreachable end) get a least-squares trajectory
-ROW_REGULARISATION = 1e-10
-# A component whose typical magnitude, relative to what the data state of it, is below this does not move
-NEGLIGIBLE = 1e-6
-ROUNDING = 1e-12  # what is smaller than this part of its unit until then is rounding
-# A component that is smaller than this part of what would change another one by its size, spread over the horizon, does
-# not move: that part is its unit
-UNNOTICED = 1e-3
-# With terms (penalties, masks, ...), which the relaxed trajectory knows nothing of, no component is thought smaller
-# than this part of what the data state of it, or larger by as much; a second solve corrects it
-TERM_SHARE = 0.1
-# Factor between a unit and what its component or the cost turned out to be, from which new units are worth a solve
-REVISED = 100.0
-COST_LEVEL = 10.0  # steepest slope of the scaled cost: the other slopes are smaller, and solvers need to see them all
+HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
+ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
+NEGLIGIBLE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
+UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
+UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
+TERM_SHARE = 0.1  # with terms, which the relaxed optimum ignores, units differ by at most this from the data
+REVISED = 100.0  # factor between a unit and the magnitude found from which the program is solved again
+COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
 
 
 def natural_scaling(transcription: LinearTranscription) -> Scaling:
@@ -55,8 +45,7 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
 def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
     """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
 
-    A component is as large as in the largest of them, but not much smaller or larger than the data state: what moves
-    in one mode may stand still in another.
+    A component is as large as in the largest of them, but not much smaller or larger than the data state.
     """
     first = transcriptions[0]
     stated = first.column_units(*stated_sizes(first.problem))
@@ -68,30 +57,26 @@ def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
 def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
     """Return the units in which a point z (in the program's own units) is of order 1.
 
-    Parameters
-    ----------
-    fallback : (variables,)
-        Units of variables that are zero, and that nothing else gives a size.
-    per_time : bool
-        Whether a component may have another unit at every time, as where it decays over many orders of magnitude.
+    ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
+    at every time, for one that decays over many orders of magnitude.
     """
     x, u = _floored(transcription, *_by_time(transcription, z))
     if not per_time:
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
     columns = transcription.column_units(x, u)
-    signals, least = np.concatenate([x.ravel(), u.ravel()]), ROUNDING * fallback[: transcription.signals]
+    signals, least = np.concatenate([x.ravel(), u.ravel()]), UNIT_ROUNDING * fallback[: transcription.signals]
     columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
     return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
 def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
-    """Return how large the variables of a point are, (variables,): none smaller than what could be noticed."""
+    """Return the magnitudes of the variables of a point, (variables,), with those of signals bounded below."""
     x, u = _floored(transcription, *_by_time(transcription, z))
     return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
 
 
 def stated_scaling(transcription: LinearTranscription) -> Scaling:
-    """Return the units that the data of a problem state."""
+    """Return the units from the sizes in the data of a problem."""
     columns = transcription.column_units(*stated_sizes(transcription.problem))
     return _scaling(transcription, columns, columns)
 
@@ -105,7 +90,7 @@ def plain_scaling(transcription: LinearTranscription) -> Scaling:
 def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scaling:
     """Return the natural units, enlarged until the farthest bound on a state or control is of order 1.
 
-    They are for answers that nothing but far bounds holds.
+    They are for optima at far bounds.
     """
     tubes = transcription.problem.state_tube, transcription.problem.control_tube
     sides = [
@@ -117,7 +102,7 @@ def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scal
 
 
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
-    """Return units from a solution z (in the program's own units), or None if those it was found in were right."""
+    """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
     revised = own_scaling(transcription, z, scaling.columns)
     return revised if distance(revised, scaling) > REVISED else None
 
@@ -155,7 +140,7 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
 def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the largest deviations from the references of the optimum without inequalities and bands."""
     program, problem = transcription.program, transcription.problem
-    if not program.P.nnz and program.q.any():  # without curvature, what the cost asks for is endless
+    if not program.P.nnz and program.q.any():  # without curvature, the minimum is unbounded
         return guess
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
@@ -178,14 +163,14 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     return x, u
 
 
-def _kkt(P: Any, mean: float, A: Any) -> Any:
+def _kkt(P: sp.csc_array, mean: float, A: sp.csc_array) -> sp.csc_array:
     """Return the regularised matrix of min z'P z / (2 mean) subject to rows A of length 1."""
     signals, count = P.shape[0], A.shape[0]
-    every, hessian, rows = np.arange(signals + count), P.tocoo(), A.tocoo()
+    every, hessian, rows = np.arange(signals + count), sp.coo_array(P), sp.coo_array(A)
     regularisation = np.append(np.full(signals, HESSIAN_REGULARISATION), np.full(count, -ROW_REGULARISATION))
     values = np.concatenate([hessian.data / mean, rows.data, rows.data, regularisation])
-    i = np.concatenate([hessian.row, rows.row + signals, rows.col, every])
-    j = np.concatenate([hessian.col, rows.col, rows.row + signals, every])
+    i = np.concatenate([hessian.coords[0], rows.coords[0] + signals, rows.coords[1], every])
+    j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + signals, every])
     return sp.csc_array((values, (i, j)), shape=(signals + count, signals + count))
 
 
@@ -197,7 +182,7 @@ def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array
 
 
 def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
-    """Return magnitudes (T+1, n) and (T, m), none smaller than what could be noticed in the dynamics."""
+    """Return magnitudes (T+1, n) and (T, m), none smaller than what others would notice through the dynamics."""
     program, problem = transcription.program, transcription.problem
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
     constant = np.abs(program.lower[program.rows[Block.DYNAMICS]]).reshape(-1, problem.state_dim)
@@ -214,18 +199,18 @@ def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Ar
 
 
 def _capped(reached: Array, tube: Box) -> Array:
-    """Return what is reached, but not beyond the bounds."""
+    """Return magnitudes, capped by the bounds."""
     widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
     return np.minimum(reached, np.where(widest > 0, widest, np.inf))
 
 
-def _row_norms(matrix: Any) -> Array:
+def _row_norms(matrix: sp.csc_array) -> Array:
     """Return the Euclidean norms of the rows of a matrix by columns; 1 for rows of zeros, which are in cones only."""
     norms = np.sqrt(np.bincount(matrix.indices, matrix.data**2, minlength=matrix.shape[0]))
     return np.where(norms > 0, norms, 1.0)
 
 
-def _scaled(matrix: Any, rows: Array, columns: Array) -> Any:
+def _scaled(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
     """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
     scaled = sp.csc_array(matrix, copy=True)
     scaled.data *= rows[scaled.indices]

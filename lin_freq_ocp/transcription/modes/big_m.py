@@ -1,11 +1,11 @@
-"""How far maps and regions of modes are exceeded while another mode holds: what big-M rows need, and no more.
+"""Big-M coefficients: the least bounds on maps and regions of a mode while another mode holds.
 
 While mode j holds at t, (x_t, u_t) lies in a domain D_tj: the region of j, the hard linear rows of the stage sets, the
-box of j in the forward reach (``problem.mode_reach``), and f_j(x_t, u_t) in that of x_{t+1}. Over it,
+box of j in the forward reach (``analysis.mode_reach``), and f_j(x_t, u_t) in that of x_{t+1}. Over it,
 
     below_ij <= f_j - f_i <= above_ij,      G_i x + H_i u - h_i <= regions_ij.
 
-Every figure is a small linear program in units of the half widths of the box; those of one time are solved together.
+Every bound is a small linear program in units of the half widths of the box; those of one time are solved together.
 """
 
 from __future__ import annotations
@@ -26,30 +26,19 @@ from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 
-# Rows of a domain, in half widths, are relaxed by this much, ten times what a linear program or a mixed-integer solver
-# lets pass; a domain that is empty even so belongs to a mode that cannot hold
+# Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6
-# Part of its range over the box by which every figure is enlarged, for the tolerances (1e-7) of the linear program
-OUTWARD = 1e-6
-# An interval (that of a fixed state is a point) is thought this wide, relative to the natural size of its component:
-# rows are measured in half widths. Nobody can say to less than 1e-6 on which side of a border a point is.
-LEAST_HALF_WIDTH = 1e-9
-ROUNDING = 1e-12  # part of the largest terms of a figure that is rounding of their sum
+OUTWARD = 1e-6  # part of its range by which every bound is enlarged, for the tolerance (1e-7) of the linear program
+LEAST_HALF_WIDTH = 1e-9  # of an interval (that of a fixed state is a point), relative to the size of its component
+TERM_ROUNDING = 1e-12  # part of the absolute terms of a bound
 Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows y <= limits
 
 
 @dataclass(frozen=True, eq=False)
 class Excesses:
-    """What maps and rows of mode i exceed while mode j holds.
+    """Bounds for mode i while mode j holds: of f_j - f_i (T, i, j, n), and of G_i x + H_i u - h_i (T, i, j, rows).
 
-    Attributes
-    ----------
-    possible : (T, modes)
-        Whether a mode can hold at all. Figures of one that cannot are 0, and so are all where only one can.
-    below, above : (T, modes i, modes j, n)
-        Least and largest f_j - f_i.
-    regions : (T, modes i, modes j, rows)
-        Largest G_i x + H_i u - h_i; 0 where there is no row.
+    ``possible`` (T, modes) says which modes can hold. Bounds of others are 0, as are all where only one can.
     """
 
     possible: Mask
@@ -75,7 +64,7 @@ class _Stage:
 
     @property
     def key(self) -> bytes:
-        """Return what tells this stage from others."""
+        """Return the data of the stage, to find equal stages."""
         return b"".join(np.ascontiguousarray(part).tobytes() for part in vars(self).values())
 
     def domain(self, j: int) -> Rows:
@@ -86,7 +75,7 @@ class _Stage:
         images = (self.next_upper - self.c[j])[above], (self.c[j] - self.next_lower)[below]
         limits = np.concatenate([self.h[j][region], self.limits, *images]) - rows @ self.centres[j]
         rows, limits = _normalised(rows * self.halves[j], limits)
-        most = 2 * np.sqrt(rows.shape[1])  # a row of norm 1 comes to half of it at most: beyond, all limits are alike
+        most = 2 * np.sqrt(rows.shape[1])  # a row of norm 1 is at most half of it
         return rows, np.clip(limits, -most, most)
 
 
@@ -97,16 +86,9 @@ def require_time(end: float) -> None:
 
 
 def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
-    """Return the excesses of a problem with piecewise-affine dynamics.
+    """Return the excesses of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``time.perf_counter``).
 
-    Raises
-    ------
-    UnsupportedError
-        If a control or state has no bound at a time at which several modes are possible, naming it.
-    NumericalError
-        If a linear program does not end with an answer.
-    TimeoutError
-        At ``end``, by ``time.perf_counter``.
+    Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
     T, n = problem.horizon, problem.state_dim
     further, units = _further_rows(problem), np.concatenate(stated_sizes(problem))
@@ -137,9 +119,9 @@ def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
 
 def _require_bounds(problem: OptimalControlProblem, reach: Reach, t: int, here: Indices) -> None:
     for bounds, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
-        endless = (np.abs(bounds[t, here]) >= UNBOUNDED).any(axis=0)
-        if endless.any():
-            name = (*problem.state_names, *problem.control_names)[int(np.argmax(endless))]
+        unbounded = (np.abs(bounds[t, here]) >= UNBOUNDED).any(axis=0)
+        if unbounded.any():
+            name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
             raise UnsupportedError(
                 f"{name}: no {side} bound at t = {t}, where several modes are possible; a mixed-integer program needs "
                 "bounds that the state, control and initial sets state or imply."
@@ -186,7 +168,7 @@ def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
 
 
 def _least_excesses(domains: Sequence[Rows]) -> Array:
-    """Return by how much the rows of each domain must be relaxed for a point of the box to satisfy them, (modes,)."""
+    """Return the least relaxation of the rows of each domain for which it is not empty, (modes,)."""
     blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
     columns = blocks[0].shape[1]
     cost = np.tile(np.append(np.zeros(columns - 1), 1.0), len(blocks))
@@ -197,7 +179,7 @@ def _least_excesses(domains: Sequence[Rows]) -> Array:
 
 
 def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
-    """Return the largest value of each objective'y over its domain, enlarged outward; what is exactly 0 stays so."""
+    """Return the largest value of each objective'y over its domain, enlarged outward, except an exact 0."""
     scaled = np.vstack([objectives * stage.halves[j] for j, objectives, _ in asked])
     sizes, counts = np.abs(scaled).sum(axis=1), np.cumsum([len(objectives) for _, objectives, _ in asked])
     parts = np.split(sizes > 0, counts[:-1])
@@ -210,7 +192,7 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
     middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
     terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
-    return np.split(largest + OUTWARD * sizes + middles + ROUNDING * terms, counts[:-1])
+    return np.split(largest + OUTWARD * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
 
 
 def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array:
@@ -233,21 +215,21 @@ def _normalised(rows: Array, limits: Array) -> Rows:
 def _with_implied_bounds(
     problem: OptimalControlProblem, further: Sequence[Rows], units: Array
 ) -> OptimalControlProblem:
-    """Return the problem with the bounds that follow from further rows where none are stated; for the reach alone."""
+    """Return the problem with the bounds implied by further rows where none are stated; for the reach alone."""
     n, boxes, controls = problem.state_dim, problem.state_boxes, problem.control_tube
     lower = np.hstack([problem.state_tube.lower[:-1], controls.lower])
     upper = np.hstack([problem.state_tube.upper[:-1], controls.upper])
-    endless = ~np.isfinite(lower) | ~np.isfinite(upper)
-    if not any(endless[t].any() and len(further[t][1]) for t in range(problem.horizon)):
+    unbounded = ~np.isfinite(lower) | ~np.isfinite(upper)
+    if not any(unbounded[t].any() and len(further[t][1]) for t in range(problem.horizon)):
         return problem
-    for t in map(int, np.flatnonzero(endless.any(axis=1))):
+    for t in map(int, np.flatnonzero(unbounded.any(axis=1))):
         lower[t], upper[t] = _implied(lower[t], upper[t], *further[t], units)
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
 
 
 def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Array) -> tuple[Array, Array]:
-    """Return bounds (n+m,), those that are missing from the rows where these have any."""
+    """Return bounds (n+m,), missing ones computed from the rows where these imply any."""
     from scipy.optimize import linprog  # slow to import
 
     low, high = lower.copy(), upper.copy()
@@ -263,7 +245,7 @@ def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Arra
 
 
 def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
-    """Return, for every t < T, hard rows that hold for (x_t, u_t) beside bounds and modes."""
+    """Return, for every t < T, the hard rows on (x_t, u_t) beside bounds and modes."""
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
     for term in problem.terms:

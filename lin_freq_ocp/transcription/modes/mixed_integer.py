@@ -4,9 +4,9 @@
     REGIONS    G_i x_t + H_i u_t - h_i <= sum_j regions_ij delta_{t,j}
     MODES      sum_i delta_{t,i} = 1, 0 <= delta <= 1, and <= 0 for modes that cannot hold
 
-with the figures of big_m.py, which are 0 for j = i: while mode i holds, its map and region do, and those of the others
-ask for nothing. One M for each pair of modes is at least as tight as M (1 - delta_{t,i}) with the largest of them. A
-row that several modes share is written once, as an equation if all share it. Everything else is as in linear.py.
+with the bounds of big_m.py, which are 0 for j = i: while mode i holds, its map and region do, and the rows of the
+others are void. One M for each pair of modes is at least as tight as M (1 - delta_{t,i}) with the largest of them. A
+row of several modes is written once, as an equation if all have it. Everything else is as in the linear transcription.
 """
 
 from __future__ import annotations
@@ -31,22 +31,12 @@ Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower 
 
 @dataclass(frozen=True, eq=False)
 class MixedInteger:
-    """The mixed-integer program of a piecewise-affine problem, with its own inverse.
+    """The mixed-integer program of a piecewise-affine problem in natural units, with its inverse.
 
-    Attributes
-    ----------
-    problem : OptimalControlProblem
-    program : Program
-        In natural units: variables, costs and coefficients of rows are of order 1.
-    scaling : Scaling
-        From the problem's own units to those.
-    host : LinearTranscription
-        Of the same problem with the map of mode 0 alone and no regions: its variables are the first of the program.
-    possible : (T, modes)
-        Which modes can hold when, as intervals around the states tell.
+    ``host`` is the transcription with the map of mode 0 alone and no regions, whose variables come first; ``possible``
+    (T, modes) says which modes can hold.
     """
 
-    problem: OptimalControlProblem
     program: Program
     scaling: Scaling
     host: LinearTranscription
@@ -61,7 +51,7 @@ class MixedInteger:
         return self.host.trajectory(self.scaling.primal(z))
 
     def point(self, trajectory: Trajectory, sequence: Indices) -> Array:
-        """Return the point of the program that is this trajectory in these modes."""
+        """Return the point of the program of a trajectory in these modes."""
         return np.concatenate([self.host.point(trajectory), self.deltas(sequence)]) / self.scaling.columns
 
     def deltas(self, sequence: Indices) -> Array:
@@ -71,13 +61,13 @@ class MixedInteger:
         return deltas.ravel()
 
     def cost(self, objective: float) -> float:
-        """Return the cost J, in the problem's units, from a value of the program's objective."""
+        """Return the cost J of a value of the program's objective."""
         return objective / self.scaling.cost
 
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Where x_t, u_t and delta_t stand among the variables."""
+    """The columns of x_t, u_t and delta_t."""
 
     horizon: int
     n: int
@@ -105,15 +95,7 @@ class _Columns:
 
 
 def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedInteger:
-    """Return the mixed-integer program of a problem with piecewise-affine dynamics.
-
-    Raises
-    ------
-    UnsupportedError
-        If the dynamics are linear, or a control or state has no bound: then there is no M.
-    TimeoutError
-        At ``end``, by ``time.perf_counter``.
-    """
+    """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``excesses``."""
     dynamics, T = problem.piecewise, problem.horizon
     arrays, found = dynamics.arrays(T), excesses(problem, end)
     hosts = [
@@ -129,14 +111,14 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     require_time(end)
     own = _joined(rows, hosts[0], columns)
     scaling = _scaling(own, common_scaling(hosts))
-    return MixedInteger(problem, own.scaled(scaling), scaling, hosts[0], found.possible)
+    return MixedInteger(own.scaled(scaling), scaling, hosts[0], found.possible)
 
 
 def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
     for t, possible in enumerate(found.possible):
         holding = np.flatnonzero(possible)
         for k in range(columns.n):
-            for same in _alike(holding, arrays.A[t, :, k], arrays.B[t, :, k], arrays.offset[t, :, k, None]):
+            for same in _equal_groups(holding, arrays.A[t, :, k], arrays.B[t, :, k], arrays.offset[t, :, k, None]):
                 i, others = same[0], np.setdiff1d(holding, same)
                 place = np.concatenate([columns.state(t + 1)[k : k + 1], columns.stage(t), columns.delta(t, others)])
                 map_row, offset = [1.0, *-arrays.A[t, i, k], *-arrays.B[t, i, k]], float(arrays.offset[t, i, k])
@@ -153,7 +135,7 @@ def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iter
         G, H, h = (part[t].reshape(modes * count, -1) for part in (arrays.G, arrays.H, arrays.h))
         written = np.isfinite(h[:, 0]) & (np.abs(G).sum(axis=1) + np.abs(H).sum(axis=1) > 0)
         asked = np.flatnonzero(written & np.repeat(possible, count))
-        for same in _alike(asked, G, H, h):
+        for same in _equal_groups(asked, G, H, h):
             i, r = divmod(int(same[0]), count)
             others = np.setdiff1d(np.flatnonzero(possible), same // count)
             place = np.concatenate([columns.stage(t), columns.delta(t, others)])
@@ -173,8 +155,8 @@ def _mode_rows(found: Excesses, columns: _Columns) -> Iterator[Row]:
             yield np.array([delta]), np.ones(1), 0.0, float(can_hold)
 
 
-def _alike(chosen: Indices, *parts: Array) -> Iterator[Indices]:
-    """Yield groups of chosen indices at which all parts have the same rows."""
+def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:
+    """Yield groups of chosen indices whose rows in all parts are equal."""
     if len(chosen):
         rows = np.concatenate([part[chosen] for part in parts], axis=1)
         _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -212,10 +194,10 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
 
 
 def _origin(host: LinearTranscription, columns: _Columns) -> Array:
-    """Return what is added to the variables of the program to make them states and controls."""
-    nothing = Trajectory(np.zeros((columns.horizon + 1, columns.n)), np.zeros((columns.horizon, columns.m)))
+    """Return the references: states and controls minus the variables of the program."""
+    zero = Trajectory(np.zeros((columns.horizon + 1, columns.n)), np.zeros((columns.horizon, columns.m)))
     origin = np.zeros(columns.count)
-    origin[: host.signals] = -host.point(nothing)[: host.signals]
+    origin[: host.signals] = -host.point(zero)[: host.signals]
     return origin
 
 

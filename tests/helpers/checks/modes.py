@@ -11,24 +11,9 @@ from dataclasses import dataclass
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.testing.reference import PIECEWISE_AFFINE as INSTANCES
 
 AGREEMENT = 1e-6  # relative difference of two costs, and relative gap
-NEAR = {"initial_state": (1, 1), "terminal_cost": False}
-
-
-# System, arguments, and the known optimal cost, if there is one (reference: docs/hybrid_systems.md)
-INSTANCES = {
-    "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
-    "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
-    "rotation, T = 10": ("switched_rotation", {"horizon": 10, **NEAR}, 2.8378768),
-    "rotation, T = 10, bin 5": ("switched_rotation", {"horizon": 10, "control_spectrum": [5], **NEAR}, 2.8944270),
-    "pendulum, T = 6": ("pendulum_with_wall", {"horizon": 6}, 34.990971),
-    "pendulum, T = 10, freq": ("pendulum_with_wall", {"horizon": 10, "control_spectrum": "freq"}, None),
-    "buck, T = 6": ("buck_affine", {"horizon": 6}, 32.681386),
-    "buck, T = 8, freq": ("buck_affine", {"horizon": 8, "control_spectrum": "freq"}, None),
-    "absolute value, T = 8": ("absolute_value", {"horizon": 8}, -2.8),
-    "network, T = 4, freq": ("max_min_network", {"horizon": 4, "control_spectrum": "freq"}, None),
-}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,35 @@
+"""The public face of lin_freq_ocp.testing: its examples run, and a wrong answer is found out."""
+
+import doctest
+
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp import testing
+from lin_freq_ocp.testing import conformance
+
+
+@pytest.mark.parametrize("module", [testing, conformance])
+def test_the_examples_run(module):
+    runner = doctest.DocTestRunner()
+    for example in doctest.DocTestFinder().find(module, globs={**vars(module), "lfo": lfo}):
+        assert runner.run(example).failed == 0
+
+
+def test_wrong_answers_fail():
+    case = testing.random_case("convex", 0)
+    result = lfo.solve(case.problem)
+    assert not testing.check(case, lambda problem: None).passed
+    spoiled = lfo.Trajectory(result.trajectory.x, result.trajectory.u + 1.0)
+    assert "not feasible" in testing.check(case, lambda problem: spoiled).message
+    dearer = testing.Case(case.name, case.problem, case.cost * 1.01)
+    assert "relative error" in testing.check(dearer, lambda problem: result.trajectory).message
+    with_answer = testing.Case(case.name, case.problem, float("inf"))
+    assert not testing.check(with_answer, lambda problem: result.trajectory).passed
+
+
+@pytest.mark.parametrize(("kind", "name"), [("piecewise affine", "buck, T = 6"), ("piecewise smooth", "buck, T = 3")])
+def test_cases_with_modes(kind, name):
+    case = next(case for case in testing.conformance_cases(kind) if case.name == name)
+    report = testing.check(case, lambda problem: lfo.solve(problem).trajectory)
+    assert report.passed, report
