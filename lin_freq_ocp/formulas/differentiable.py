@@ -253,7 +253,6 @@ class DifferentiableFunction:
 
     def _evaluated(self, what: str, x: Array, u: Array) -> Array:
         """Return what one of the functions makes of points, (points, outputs, ...)."""
-        function = getattr(self, what)
         count = x.shape[1] + u.shape[1]
         shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
         made = np.full((len(x), *shape), _UNDEFINED)
@@ -262,17 +261,17 @@ class DifferentiableFunction:
         x.flags.writeable = u.flags.writeable = False
         with np.errstate(all="ignore"):
             if self.vectorized and len(defined):
-                made[defined] = self._checked(what, self._called(what, function, x, u), (len(x), *shape), (x, u))
+                made[defined] = self._checked(what, self._called(what, x, u), (len(x), *shape), (x, u))
                 return made
             for i, point in zip(defined, zip(x, u, strict=True), strict=True):
-                row = self._called(what, function, *point)
+                row = self._called(what, *point)
                 plain = row is _UNDEFINED or (isinstance(row, float) and shape == (1,))
                 made[i] = row if plain else self._checked(what, row, shape, point)
         return made
 
-    def _called(self, what: str, function: Any, x: Array, u: Array) -> Any:
+    def _called(self, what: str, x: Array, u: Array) -> ArrayLike:
         try:
-            return function(x, u)
+            return getattr(self, what)(x, u)
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a user's function
@@ -282,7 +281,7 @@ class DifferentiableFunction:
             advice = "Return nan where the function is not defined."
             raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
 
-    def _checked(self, what: str, given: Any, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
+    def _checked(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
         """Return what a function returned as numbers of the right shape; of one output, also without its axis."""
         if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
             return given

@@ -25,12 +25,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import pi
-from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number
-from lin_freq_ocp.library.common import control_band, flag, sum_of_squares, symmetric
+from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.convex import Polyhedron
@@ -49,7 +48,7 @@ def ball_and_paddle(
     horizon: int = 20,
     sampling_time: float = 0.05,
     keep_over_paddle: bool = True,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.0, 0.0, pi, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     terminal_state: Sequence[float] | None = (0.0,) * STATES,
     terminal_cost: bool = True,

@@ -25,13 +25,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp, log, tanh
-from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, shaped
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.library.common import control_band, sum_of_squares
+from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -48,7 +47,7 @@ def buck_affine(
     sampling_time: float = 2.5e-4,
     pieces: int = 1,
     linearised_at: float = 2.35,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.65,),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,
@@ -93,9 +92,9 @@ def buck_affine(
     kept, slope, excess = _border(step)
     on = AffineMode(*_map(CURRENT_REFERENCE * ONE + kept * excess), **_region([excess]), name="on")
     if count == 1:
-        off = [(excess / (_above_pole(linearised_at) - POLE), [-excess])]
+        off = [(excess / (_above_pole(linearised_at)), [-excess])]
     else:
-        off = _triangles(_breaks(count, lowest, highest), slope, excess)
+        off = _triangles(count, np.geomspace(lowest - POLE, highest - POLE, count), slope, excess)
     modes = [
         AffineMode(
             *_map(CURRENT_REFERENCE * ONE - POLE * kept * ratio),
@@ -135,14 +134,14 @@ def buck_error(
     lowest, highest = (voltage - POLE for voltage in _voltages(voltage_bounds))
     kept = _border(positive_number("sampling_time", sampling_time))[0]
     if count == 1:
-        exact = _above_pole(linearised_at) - POLE
+        exact = _above_pole(linearised_at)
         relative = max(abs(1 - lowest / exact), abs(1 - highest / exact))
     else:
         relative = tanh(log(highest / lowest) / (4 * (count - 1)))
     return CURRENT_REFERENCE * (1 - kept) * relative
 
 
-def _voltages(bounds: Any) -> tuple[float, float]:
+def _voltages(bounds: Sequence[float]) -> tuple[float, float]:
     """Return the bounds on the voltage, both above the pole."""
     lowest, highest = (float(bound) for bound in shaped("voltage_bounds", bounds, (2,)))
     if not POLE < lowest < highest:
@@ -151,11 +150,12 @@ def _voltages(bounds: Any) -> tuple[float, float]:
     return lowest, highest
 
 
-def _above_pole(voltage: Any) -> float:
+def _above_pole(voltage: float) -> float:
+    """Return s at a voltage that is above the pole."""
     given = positive_number("linearised_at", voltage)
     if given <= POLE:
         raise ProblemError("linearised_at", brief(voltage), f"a voltage above {POLE:g} V")
-    return given
+    return given - POLE
 
 
 def _border(step: float) -> tuple[float, float, Array]:
@@ -165,15 +165,9 @@ def _border(step: float) -> tuple[float, float, Array]:
     return kept, slope, np.array([1.0, slope, -CURRENT_REFERENCE / kept])
 
 
-def _breaks(count: int, lowest: float, highest: float) -> Array:
-    """Return q_0 .. q_{count+1}: s_min twice, then at equal ratios, s_max twice."""
-    inner = np.geomspace(lowest - POLE, highest - POLE, count)
-    return np.concatenate([inner[:1], inner, inner[-1:]])
-
-
-def _triangles(breaks: Array, slope: float, excess: Array) -> list[tuple[Array, list[Array]]]:
-    """Return w of (2) and the rows <= 0 of every triangle; q_1, q_3, ... are above."""
-    count = len(breaks) - 2
+def _triangles(count: int, inner: Array, slope: float, excess: Array) -> list[tuple[Array, list[Array]]]:
+    """Return w of (2) and the rows <= 0 of every triangle, from q_1 .. q_count; those of odd number are above."""
+    breaks = np.concatenate([inner[:1], inner, inner[-1:]])
     lines = [_line(breaks[j : j + 2], j % 2 == 1, slope, excess) for j in range(count + 1)]
     found: list[tuple[Array, list[Array]]] = []
     for j in range(1, count + 1):

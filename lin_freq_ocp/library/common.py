@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, pi
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, notch, stop_band
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
 
 
 def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> Box:
@@ -32,7 +33,11 @@ def notch_at(frequency: float, width_hz: float | None, component: str | None = N
     return None if width_hz is None else notch(centre_hz=frequency / (2 * pi), width_hz=width_hz, component=component)
 
 
-def control_band(given: Any, horizon: int) -> Any:
+# A stop band, several, bins to remove, "freq" or "none"; see ``control_band``.
+Spectrum = FrequencyConstraint | str | Sequence[FrequencyConstraint | int] | None
+
+
+def control_band(given: Spectrum, horizon: int) -> Spectrum:
     """Return what the parameter ``control_spectrum`` of a problem stands for.
 
     Whole numbers are the bins to remove, "freq" the bins max(2, ceil(T/3)) <= k <= T//2 of every control; None and
@@ -46,19 +51,20 @@ def control_band(given: Any, horizon: int) -> Any:
         if horizon < 4:
             raise ProblemError("control_spectrum", f"'freq' at a horizon of {horizon}", "a horizon of at least 4")
         return stop_band(bins=range(max(2, ceil(horizon / 3)), horizon // 2 + 1))
-    if isinstance(given, Sequence) and given and all(isinstance(k, (int, np.integer)) for k in given):
-        return stop_band(bins=given)
+    if isinstance(given, Sequence) and given:
+        bins = [k for k in given if isinstance(k, (int, np.integer))]
+        return stop_band(bins=bins) if len(bins) == len(given) else given
     return given
 
 
-def flag(parameter: str, given: Any) -> bool:
+def flag(parameter: str, given: object) -> bool:
     """Return True or False, or raise ProblemError naming the parameter."""
     if not isinstance(given, bool):
         raise ProblemError(parameter, brief(given), "True or False")
     return given
 
 
-def sum_of_squares(Q: Any, R: Any, terminal_cost: Any, x_ref: Any = 0.0) -> QuadraticCost:
+def sum_of_squares(Q: ArrayLike, R: ArrayLike, terminal_cost: bool, x_ref: ArrayLike = 0.0) -> QuadraticCost:
     """Return sum_{t<T} a'Q a + u'R u, a = x_t - x_ref, plus a'Q a at T with ``terminal_cost``; no 1/2 anywhere."""
     double = 2 * real_array("Q", Q)
     terminal = double if flag("terminal_cost", terminal_cost) else 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any
 
 import numpy as np
 
@@ -36,7 +35,7 @@ def elliptic_rendezvous(
 ) -> OptimalControlProblem:
     """Meet a target in an elliptic orbit, slowly throttling the thrust: the dynamics vary in time.
 
-    Minimise 1/2 sum of |u_t|^2. The chaser's place relative to the target, x radial (outwards) and y along the track,
+    Minimise 1/2 sum of |u_t|^2. The chaser's position relative to the target, x radial (outwards), y along the track,
     follows the in-plane equations of Tschauner and Hempel with the true anomaly f(t) of the target, w = f', r = radius:
 
         x'' = (w^2 + 2 mu/r^3) x + w' y + 2 w y' + u_x
@@ -151,6 +150,6 @@ def _integrated(rates: Callable[[float, Array], Array], initial: Array, times: A
     """Return the solution at the given times, shape (len(initial), len(times))."""
     from scipy.integrate import solve_ivp  # slow to import
 
-    accuracy: dict[str, Any] = {"method": "DOP853", "rtol": INTEGRATION_TOLERANCE, "atol": INTEGRATION_TOLERANCE}
-    solution = solve_ivp(rates, (0.0, float(times[-1])), initial, t_eval=times, **accuracy)
+    span, tolerance = (0.0, float(times[-1])), INTEGRATION_TOLERANCE
+    solution = solve_ivp(rates, span, initial, "DOP853", times, rtol=tolerance, atol=tolerance)
     return np.asarray(solution.y)

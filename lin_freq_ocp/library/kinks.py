@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, pi, sin
-from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
-from lin_freq_ocp.library.common import control_band, flag, sum_of_squares, symmetric
+from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -18,7 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 def absolute_value(
     horizon: int = 2,
     preferred_control: float = 0.1,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.0,),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,
@@ -87,7 +86,7 @@ def max_min_network(
     horizon: int = 2,
     load_first: bool = True,
     control_weight: float = 0.0,
-    control_spectrum: Any = (0,),
+    control_spectrum: Spectrum = (0,),
     initial_state: Sequence[float] = (0.0,),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,
@@ -174,7 +173,7 @@ CONTRACTION, ANGLE = 0.8, pi / 3
 
 def switched_rotation(
     horizon: int = 6,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (-6.0, 7.0),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp, pi
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.formulas.nodes import norm
-from lin_freq_ocp.library.common import control_band, symmetric
+from lin_freq_ocp.formulas.nodes import Formula, norm
+from lin_freq_ocp.library.common import Spectrum, control_band, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
@@ -19,6 +19,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass
 
+Signals = NDArray[np.object_]
 CART_MASS, PENDULUM_MASS, HALF_LENGTH, GRAVITY = 2.5, 0.6, 0.25, 9.8  # kg, kg, m, m/s^2
 
 
@@ -95,7 +96,7 @@ def _pendulum_model(parameters: str) -> tuple[Array, Array]:
 def norm_dynamics(
     initial_state: Sequence[float] = (1.0, 0.0),
     horizon: int = 10,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = False,
 ) -> OptimalControlProblem:
@@ -142,7 +143,7 @@ def buck_converter(
     initial_state: Sequence[float] = (0.65,),
     terminal_state: Sequence[float] | None = (0.8,),
     diode_resistance: float = 0.0,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     resistance: float = 2.0,
     inductance: float = 1e-3,
     sampling_time: float = 2.5e-4,
@@ -192,10 +193,10 @@ def buck_converter(
     if v_min is not None and not v_min > pole:
         raise ProblemError("v_min", brief(v_min), f"a voltage above {pole:g} V, the pole of the second mode, or None")
 
-    def excess(x: Any, u: Any) -> Any:
+    def excess(x: Signals, u: Signals) -> Formula:
         return x[0] - (reference - u[0] / R) / kept - u[0] / R
 
-    def off(x: Any, u: Any) -> list[Any]:
+    def off(x: Signals, u: Signals) -> list[Formula]:
         if not diode:
             return [reference - pole * kept * excess(x, u) / (u[0] - pole)]
         # the power as exp(log): the fraction is above 1, or 1/a on the border

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import pi
-from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, shaped
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.library.common import control_band, sum_of_squares, symmetric
+from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares, symmetric
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
@@ -22,7 +21,7 @@ TIP = np.array([1.0, -1.0])  # the tip of the pole is at q - theta: what it is t
 def pendulum_with_wall(
     horizon: int = 6,
     sampling_time: float = 0.02,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.08, 0.6),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,
@@ -91,7 +90,7 @@ def cart_between_walls(
     horizon: int = 60,
     sampling_time: float = 0.01,
     restitution: float = 0.5,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.0, 2.5),
     terminal_state: Sequence[float] | None = (0.0, 0.0),
     terminal_cost: bool = True,
@@ -159,7 +158,7 @@ def cart_between_walls(
 def cart_pole_with_walls(
     horizon: int = 30,
     sampling_time: float = 0.05,
-    control_spectrum: Any = None,
+    control_spectrum: Spectrum = None,
     initial_state: Sequence[float] = (0.0, 0.0, 1.0, 0.0),
     terminal_state: Sequence[float] | None = None,
     terminal_cost: bool = True,

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +12,11 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, assign, brief, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.linearisation import System
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 REGION = "mode region"  # the name under which the region rows of a fixed mode sequence, and their multipliers, stand
-MODE = "mode"  # what an error calls the mode that it is about, until somebody knows its place
+MODE = "mode"  # the field that errors name until ``located_at`` names the mode
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -37,7 +37,7 @@ class AffineMode:
     ------
     ProblemError
         If shapes do not match or entries are not numbers; of the field ``mode.A``, or ``dynamics.modes[i].A`` where the
-        place is known.
+        location is known.
 
     Examples
     --------
@@ -72,13 +72,13 @@ class AffineMode:
 
 
 @contextmanager
-def located_at(place: str, own: str = MODE) -> Generator[None]:
-    """Let a ProblemError that names the field ``own``, or one within, name it at ``place`` instead."""
+def located_at(location: str, own: str = MODE) -> Generator[None]:
+    """Let a ProblemError that names the field ``own``, or one within, name it at ``location`` instead."""
     try:
         yield
     except ProblemError as error:
         rest = error.field.removeprefix(own)
-        field = place + rest if rest != error.field else f"{place}: {error.field}"
+        field = location + rest if rest != error.field else f"{location}: {error.field}"
         raise ProblemError(field, error.got, error.expected, error.advice) from None
 
 
@@ -136,31 +136,31 @@ class SmoothPiece:
     ('near 1',)
     """
 
-    system: Any
+    system: System
     x: ArrayLike
     u: ArrayLike
     G: ArrayLike | None = None
     H: ArrayLike | None = None
     h: ArrayLike | None = None
     name: str = ""
-    params: dict[str, Any] | None = None
+    params: Mapping[str, object] | None = None
     state_scale: ArrayLike | None = None
     control_scale: ArrayLike | None = None
     integrator: str = "DOP853"
 
 
 def linearised_modes(
-    pieces: Any, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
-) -> tuple[list[AffineMode], float | None, Sequence[str] | None, Sequence[str] | None]:
-    """Return the modes, the sampling time and the names; see ``PiecewiseAffineDynamics.linearised``."""
+    pieces: Sequence[SmoothPiece], sampling_time: float | None
+) -> tuple[list[AffineMode], LinearDynamics]:
+    """Return the modes of ``PiecewiseAffineDynamics.linearised``, and the linearisation of the first piece."""
     if not isinstance(pieces, Sequence) or isinstance(pieces, str) or not pieces:
         raise ProblemError("pieces", brief(pieces), "a list of at least one SmoothPiece")
     modes: list[AffineMode] = []
     maps: list[LinearDynamics] = []
     for i, piece in enumerate(pieces):
-        place = f"pieces[{i}]"
+        location = f"pieces[{i}]"
         if not isinstance(piece, SmoothPiece):
-            raise ProblemError(place, brief(piece), "a SmoothPiece")
+            raise ProblemError(location, brief(piece), "a SmoothPiece")
         try:
             linear = LinearDynamics.linearised(
                 piece.system,
@@ -173,14 +173,13 @@ def linearised_modes(
                 integrator=piece.integrator,
             )
         except ProblemError as error:
-            field = error.field if error.field.endswith("sampling_time") else f"{place}.{error.field}"
+            field = error.field if error.field.endswith("sampling_time") else f"{location}.{error.field}"
             raise ProblemError(field, error.got, error.expected, error.advice) from None
         steps = [one.sampling_time or 0.0 for one in (linear, *maps[:1])]
         if not np.isclose(steps[0], steps[-1], rtol=1e-12, atol=0.0):
             expected = f"{maps[0].sampling_time}, as in the first piece"
-            raise ProblemError(f"{place}.system.dt", f"{linear.sampling_time}", expected)
-        with located_at(place):
+            raise ProblemError(f"{location}.system.dt", f"{linear.sampling_time}", expected)
+        with located_at(location):
             modes.append(AffineMode(linear.A, linear.B, linear.offset, piece.G, piece.H, piece.h, piece.name))
         maps.append(linear)
-    first = maps[0]
-    return modes, first.sampling_time, state_names or first.state_names, control_names or first.control_names
+    return modes, maps[0]

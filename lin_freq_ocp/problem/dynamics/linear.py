@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, time
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.linearisation import clock, linearisation
+from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -119,7 +119,7 @@ class LinearDynamics(StandardDynamics):
     @classmethod
     def from_statespace(
         cls,
-        plant: Any,
+        plant: object,
         sampling_time: float | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
@@ -145,7 +145,7 @@ class LinearDynamics(StandardDynamics):
             "state_names": state_names or plant.state_labels,
             "control_names": control_names or plant.input_labels,
         }
-        continuous, step = clock("plant", plant, sampling_time)
+        continuous, step = clock("plant", plant.dt, sampling_time)
         if continuous and step is not None:
             return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), step, **labels)
         return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=step, **labels)
@@ -153,11 +153,11 @@ class LinearDynamics(StandardDynamics):
     @classmethod
     def linearised(
         cls,
-        system: Any,
+        system: System,
         x: ArrayLike,
         u: ArrayLike,
         sampling_time: float | None = None,
-        params: dict[str, Any] | None = None,
+        params: Mapping[str, object] | None = None,
         *,
         state_scale: ArrayLike | None = None,
         control_scale: ArrayLike | None = None,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,26 +25,41 @@ INTEGRATION_TOLERANCE = 1e-12
 # Of the derivatives, over one period; an explicit method needs more only if the model is stiff.
 MOST_EVALUATIONS = 20_000
 INTEGRATORS = ("DOP853", "Radau")
+
+
+class System(Protocol):
+    """What is used of a ``control.NonlinearIOSystem``."""
+
+    dt: float | None
+    nstates: int | None
+    ninputs: int | None
+    state_labels: Sequence[str]
+    input_labels: Sequence[str]
+
+    def dynamics(self, t: float, x: Array, u: Array, params: Mapping[str, object] | None) -> ArrayLike:
+        """Return dx/dt, or the next state."""
+        ...
+
+
 Model = Callable[[float, Array], Array]  # from the time in seconds and (x, u) to dx/dt, or to the next x
 
 
 def linearisation(
-    system: Any,
+    system: System,
     x: ArrayLike,
     u: ArrayLike,
     sampling_time: float | None,
-    params: dict[str, Any] | None,
+    params: Mapping[str, object] | None,
     sizes: tuple[ArrayLike | None, ArrayLike | None],
     integrator: str,
 ) -> tuple[Array, Array, Array, float | None]:
-    """Return A, B, d and the sampling time; A, B and d have one per time if x and u have.
+    """Return A, B, d and the sampling time, as ``LinearDynamics.linearised`` does; A, B, d per time if x and u are.
 
     With F_t the map over the period that begins at t, A_t and B_t are its derivatives at (x_t, u_t), and
-    d_t = F_t(x_t, u_t) - A_t x_t - B_t u_t. A discrete model is F itself. Of a continuous one, with u held, the state
+    d_t = F_t(x_t, u_t) - A_t x_t - B_t u_t. A discrete model is F itself. Of a continuous model, with u held, the state
     and its derivatives Phi = (A, B) are integrated together: dPhi/dt = D_x f Phi + (0, D_u f), Phi = (I, 0) at t.
-    See ``LinearDynamics.linearised`` for the parameters; ``sizes`` are its ``state_scale`` and ``control_scale``.
     """
-    continuous, step = clock("system", system, sampling_time)
+    continuous, step = clock("system", system.dt, sampling_time)
     if integrator not in INTEGRATORS:
         raise ProblemError("integrator", brief(integrator), " or ".join(map(repr, INTEGRATORS)))
     states, controls = _points(system, x, u)
@@ -67,15 +82,15 @@ def linearisation(
     return slope[:, :, :n], slope[:, :, n:], offset, step
 
 
-def clock(field: str, system: Any, sampling_time: float | None) -> tuple[bool, float | None]:
+def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bool, float | None]:
     """Return whether a python-control model is continuous, and the seconds per step; None if it is unknown."""
-    if system.dt is None:
+    if dt is None:
         raise ProblemError(f"{field}.dt", "None (unspecified)", "0 (continuous) or a sampling time", f"Set {field}.dt.")
-    if system.dt == 0 and not isinstance(system.dt, bool):
+    if dt == 0 and not isinstance(dt, bool):
         if sampling_time is None:
             raise ProblemError("sampling_time", "None", "seconds per step", f"The {field} is continuous.")
         return True, positive_number("dynamics.sampling_time", sampling_time)
-    own = None if system.dt is True else float(system.dt)
+    own = None if dt is True else float(dt)
     if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12, atol=0.0):
         raise ProblemError(
             "sampling_time",
@@ -86,7 +101,7 @@ def clock(field: str, system: Any, sampling_time: float | None) -> tuple[bool, f
     return False, own or sampling_time
 
 
-def _points(system: Any, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+def _points(system: System, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
     """Return x (n,) and u (m,), or x (T, n) and u (T, m): the state after the last control takes no part."""
     states, controls = real_array("x", x), real_array("u", u)
     n, m = (given or "n" for given in (system.nstates, system.ninputs))
@@ -108,7 +123,7 @@ def _size(field: str, given: ArrayLike | None, along: Array) -> Array:
     return np.broadcast_to(sizes, along.shape[1:])
 
 
-def _model(system: Any, n: int, params: dict[str, Any] | None, t: int) -> Model:
+def _model(system: System, n: int, params: Mapping[str, object] | None, t: int) -> Model:
     def model(seconds: float, point: Array) -> Array:
         value = np.asarray(system.dynamics(seconds, point[:n], point[n:], params))
         if value.shape != (n,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():

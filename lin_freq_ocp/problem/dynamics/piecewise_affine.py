@@ -174,8 +174,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
         ProblemError
             If shapes or sampling times do not match, or a model has no value or derivatives at its point.
         """
-        modes, step, states, controls = linearised_modes(pieces, sampling_time, state_names, control_names)
-        return cls(modes, step, states, controls)
+        modes, first = linearised_modes(pieces, sampling_time)
+        names = state_names or first.state_names, control_names or first.control_names
+        return cls(modes, first.sampling_time, *names)
 
     @property
     def mode_names(self) -> tuple[str, ...]:
@@ -322,7 +323,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         return step
 
 
-def as_sequence(field: str, sequence: Any, horizon: int, modes: int) -> Indices:
+def as_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
     """Return a mode sequence as integers (T,), or raise ProblemError."""
     expected = f"{horizon} mode numbers from 0 to {modes - 1}"
     try:
