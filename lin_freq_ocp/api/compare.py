@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared, figures_of
+from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
@@ -43,8 +43,7 @@ class Comparison(ComparisonOutcome):
         return f"Comparison(classical={self.classical!r}, constrained={self.constrained!r}, filters {filters})"
 
     def _repr_html_(self) -> str:
-        rows = [(name, ", ".join([how, *figures_of(found)])) for name, how, found in self.rows]
-        return html_table(str(self.problem), rows)
+        return html_table(str(self.problem), self.rows)
 
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from lin_freq_ocp.analysis.measures import Measures, measure
+from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.modes.smooth import Kink, kinks
@@ -17,101 +17,92 @@ from lin_freq_ocp.comparison.filters import (
     has_frequency_constraint,
     require_filters,
 )
-from lin_freq_ocp.comparison.replay import Replay, replay
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
     MeasuredTrajectory,
     measured_solution,
+    replayed,
     solution_label,
 )
-from lin_freq_ocp.errors import ProblemError, SolveError
+from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 PREFERRED_FILTER = "brickwall"
 
-Solve = Callable[..., Outcome]
-"""``lfo.solve``: a problem, and the keywords method, backend, time_limit and throw."""
+Solve = Callable[..., Outcome]  # lfo.solve: a problem, and the keywords method, backend, time_limit and throw
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """One filter's control and what it does: name, description in words, and its replay."""
+    """A filter, its description in words, and the replay of the control that it makes of the classical one."""
 
     name: str
     description: str
-    replay: Replay
-
-    @property
-    def label(self) -> str:
-        """Return the name for readers."""
-        return self.name.replace("_", " ")
+    replay: MeasuredTrajectory
 
 
 @dataclass(frozen=True, eq=False)
 class ComparisonOutcome:
-    """Filtering afterwards against solving with the frequency constraint.
-
-    Attributes
-    ----------
-    problem : OptimalControlProblem
-    classical : Outcome
-        Solved without any frequency constraint.
-    constrained : Outcome
-        Solved with it; may be infeasible, which is then the finding.
-    classical_measures, constrained_measures : Measures or None
-        All measured on the problem with its frequency constraints.
-    filtered : tuple of Filtered
-        In the order asked for.
-    """
+    """Filtering afterwards against solving with the frequency constraint; all is measured on ``problem``."""
 
     problem: OptimalControlProblem
-    classical: Outcome
-    constrained: Outcome
-    classical_measures: Measures
-    constrained_measures: Measures | None
-    filtered: tuple[Filtered, ...]
+    classical: Outcome  # without any frequency constraint
+    constrained: Outcome  # may be infeasible, which is then the finding
+    filtered: tuple[Filtered, ...]  # in the order asked for
+
+    @cached_property
+    def classical_solution(self) -> MeasuredTrajectory:
+        """Return the classical trajectory."""
+        solution = measured_solution(CLASSICAL, self.problem, self.classical)
+        assert solution is not None
+        return solution
+
+    @cached_property
+    def constrained_solution(self) -> MeasuredTrajectory | None:
+        """Return the trajectory with the frequency constraint; None if there is none."""
+        return measured_solution(self.constrained_label, self.problem, self.constrained)
+
+    @property
+    def constrained_label(self) -> str:
+        """Return "constrained", or without a frequency constraint how the solve ended."""
+        return CONSTRAINED if has_frequency_constraint(self.problem) else solution_label(self.constrained)
+
+    @property
+    def classical_measures(self) -> Measures:
+        """Return the measures of the classical trajectory."""
+        return self.classical_solution.measures
+
+    @property
+    def constrained_measures(self) -> Measures | None:
+        """Return the measures of the constrained trajectory, if there is one."""
+        return None if self.constrained_solution is None else self.constrained_solution.measures
 
     @property
     def replay_is_meaningful(self) -> bool:
         """Whether open-loop replays show more than amplified rounding errors."""
         return all(one.replay.meaningful for one in self.filtered)
 
-    @cached_property
+    @property
     def trajectories(self) -> tuple[MeasuredTrajectory, ...]:
-        """Return the classical trajectory, one per filter, and the constrained one, which is the last.
+        """Return the classical trajectory, the replays, and the constrained one, if there is one.
 
         Without a frequency constraint all of these are one trajectory, which is returned alone.
         """
-        problem, result = self.problem, self.constrained
-        if not has_frequency_constraint(problem):
-            return (measured_solution(solution_label(result), problem, result, self.constrained_measures),)
-        return (
-            measured_solution(CLASSICAL, problem, self.classical, self.classical_measures),
-            *(self.replayed(one) for one in (self.filtered if can_be_filtered(problem) else ())),
-            measured_solution(CONSTRAINED, problem, result, self.constrained_measures),
-        )
+        last = () if self.constrained_solution is None else (self.constrained_solution,)
+        if not has_frequency_constraint(self.problem):
+            return last
+        replays = [one.replay for one in self.filtered] if can_be_filtered(self.problem) else []
+        return (self.classical_solution, *replays, *last)
 
-    def replayed(self, one: Filtered) -> MeasuredTrajectory:
-        """Return the replay of one filter."""
-        made = one.replay
-        return MeasuredTrajectory(
-            one.label, self.problem, made.trajectory, made.measures, made.meaningful, bool(made.stopped)
-        )
-
-    def shown_filter(self, name: str | None = None) -> Filtered | None:
-        """Return the filter of that name; by default the brick wall, or the first; None if nothing is filtered."""
-        if not can_be_filtered(self.problem) or (name is None and not self.filtered):
+    @property
+    def shown_filter(self) -> Filtered | None:
+        """Return the filter that figures and sentences show: the brick wall, or the first; None without any."""
+        if not self.filtered or not can_be_filtered(self.problem):
             return None
-        by_name = {one.name: one for one in self.filtered}
-        if name is None:
-            return by_name.get(PREFERRED_FILTER, self.filtered[0])
-        if name not in by_name:
-            expected = f"one of {', '.join(by_name) or 'none: nothing was filtered'}"
-            raise ProblemError("filter_name", repr(name), expected)
-        return by_name[name]
+        return next((one for one in self.filtered if one.name == PREFERRED_FILTER), self.filtered[0])
 
     @property
     def kinks(self) -> tuple[Kink, ...]:
@@ -130,41 +121,36 @@ class ComparisonOutcome:
         return bin_prices(problem, multipliers) if multipliers is not None and banded else None
 
     @property
-    def rows(self) -> list[tuple[str, str, Measures | None]]:
-        """Return of every trajectory its name, where it is from, and what was measured."""
+    def rows(self) -> list[tuple[str, str]]:
+        """Return of every trajectory its name, and in words where it is from and what was measured."""
+
+        def text(how: str, measures: Measures | None) -> str:
+            return ", ".join([how, *([] if measures is None else _in_words(measures))])
+
         return [
-            ("classical", self.classical.status, self.classical_measures),
-            *((one.name, _replayed(one.replay), one.replay.measures) for one in self.filtered),
-            ("constrained", self.constrained.status, self.constrained_measures),
+            ("classical", text(self.classical.status, self.classical_measures)),
+            *((one.name, text(_origin(one.replay), one.replay.measures)) for one in self.filtered),
+            ("constrained", text(self.constrained.status, self.constrained_measures)),
         ]
 
     def __str__(self) -> str:
-        rows = self.rows
-        width = max(len(name) for name, _, _ in rows)
-        return "\n".join(
-            [
-                str(self.problem),
-                *(f"{name:{width}}  {', '.join([how, *figures_of(found)])}" for name, how, found in rows),
-            ]
-        )
+        width = max(len(name) for name, _ in self.rows)
+        return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
 
 
-def _replayed(made: Replay) -> str:
-    return "replayed" if made.meaningful else made.stopped or "not replayed: that would amplify rounding errors"
+def _origin(replay: MeasuredTrajectory) -> str:
+    return "replayed" if replay.meaningful else replay.stopped or "not replayed: that would amplify rounding errors"
 
 
-def figures_of(found: Measures | None) -> list[str]:
-    """Return the measures of a trajectory in words, one text for each."""
-    if found is None:
-        return []
+def _in_words(measures: Measures) -> list[str]:
     figures = {
-        "end missed by": found.terminal_error,
-        "controls out of bounds by": found.control_violation,
-        "states by": found.state_violation,
-        "energy in control bands": found.stopband_energy,
-        "in state bands": found.state_stopband_energy,
+        "end missed by": measures.terminal_error,
+        "controls out of bounds by": measures.control_violation,
+        "states by": measures.state_violation,
+        "energy in control bands": measures.stopband_energy,
+        "in state bands": measures.state_stopband_energy,
     }
-    cost = [] if found.cost is None else [f"cost {found.cost:.6g}"]
+    cost = [] if measures.cost is None else [f"cost {measures.cost:.6g}"]
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
@@ -176,25 +162,16 @@ def compared(
     names = list(FILTERS) if filters is None else list(filters)
     require_filters(names)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
-    classical = solve(free, method=_method_without_bound(free), backend=backend, time_limit=time_limit)
+    # The classical plan is only to be filtered: no global bound is asked for.
+    method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands else "auto"
+    classical = solve(free, method=method, backend=backend, time_limit=time_limit)
     constrained = solve(problem, backend=backend, time_limit=time_limit, throw=False)
     plan = classical.trajectory
     if plan is None:
         raise SolveError("The classical problem was solved without a trajectory.", classical)
-    entries: list[Filtered] = []
+    entries = list[Filtered]()
     for name in names:
         control = filtered(name, problem, plan.u)
-        entries.append(Filtered(name, control.description, replay(problem, control.u, plan)))
-    return ComparisonOutcome(
-        problem=problem,
-        classical=classical,
-        constrained=constrained,
-        classical_measures=measure(problem, plan),
-        constrained_measures=None if constrained.trajectory is None else measure(problem, constrained.trajectory),
-        filtered=tuple(entries),
-    )
-
-
-def _method_without_bound(problem: OptimalControlProblem) -> str:
-    """Return the method for a plan that is only to be filtered: how far it is from the global optimum is not asked."""
-    return "nonsmooth" if "nonsmooth" in family_of(problem).shorthands else "auto"
+        replay = replayed(name.replace("_", " "), problem, control.u, plan)
+        entries.append(Filtered(name, control.description, replay))
+    return ComparisonOutcome(problem, classical, constrained, tuple(entries))

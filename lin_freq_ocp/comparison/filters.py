@@ -1,12 +1,11 @@
-"""What people do today: solve without the frequency constraint and filter the control afterwards.
-
-Every filter is designed from the stopped bins of its control, and says in words what it is.
-"""
+"""Filters of a classical optimal control, each designed from the stopped bins of its control."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -18,11 +17,11 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import TermKind
 
+# Decibels that a Butterworth filter may lose at the last kept bin, and must lose half way into the stop band.
 PASS_LOSS, STOP_LOSS = 3.0, 20.0
-"""Decibels a Butterworth filter may lose at the last kept bin, and must lose half way into the stop band."""
+MAX_ORDER = 10  # digital Butterworth filters of higher orders ring for longer than the horizons that need them
 
-MAX_ORDER = 10
-"""Higher orders of a digital Butterworth filter ring for longer than the horizons that need them."""
+Kind = Literal["lowpass", "highpass", "bandstop"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ class FilteredControl:
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class Design:
     """The design data of a filter: bins to stop (T//2 + 1, m), bounds, and the unit, ``per_radian`` per rad/sample."""
 
     stop: Mask
@@ -48,7 +47,7 @@ def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredCon
     require_filters([name])
     step = problem.sampling_time
     hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))
-    return FILTERS[name](u, Wanted(filter_stop(problem), problem.control_tube, *hertz))
+    return FILTERS[name](u, Design(filter_stop(problem), problem.control_tube, *hertz))
 
 
 def require_filters(names: Sequence[str]) -> None:
@@ -61,8 +60,8 @@ def require_filters(names: Sequence[str]) -> None:
 def filter_stop(problem: OptimalControlProblem) -> Mask:
     """Return the bins that a filter removes from the controls, shape (T//2 + 1, m): those stopped, masked or limited.
 
-    A control without a band is not filtered. Where no control has one, the filter removes the frequencies of the bands
-    on states and outputs from every control, as one does who must not excite them.
+    A control without a band is not filtered. Where no control has a band, the filter removes the frequencies of the
+    bands on states and outputs from every control, so as not to excite them.
     """
     stop = problem.control_band
     if stop.any():
@@ -70,7 +69,7 @@ def filter_stop(problem: OptimalControlProblem) -> Mask:
     T = problem.horizon
     k = np.arange(T // 2 + 1) / T
     removed = np.zeros(len(k), dtype=bool)
-    for length, band in _other_bands(problem):
+    for length, band in chain(*_other_bands(problem).values()):
         for first, last in stopped_runs(band):
             removed |= (k >= (first - 0.5) / length) & (k <= (last + 0.5) / length)
     return np.repeat(removed[:, None], problem.control_dim, axis=1)
@@ -89,61 +88,49 @@ def can_be_filtered(problem: OptimalControlProblem) -> bool:
 
 def filter_limits(problem: OptimalControlProblem) -> str:
     """Say which frequency constraints filters of the controls do not act on; nothing where they act on all."""
-    kinds = {"state": "states", "output": "outputs"}
-    others = [
-        what for kind, what in kinds.items() if any(band.any() for _, band in _other_bands(problem, f"{kind} spectrum"))
-    ]
-    words = list[str]()
+    banded = {what: any(band.any() for _, band in bands) for what, bands in _other_bands(problem).items()}
+    others = " and ".join(what for what, found in banded.items() if found)
+    limits = list[str]()
     if others and problem.control_band.any():
-        words.append(f"bands on {' and '.join(others)} are not filtered")
+        limits.append(f"bands on {others} are not filtered")
     elif others:
-        words.append(
-            f"the band is on {' and '.join(others)}, on which filters of the controls do not act; they remove its "
-            "frequencies from every control instead"
+        limits.append(
+            f"the band is on {others}, on which filters of the controls do not act; they remove its frequencies from "
+            "every control instead"
         )
     if any(term.kind.is_spectrum and not len(term.map.nearest_bins) for term in problem.terms):
-        words.append("linear equations over all times are nothing that a filter acts on")
-    return "; ".join(words)
+        limits.append("linear equations over all times are nothing that a filter acts on")
+    return "; ".join(limits)
 
 
-def _other_bands(problem: OptimalControlProblem, kind: str = "") -> Iterator[tuple[int, Mask]]:
-    """Yield the length of the signal and the stopped or bounded bins of every state and output, or of one kind."""
-    if kind != "output spectrum":
-        yield from ((problem.horizon + 1, problem.state_band[:, i]) for i in range(problem.state_dim))
+def _other_bands(problem: OptimalControlProblem) -> dict[str, list[tuple[int, Mask]]]:
+    """Return the length of the signal and the stopped or bounded bins of every state and output."""
+    states = [(problem.horizon + 1, problem.state_band[:, i]) for i in range(problem.state_dim)]
+    outputs = list[tuple[int, Mask]]()
     for term in problem.terms:
-        if kind != "state spectrum" and term.kind == TermKind.OUTPUT_SPECTRUM:
-            length = term.map.samples
-            bounded = np.zeros(length // 2 + 1, dtype=bool)
+        if term.kind == TermKind.OUTPUT_SPECTRUM:
+            bounded = np.zeros(term.map.samples // 2 + 1, dtype=bool)
             bounded[term.map.nearest_bins] = True
-            yield length, bounded
+            outputs.append((term.map.samples, bounded))
+    return {"states": states, "outputs": outputs}
 
 
-def brick_wall(u: Array, wanted: Wanted) -> FilteredControl:
+def brick_wall(u: Array, design: Design) -> FilteredControl:
     """Set the stopped bins to zero."""
-    spectrum = np.where(wanted.stop, 0.0, np.fft.rfft(u, axis=0))
+    spectrum = np.where(design.stop, 0.0, np.fft.rfft(u, axis=0))
     return FilteredControl(np.fft.irfft(spectrum, n=len(u), axis=0), "stopped or bounded bins set to zero")
 
 
-def clipped(u: Array, wanted: Wanted) -> FilteredControl:
+def clipped(u: Array, design: Design) -> FilteredControl:
     """Set the stopped bins to zero, then cut the result off at the control bounds."""
     return FilteredControl(
-        wanted.tube.project(brick_wall(u, wanted).u), "stopped or bounded bins set to zero, then cut at the bounds"
+        design.tube.project(brick_wall(u, design).u), "stopped or bounded bins set to zero, then cut at the bounds"
     )
 
 
-def butterworth(u: Array, wanted: Wanted) -> FilteredControl:
-    """Filter causally, from rest."""
-    return _with_sections(u, wanted, zero_phase=False)
-
-
-def zero_phase(u: Array, wanted: Wanted) -> FilteredControl:
-    """Filter forwards and then backwards, from rest on both sides."""
-    return _with_sections(u, wanted, zero_phase=True)
-
-
-def moving_average(u: Array, wanted: Wanted) -> FilteredControl:
+def moving_average(u: Array, design: Design) -> FilteredControl:
     """Average over the last samples, from rest: as many as put the first zero of the response into the stop band."""
-    result, stop, words = np.array(u), wanted.stop, list[str]()
+    result, stop, descriptions = np.array(u), design.stop, list[str]()
     for j in range(u.shape[1]):
         for first, last in stopped_runs(stop[:, j]):
             reaches_nyquist = last == len(stop) - 1
@@ -151,30 +138,20 @@ def moving_average(u: Array, wanted: Wanted) -> FilteredControl:
             length = int(np.clip(round(len(u) / max(bin_of_zero, 1.0)), 2, len(u)))
             padded = np.concatenate([np.zeros(length - 1), result[:, j]])
             result[:, j] = np.convolve(padded, np.full(length, 1 / length), mode="valid")
-            words.append(f"mean of the last {length} samples")
-    return FilteredControl(result, _joined(words))
+            descriptions.append(f"mean of the last {length} samples")
+    return FilteredControl(result, _joined(descriptions))
 
 
-Kind = Literal["lowpass", "highpass", "bandstop"]
-
-FILTERS: dict[str, Callable[[Array, Wanted], FilteredControl]] = {
-    "brickwall": brick_wall,
-    "butterworth": butterworth,
-    "zero_phase": zero_phase,
-    "moving_average": moving_average,
-    "clipped": clipped,
-}
-
-
-def _with_sections(u: Array, wanted: Wanted, zero_phase: bool) -> FilteredControl:
+def butterworth(u: Array, design: Design, zero_phase: bool = False) -> FilteredControl:
+    """Filter causally from rest, or forwards and then backwards, from rest on both sides."""
     from scipy import signal  # here, because it takes a second to import
 
-    result, stop, words = np.array(u), wanted.stop, list[str]()
+    result, stop, descriptions = np.array(u), design.stop, list[str]()
     for j in range(u.shape[1]):
         for first, last in stopped_runs(stop[:, j]):
             if last - first + 1 == len(stop):
                 result[:, j] = 0.0
-                words.append("everything removed")
+                descriptions.append("everything removed")
                 continue
             kind, passed, stopped = _edges(first, last, len(u))
             order, natural = signal.buttord(passed, stopped, PASS_LOSS, STOP_LOSS)
@@ -182,10 +159,10 @@ def _with_sections(u: Array, wanted: Wanted, zero_phase: bool) -> FilteredContro
             result[:, j] = signal.sosfilt(sections, result[:, j])
             if zero_phase:
                 result[:, j] = signal.sosfilt(sections, result[::-1, j])[::-1]
-            edges = ", ".join(f"{wanted.per_radian * np.pi * edge:.3g}" for edge in np.atleast_1d(natural))
-            words.append(f"order {min(int(order), MAX_ORDER)} {kind}, edge {edges} {wanted.unit}")
+            edges = ", ".join(f"{design.per_radian * np.pi * edge:.3g}" for edge in np.atleast_1d(natural))
+            descriptions.append(f"order {min(int(order), MAX_ORDER)} {kind}, edge {edges} {design.unit}")
     causality = "forwards and backwards" if zero_phase else "causal"
-    return FilteredControl(result, f"Butterworth, {causality}: {_joined(words)}")
+    return FilteredControl(result, f"Butterworth, {causality}: {_joined(descriptions)}")
 
 
 def _edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float], float | list[float]]:
@@ -200,5 +177,14 @@ def _edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float
     return ("bandstop", [below / nyquist, above / nyquist], [(below + quarter) / nyquist, (above - quarter) / nyquist])
 
 
-def _joined(words: Sequence[str]) -> str:
-    return "; ".join(dict.fromkeys(words)) or "nothing to remove"
+def _joined(descriptions: Sequence[str]) -> str:
+    return "; ".join(dict.fromkeys(descriptions)) or "nothing to remove"
+
+
+FILTERS: dict[str, Callable[[Array, Design], FilteredControl]] = {
+    "brickwall": brick_wall,
+    "butterworth": butterworth,
+    "zero_phase": partial(butterworth, zero_phase=True),
+    "moving_average": moving_average,
+    "clipped": clipped,
+}

@@ -1,27 +1,34 @@
-"""The controls, states and constrained outputs of a problem, each as one signal with its bounds."""
+"""The controls, states and constrained outputs of a problem, each as one signal with its bounds and references."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.comparison.limits import Line, bounds_of_rows, mask_levels, references
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, stacked
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
-    """One control or state of a problem.
+class Line:
+    """Values, (points,), over times in steps or frequencies in rad/sample; not a number where there are none."""
 
-    Lines of references and limits are over times (in steps) or frequencies (in rad/sample).
-    """
+    at: Array
+    values: Array
+    soft: bool = False  # a bound that may be violated at a price
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One control or state of a problem."""
 
     problem: OptimalControlProblem
     index: int
@@ -45,21 +52,40 @@ class Signal:
 
     @property
     def references(self) -> list[Line]:
-        """Return its references in the cost."""
-        return references(self.problem, self.index, self.is_state)
+        """Return the references that a cost weighs its deviation from; none where all are zero."""
+        length = self.problem.horizon + self.is_state
+        found = list[Line]()
+        for reference, weighed in self._weighed_references():
+            if reference.any() and weighed.any():
+                values = (reference if reference.ndim == 0 else reference[..., self.index]) * np.ones(length)
+                values = np.where(weighed, values, np.nan)
+                if not any(np.array_equal(values, other.values, equal_nan=True) for other in found):
+                    found.append(Line(np.arange(length, dtype=np.float64), values))
+        return found
+
+    def _weighed_references(self) -> Iterator[tuple[Array, Mask]]:
+        """Yield references, (), (components,) or one per time, and at which times the deviation has a weight."""
+        problem, cost = self.problem, self.problem.quadratic
+        yield cost.x_ref if self.is_state else cost.u_ref, _weighed(cost, self.index, self.is_state, problem.horizon)
+        for norm in problem.cost.norms:
+            found = norm.references(self.index, self.is_state, problem.horizon)
+            if found is not None:
+                yield found
 
     @property
     def row_bounds(self) -> list[Line]:
-        """Return its bounds that are given by rows and soft sets."""
-        return bounds_of_rows(self.problem, self.index, self.is_state)
+        """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows."""
+        n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
+        terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
+        return [line for term in terms for line in _limits(term, n, self.problem.control_dim, column)]
 
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
         row = np.eye(self.problem.state_dim if self.is_state else self.problem.control_dim)[self.index]
         if self.is_state:
-            return mask_levels(self.problem, TermKind.STATE_SPECTRUM, row)
-        return mask_levels(self.problem, TermKind.CONTROL_SPECTRUM, None, row)
+            return _mask_levels(self.problem, TermKind.STATE_SPECTRUM, row, None)
+        return _mask_levels(self.problem, TermKind.CONTROL_SPECTRUM, None, row)
 
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""
@@ -100,7 +126,7 @@ class Output(Signal):
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
-        return mask_levels(self.problem, TermKind.OUTPUT_SPECTRUM, *self._rows)
+        return _mask_levels(self.problem, TermKind.OUTPUT_SPECTRUM, *self._rows)
 
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""
@@ -125,7 +151,7 @@ def states_of(problem: OptimalControlProblem) -> list[Signal]:
     return [Signal(problem, i, is_state=True) for i in range(problem.state_dim)]
 
 
-def outputs_of(problem: OptimalControlProblem) -> list[Output]:
+def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
     """Return the outputs whose spectrum is constrained."""
     families = entries_of(problem.output_spectrum)
     found = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
@@ -135,3 +161,36 @@ def outputs_of(problem: OptimalControlProblem) -> list[Output]:
 def state_bounds(problem: OptimalControlProblem) -> Box:
     """Return the state set of each time without the ends, bounds of shape (T+1, n)."""
     return stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)
+
+
+def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
+    if not is_state:
+        weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
+        return np.asarray(np.broadcast_to(weights > 0, horizon))
+    weights = np.abs(cost.Q[..., index, :]).sum(-1) + np.abs(cost.S[..., index, :]).sum(-1)
+    return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
+
+
+def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
+    """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
+    return [
+        Line(term.map.frequencies, term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit, not term.hard)
+        for term in problem.terms
+        if term.kind == kind and len(term.map.frequencies) and term.map.spectrum_of(C, D)
+    ]
+
+
+def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
+    """Yield the limits of the rows on one column of (x_t, u_t) alone."""
+    form = term.map.stage_form(n, m)
+    if form is None:
+        return
+    alone = (np.count_nonzero(form[0], axis=-1) == 1) & (form[0][..., column] != 0)
+    slopes = np.broadcast_to(np.where(alone, form[0][..., column], 0.0), term.shape)
+    distance = term.penalty.bounds(term.shape)[1] - form[1]
+    distance = np.where(np.isfinite(distance), distance, np.nan)
+    for row in map(int, np.flatnonzero(slopes.any(axis=0))):
+        used = slopes[:, row] != 0
+        values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
+        if np.isfinite(values).any():
+            yield Line(term.map.places.astype(np.float64), values, not term.hard)

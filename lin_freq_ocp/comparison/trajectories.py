@@ -2,47 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import Measures, one_step_residual, stated_sizes, stopband_peak
+from lin_freq_ocp.analysis import measures
+from lin_freq_ocp.analysis.measures import Measures, measure, stated_sizes, stopband_peak
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
+from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
 CLASSICAL, CONSTRAINED = "classical", "constrained"
+NO_MODE = -1  # in a mode sequence: the trajectory is in no region
+SAME_PEAK = 1e-2  # peaks that differ by less than this fraction count as equal
+STOPPED = "leave the regions of all modes"  # what the states of a replay do that ended early
 
-NO_MODE = -1
-"""Stands in a mode sequence where a trajectory is in no region."""
-
-SAME_PEAK = 1e-2
-"""Peaks that differ by less than this fraction count as equal."""
+# The measures that depend on the states.
+OF_STATES = (
+    *("cost", "state_violation", "stage_violation", "terminal_error", "terminal_errors"),
+    *("state_stopband_energy", "state_stopband_peak"),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Violation:
-    """By how much a signal violates its bounds, per component.
+    """By how much a signal violates its bounds, per component; arrays (components,)."""
 
-    Attributes
-    ----------
-    values, allowed : (components,)
-        Largest violation over time, and what the certificate accepts.
-    bounded : (components,)
-        Which components have a bound.
-    """
-
-    values: Array
-    allowed: Array
-    bounded: Mask
+    values: Array  # largest violation over time
+    allowed: Array  # what the certificate accepts
+    bounded: Mask  # which components have a bound
 
     @property
     def passed(self) -> Mask:
@@ -52,48 +50,38 @@ class Violation:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTrajectory:
-    """One trajectory of a comparison, or of a solution, with its measures.
+    """A solution, or the replay of a filtered control, with what is measured of it."""
 
-    Attributes
-    ----------
-    label : str
-        "classical", the name of a filter, or "constrained".
-    trajectory, measures : or None
-        None if there is none.
-    replayed : bool
-        False where the states are not a replay of the controls.
-    stopped : bool
-        Whether the replay ended because no mode holds.
-    sequence : (T,) integers, optional
-        The mode sequence that was solved for.
-    """
-
-    label: str
+    label: str  # "classical", the name of a filter, or "constrained"
     problem: OptimalControlProblem
-    trajectory: Trajectory | None
-    measures: Measures | None
-    replayed: bool = True
-    stopped: bool = False
-    sequence: Indices | None = None
+    trajectory: Trajectory  # without a meaningful replay: the planned states with the filtered control
+    planned: Trajectory | None = None  # of a filtered control: the trajectory before filtering
+    meaningful: bool = True  # false where a replay would only show amplified rounding errors, or ended early
+    stopped: str = ""  # why the replay ended early, where the dynamics have modes and none holds any more
+    sequence: Indices | None = None  # the mode sequence that was solved for, (T,)
 
     @cached_property
-    def controls(self) -> Violation | None:
+    def measures(self) -> Measures:
+        """Return the measures; without a meaningful replay, everything that depends on the states is None."""
+        measured = measure(self.problem, self.trajectory)
+        return measured if self.meaningful else replace(measured, **dict.fromkeys(OF_STATES))
+
+    @cached_property
+    def controls(self) -> Violation:
         """Return the violation of the control bounds."""
-        if self.trajectory is None:
-            return None
         return _violation(self.trajectory.u, self.problem.control_tube, self._least[1])
 
     @cached_property
     def states(self) -> Violation | None:
         """Return the violation of the state bounds, without the ends."""
-        if self.trajectory is None or not self.replayed:
+        if not self.meaningful:
             return None
         return _violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
 
     @cached_property
     def end(self) -> Violation | None:
         """Return the distance of x_T from the terminal set."""
-        if self.trajectory is None or not self.replayed:
+        if not self.meaningful:
             return None
         terminal = self.problem.terminal_box
         bounded = np.isfinite(terminal.lower) | np.isfinite(terminal.upper)
@@ -103,47 +91,42 @@ class MeasuredTrajectory:
     @cached_property
     def terms(self) -> Violation | None:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
-        if self.trajectory is None or not self.replayed:
+        if not self.meaningful:
             return None
         found = [_violation_of_term(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
         values, allowed = np.array(found).reshape(-1, 2).T
         return Violation(values, allowed, np.ones(len(found), dtype=bool))
 
     @cached_property
-    def one_step(self) -> Array | None:
-        """Return the largest |x_{t+1} - f_t(x_t, u_t)| over time, (n,)."""
-        return None if self.trajectory is None else np.abs(one_step_residual(self.problem, self.trajectory)).max(0)
+    def one_step_residual(self) -> Array:
+        """Return the largest |x_{t+1} - f_t(x_t, u_t)| over time, (n,), of the planned states."""
+        states = self.trajectory if self.planned is None else self.planned
+        return np.abs(measures.one_step_residual(self.problem, Trajectory(states.x, self.trajectory.u))).max(0)
 
     @cached_property
     def modes(self) -> Indices | None:
         """Return the mode at every time, (T,), NO_MODE outside all regions; None without replay or with one mode."""
-        if self.trajectory is None or not self.replayed or len(mode_names(self.problem)) < 2:
+        if not self.meaningful or len(self.problem.dynamics.mode_names) < 2:
             return None
         return mode_sequence(self.problem, self.trajectory) if self.sequence is None else self.sequence
 
-    def largest(self, signal: Signal) -> float | None:
+    def largest(self, signal: Signal) -> float:
         """Return the largest magnitude of a signal over time."""
-        return None if self.trajectory is None else float(np.abs(signal.of(self.trajectory)).max())
+        return float(np.abs(signal.of(self.trajectory)).max())
 
     def peak_times(self, signal: Signal) -> list[int]:
         """Return the times at which the magnitude of a signal is the largest, up to SAME_PEAK."""
-        if self.trajectory is None:
-            return []
         size = np.abs(signal.of(self.trajectory))
         return [int(t) for t in np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())]
 
     def stopband_peak(self, signal: Signal) -> float | None:
         """Return the largest magnitude of the zero-padded spectrum within the stopped bins of a signal."""
-        return (
-            None
-            if self.trajectory is None
-            else stopband_peak(signal.of(self.trajectory)[:, None], signal.stop[:, None])
-        )
+        return stopband_peak(signal.of(self.trajectory)[:, None], signal.stop[:, None])
 
     def empties_band(self, of_states: bool) -> bool | None:
         """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""
         stop = self.problem.state_stop if of_states else self.problem.control_stop
-        if self.trajectory is None or not stop.any() or (of_states and not self.replayed):
+        if not stop.any() or (of_states and not self.meaningful):
             return None
         signal = self.trajectory.x if of_states else self.trajectory.u
         scale = np.maximum(np.linalg.norm(signal, axis=0), self._least[0 if of_states else 1])
@@ -157,21 +140,30 @@ class MeasuredTrajectory:
         return SCALE_FLOOR * x, SCALE_FLOOR * u
 
 
-def measured_solution(
-    label: str, problem: OptimalControlProblem, result: Outcome, measures: Measures | None = None
-) -> MeasuredTrajectory:
+def replayed(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
+    """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
+    stopped = ""
+    growth = measures.amplification(problem.dynamics_along(planned), problem.horizon)
+    if measures.replay_is_meaningful(growth):
+        try:
+            return MeasuredTrajectory(label, problem, simulate(problem, u, planned.x[0]), planned)
+        except NumericalError as error:
+            if not problem.dynamics.mode_names:
+                raise
+            stopped = str(error)
+    return MeasuredTrajectory(label, problem, Trajectory(planned.x, u), planned, meaningful=False, stopped=stopped)
+
+
+def measured_solution(label: str, problem: OptimalControlProblem, result: Outcome) -> MeasuredTrajectory | None:
     """Return the trajectory of a solution, if it has one, measured on a problem with the same dynamics."""
-    return MeasuredTrajectory(label, problem, result.trajectory, measures, sequence=result.sequence)
+    if result.trajectory is None:
+        return None
+    return MeasuredTrajectory(label, problem, result.trajectory, sequence=result.sequence)
 
 
 def solution_label(result: Outcome) -> str:
     """Return the label of a solution that is shown alone."""
     return {"optimal": "optimal", "locally_optimal": "locally optimal"}.get(result.status, "best point")
-
-
-def mode_names(problem: OptimalControlProblem) -> tuple[str, ...]:
-    """Return the names of the modes, none for linear dynamics."""
-    return problem.dynamics.mode_names
 
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

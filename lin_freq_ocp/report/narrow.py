@@ -12,42 +12,28 @@ from rich.padding import Padding
 from rich.table import Column, Table
 from rich.text import Text
 
-LONGEST_WORD = 16
-"""Longer words may be broken: names of files, for instance."""
-
-ROOMY = 60
-"""Columns from which on a term stands beside its text, and not above it."""
-
-FIRST = 16
-"""Least width of the first column, which says what a row is, where a table is shown in several."""
-
-BETWEEN, INDENT = 1, 2
-"""Blank columns between the columns of a narrow table, and before a text below its term."""
+LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
+ROOMY = 60  # columns from which on a term stands beside its text, and not above it
+FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
+BETWEEN, INDENT = 1, 2  # blank columns between the columns of a narrow table, and before a text below its term
 
 
 @dataclass(frozen=True)
 class _Width:
-    """How wide a column is without any line break, and at least: its longest word, or all of a number."""
+    """Width of a column without any line break, and its least: the longest word, or all of a number."""
 
     least: int
     natural: int
 
 
 def fitted(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
-    """Return a table as wide as that at most.
+    """Return a table of texts in at most ``width`` columns; columns justified to the right are not wrapped.
 
-    Parameters
-    ----------
-    table : rich.table.Table
-        Of texts. Columns that are justified to the right are not wrapped.
-    width : int
-        Columns of the terminal.
-    spare : sequence of str
-        Headings of columns that can be left out, the first one first. If that is not enough, the others are shown in
-        several tables, each with the first column.
+    Columns with the ``spare`` headings are left out, the first one first. If that is not enough, the others are shown
+    in several tables, each with the first column.
     """
     widths = [_width(column) for column in table.columns]
-    if sum(one.natural for one in widths) + 3 * len(widths) + 1 <= width:
+    if sum(column.natural for column in widths) + 3 * len(widths) + 1 <= width:
         return table
     shown, left_out = list(range(len(widths))), list[str]()
     headings = [_plain(column.header) for column in table.columns]
@@ -59,10 +45,10 @@ def fitted(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableTyp
     if _least(widths, shown) > width:
         widths[0] = _Width(max(widths[0].least, min(widths[0].natural, FIRST)), widths[0].natural)
     parts = [_part(table, columns, widths, width) for columns in _chunks(widths, shown, width)]
-    for one in parts[1:]:
-        one.title = None
-    for one in parts[:-1]:
-        one.caption = None
+    for part in parts[1:]:
+        part.title = None
+    for part in parts[:-1]:
+        part.caption = None
     if left_out:
         parts[-1].caption = Text(f"No room for: {', '.join(left_out)}.")
     return Group(*parts)
@@ -88,15 +74,11 @@ def _plain(cell: RenderableType) -> str:
     return cell.plain if isinstance(cell, Text) else str(cell)
 
 
-def _indent(text: str) -> int:
-    return len(text) - len(text.lstrip())
-
-
 def _width(column: Column) -> _Width:
     """Return how wide a column is; a heading may be broken between words in any column."""
     cells, heading = [_plain(cell) for cell in column.cells], _plain(column.header)
     natural = max((cell_len(cell) for cell in [heading, *cells]), default=0)
-    words = [_indent(text) + cell_len(word) for text in [heading, *cells] for word in text.split()]
+    words = [len(text) - len(text.lstrip()) + cell_len(word) for text in [heading, *cells] for word in text.split()]
     least = min(max(words, default=0), LONGEST_WORD)
     if column.justify == "right":
         least = max([least, *(cell_len(cell) for cell in cells)])

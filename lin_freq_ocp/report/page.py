@@ -20,21 +20,20 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
-from lin_freq_ocp.comparison.trajectories import mode_names
 from lin_freq_ocp.phrases import number
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.report import words
+from lin_freq_ocp.report import proof
 from lin_freq_ocp.report.figures import figures
+from lin_freq_ocp.report.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.figures.plot_data import PlotData
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
-from lin_freq_ocp.report.modes.panels import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
-from lin_freq_ocp.report.modes.words import adjoint_caption, modes_caption, search_sentences
-from lin_freq_ocp.report.numbers import rough
+from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
+from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
 
+# Names of shapes that do not change from run to run, and text that looks the same on every machine.
 SVG_SETTINGS: dict[Any, str] = {"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}
-"""Names of shapes that do not change from run to run, and text that looks the same on every machine."""
 
 PIXELS_PER_INCH = 150
 
@@ -51,8 +50,15 @@ class Drawing:
 
     @property
     def inline(self) -> Markup:
-        """Return the figure as part of a page."""
-        return inline_svg(self.svg, self.name, self.title)
+        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
+        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
+        view_box = re.search(r'viewBox="[^"]*"', body)
+        content = body[body.index(">") + 1 :].replace("xlink:href", "href")
+        content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", content)
+        for color, variable in (THEMED | THEMED_TINTS).items():
+            content = content.replace(color, f"var(--{variable})")
+        view = Markup(view_box[0] if view_box else "")
+        return Markup('<svg role="img" aria-label="{}" {}>').format(self.title, view) + Markup(content)
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
@@ -71,54 +77,58 @@ def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
 
 def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
     """Return all figures that the comparison has something to show in."""
-    return tuple(_drawing(name, title, caption, figure) for name, title, caption, figure in _figures(comparison))
+    return tuple(_drawing(*parts) for parts in _figures(comparison))
 
 
 def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("lin_freq_ocp.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    environment.lstrip_blocks = True
+    constrained, result = has_frequency_constraint(problem), comparison.constrained
     return environment.get_template("page.html.jinja").render(
         title=problem.name or "Optimal control problem",
-        finding=words.finding(comparison),
+        finding=finding(comparison),
         tiles=tiles(comparison),
         drawings={drawing.name: drawing for drawing in drawings},
         table=comparison_rows(comparison),
-        filtering=words.FILTERING,
+        filtering=FILTERING,
         not_meaningful=NOT_MEANINGFUL,
-        meaning=words.stop_band_meaning(comparison),
-        verdict=[] if certificate is None else words.verdict(certificate, problem),
-        search=search_sentences(comparison.constrained),
-        has_modes=bool(mode_names(problem)),
+        meaning=stop_band_meaning(comparison),
+        verdict=[] if certificate is None else proof.verdict(certificate, problem),
+        search=proof.search_sentences(result),
         conditions=() if certificate is None else certificate_rows(problem, certificate),
-        result=comparison.constrained,
-        conflict=[str(one) for one in comparison.constrained.conflict or ()],
+        problem=problem,
+        result=result,
+        comparison=comparison,
         amplification=rough(comparison.classical_measures.amplification),
-        replay_is_meaningful=comparison.replay_is_meaningful,
-        stopped=[one.label for one in comparison.filtered if one.replay.stopped],
         facts=problem_facts(problem),
         filter_limits=filter_limits(problem),
-        filters=[(one.label, one.description) for one in comparison.filtered],
-        constrained=has_frequency_constraint(problem),
-        filterable=can_be_filtered(problem),
-        solves=[_how(what, one) for what, one in _solves(comparison)],
+        constrained=constrained,
+        filters=comparison.filtered if can_be_filtered(problem) else (),
+        solves=[
+            *([_how("without the frequency constraint", comparison.classical)] if constrained else []),
+            _how("with the constraint" if constrained else "the problem", result),
+        ],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
         version=version("lin-freq-ocp"),
     )
 
 
 def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
-    """Return the figures of the headline: what, the number, and a word on it."""
+    """Return the figures of the headline: label, number, and a remark on it."""
     result, certificate = comparison.constrained, comparison.constrained.certificate
-    shown = [("cost without frequency constraint", number(comparison.classical.cost), "")]
-    if not has_frequency_constraint(comparison.problem):
-        shown = []
+    shown = list[tuple[str, str, str]]()
+    if has_frequency_constraint(comparison.problem):
+        shown.append(("cost without frequency constraint", number(comparison.classical.cost), ""))
     if certificate is None:
         return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
-    cost, remark = ("optimal cost", "") if words.proven_optimal(result) else ("cost found", "not proven global")
+    cost, remark = ("optimal cost", "") if proof.proven_optimal(result) else ("cost found", "not proven global")
     if certificate.borders is not None and certificate.bound is None:
         cost, remark = "cost found", "no global bound"
     if not certificate.feasible:
@@ -127,59 +137,47 @@ def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
     kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
     shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
     if certificate.gap is not None and certificate.bound is not None:
-        bound = "global bound" if certificate.bound.kind == words.RIGOROUS else "numerical bound"
+        bound = f"{proof.bound_kind(certificate)} bound"
         shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
     return shown
-
-
-def inline_svg(svg: str, name: str, title: str) -> Markup:
-    """Return an SVG file as an element of a page: no header, own ids, and the page's colours."""
-    body = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    view_box = re.search(r'viewBox="[^"]*"', body)
-    content = body[body.index(">") + 1 :].replace("xlink:href", "href")
-    content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", content)
-    for color, variable in (THEMED | THEMED_TINTS).items():
-        content = content.replace(color, f"var(--{variable})")
-    opening = Markup('<svg role="img" aria-label="{}" {}>').format(title, Markup(view_box[0] if view_box else ""))
-    return opening + Markup(content)
 
 
 def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
     """Yield name, title, caption and figure."""
     data, result = figures.comparison_data(comparison), comparison.constrained
-    one = comparison.shown_filter()
+    shown = comparison.shown_filter
     caption = (
         "Spectra: points are the bins of the DFT, hollow triangles at the lower edge those too small for the axis; "
         "lines are the zero-padded spectrum, which looks between the bins (for many bins, its largest value between "
         "neighbours)."
     )
-    filtered = "" if one is None else f" Filtered: {one.description}."
+    filtered = "" if shown is None else f" Filtered: {shown.description}."
     yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
     stopped = [state for state in data.states if state.stop.any()]
     if stopped:
-        yield ("state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped))
+        yield "state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped)
     if data.outputs:
         yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
     if data.modes:
         rows = strip_rows(comparison)
-        yield "modes", "Modes", modes_caption(rows, data.main.label), strips_figure(data, rows)
+        yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
     yield "states", "Every state in time", "", figures.states_figure(data)
     certificate, multipliers = result.certificate, result.multipliers
-    borders = None if certificate is None or data.main.trajectory is not result.trajectory else certificate.borders
-    if certificate is not None and borders is not None and multipliers is not None:
+    if certificate is None or multipliers is None:
+        return
+    if certificate.borders is not None and data.main.trajectory is result.trajectory:
         solution = PlotData(data.problem, (data.main,))
         figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
-        yield "adjoint", "Adjoint, and its choice at kinks", adjoint_caption(borders), figure
-    if result.certificate is not None and result.multipliers is not None:
-        gap = figures.gap_figure(data, result.certificate)
-        if gap is not None:
-            yield "gap", "Gap per stage", words.parts_of_the_gap(result.certificate), gap
-        if comparison.prices is not None:
-            text = (
-                "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
-                "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
-            )
-            yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
+        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(certificate.borders), figure
+    gap = figures.gap_figure(data, certificate)
+    if gap is not None:
+        yield "gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap
+    if comparison.prices is not None:
+        text = (
+            "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
+            "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
+        )
+        yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
@@ -190,12 +188,6 @@ def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     with mpl.rc_context(SVG_SETTINGS):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
-
-
-def _solves(comparison: ComparisonOutcome) -> list[tuple[str, Outcome]]:
-    if not has_frequency_constraint(comparison.problem):
-        return [("the problem", comparison.constrained)]
-    return [("without the frequency constraint", comparison.classical), ("with the constraint", comparison.constrained)]
 
 
 def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:

@@ -2,52 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.signals import controls_of
 from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
-from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, mode_names
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation
 from lin_freq_ocp.phrases import NOTHING, number, plural, short_name, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.numbers import aligned
+from lin_freq_ocp.report.proof import bound_kind
+from lin_freq_ocp.report.units import aligned
 
-NOT_MEANINGFUL = "not meaningful"
-"""Stands for numbers that need a replay, where a replay would only show amplified rounding errors."""
+NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one
+KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
 
-OF_CONTROL = ("C-v", "C-vii", "S-u", "N-u")
-"""Conditions whose component is a control; that of the others is a state, or a row."""
+# Conditions whose component is a control (that of the others is a state), a joint row, or a mode.
+OF_CONTROL, OF_ROWS, OF_MODES = ("C-v", "C-vii", "S-u", "N-u"), ("S-z", "N-z"), ("S-f", "N-f")
+IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # conditions whose worst violation is at a bin
 
-OF_ROWS = ("S-z", "N-z")
-"""Conditions whose component is a joint row."""
-
-OF_MODES = ("S-f", "N-f")
-"""Conditions whose component is a mode."""
-
-IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")
-"""Conditions whose worst violation is at a bin."""
-
-
-COST_DIGITS = 5
-"""Costs differ less than the other figures do."""
-
-SWEEP_DIGITS = 6
-"""Neighbours in a grid differ less than a filter and a solution do."""
+COST_DIGITS = 5  # costs differ less than the other figures do
+SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A text, and whether what it says is as it should be; None where that is no question."""
+    """A text, and whether a constraint holds there; None where none is concerned."""
 
     text: str
     passed: bool | None = None
@@ -55,7 +41,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One row: what it shows, in which unit, and a cell per column."""
+    """One figure: its label and unit, and a cell per trajectory."""
 
     label: str
     unit: str
@@ -97,27 +83,86 @@ class ConditionRow:
         return "holds" if self.passed else "fails"
 
 
+Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
+
+
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     """Return what was measured of every trajectory, where it applies to the problem."""
-    problem, columns = comparison.problem, comparison.trajectories
-    hard = [term for term in problem.terms if term.hard]
+    problem, found = comparison.problem, comparison.trajectories
+    columns, labels = list[MeasuredTrajectory | None](found), [one.label for one in found]
+    if comparison.constrained_solution is None:
+        columns.append(None)
+        labels.append(comparison.constrained_label)
+    controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
     only_rows = all(term.kind == "stage rows" for term in hard)
     of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
-        Group(
-            "", (Row("cost", "", tuple(_measured(entry, attrgetter("cost"), digits=COST_DIGITS) for entry in columns)),)
+        _group("", ["cost"], columns, lambda one, _: _measured(one, one.measures.cost, digits=COST_DIGITS)),
+        _group(
+            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(aligned(one.largest(controls[j])))
         ),
-        _largest_controls(problem, columns),
-        _violations("Beyond the control bounds by", problem.control_names, columns, attrgetter("controls")),
-        _violations("Beyond the state bounds by", problem.state_names, columns, attrgetter("states")),
-        _violations(of_terms, [term.name for term in hard], columns, attrgetter("terms")),
-        _violations("Misses the end state by", problem.state_names, columns, attrgetter("end")),
-        _stop_band("Stop band of the controls", columns, of_states=False),
-        _stop_band("Stop band of the states", columns, of_states=True),
+        _violations("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
+        _violations("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
+        _violations(of_terms, [term.name for term in hard], columns, lambda one: one.terms),
+        _violations("Misses the end state by", problem.state_names, columns, lambda one: one.end),
+        _stop_band(problem, columns, of_states=False),
+        _stop_band(problem, columns, of_states=True),
     ]
-    if not all(entry.replayed for entry in columns):
-        groups.append(_one_step(problem, columns))
-    return ComparisonRows(tuple(entry.label for entry in columns), tuple(group for group in groups if group.rows))
+    if not all(one.meaningful for one in found):
+        title = "Misses the next planned state, in one step, by"
+        groups.append(
+            _group(title, problem.state_names, columns, lambda one, i: Cell(aligned(one.one_step_residual[i])))
+        )
+    return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
+
+
+def _group(
+    title: str,
+    names: Sequence[str],
+    columns: Columns,
+    cell: Callable[[MeasuredTrajectory, int], Cell],
+    shown: Iterable[int] | None = None,
+) -> Group:
+    """Return a row per name, or for some of them, with ``cell`` of each trajectory and the name's index."""
+    return Group(
+        title,
+        tuple(
+            Row(*split_unit(names[i]), tuple(Cell(NOTHING) if one is None else cell(one, i) for one in columns))
+            for i in (range(len(names)) if shown is None else shown)
+        ),
+    )
+
+
+def _measured(trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4) -> Cell:
+    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else aligned(value, digits), passed)
+
+
+def _violations(
+    title: str, names: Sequence[str], columns: Columns, violation: Callable[[MeasuredTrajectory], Violation | None]
+) -> Group:
+    """Return one row per component that has a bound."""
+
+    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+        found = violation(trajectory)
+        return Cell(NOT_MEANINGFUL) if found is None else Cell(aligned(float(found.values[i])), bool(found.passed[i]))
+
+    found = [violation(one) for one in columns if one is not None]
+    bounded = np.any([one.bounded for one in found if one is not None], axis=0)
+    return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
+
+
+def _stop_band(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+        found = trajectory.measures
+        if of_states:
+            values = found.state_stopband_energy, found.state_stopband_peak
+        else:
+            values = found.stopband_energy, found.stopband_peak
+        return _measured(trajectory, values[i], None if i else trajectory.empties_band(of_states))
+
+    rows = ["energy at its bins", "peak between its bins"]
+    banded = (problem.state_band if of_states else problem.control_band).any()
+    return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
 
 
 def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -> tuple[ConditionRow, ...]:
@@ -131,7 +176,7 @@ def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -
             relative=number(condition.relative, 3),
             tolerance=number(condition.tolerance, 3),
             passed=condition.passed,
-            place=_place(problem, condition),
+            place=_worst_at(problem, condition),
         )
         for condition in certificate.conditions
     )
@@ -158,8 +203,7 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     """Return the conditions of a certificate as a table for a terminal."""
     verdict = f"maximum principle {certificate.pmp.replace('_', ' ')}"
     if certificate.gap is not None:
-        kind = "global" if certificate.bound is not None and certificate.bound.kind == "rigorous" else "numerical"
-        verdict += f", gap to the {kind} bound {number(certificate.gap, 2)}"
+        verdict += f", gap to the {bound_kind(certificate)} bound {number(certificate.gap, 2)}"
     table = Table(title=Text(verdict))
     for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
         justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
@@ -181,11 +225,11 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     for row in sweep.rows:
         style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
         status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
-        numbers = (aligned(row["cost"], SWEEP_DIGITS), number(row["gap"], 2))
         table.add_row(
             *(Text(_shown(value)) for value in row["parameters"].values()),
             Text(status, style=style),
-            *map(Text, numbers),
+            Text(aligned(row["cost"], SWEEP_DIGITS)),
+            Text(number(row["gap"], 2)),
             Text(row["method"] or NOTHING),
             Text(number(row["seconds"], 3)),
             Text(row["message"] or ""),
@@ -193,11 +237,8 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     return table
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
-
-
-KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
 
 
 def _styled(cell: Cell) -> Text:
@@ -206,77 +247,14 @@ def _styled(cell: Cell) -> Text:
     return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
-def _measured(
-    entry: MeasuredTrajectory, value: Callable[[Measures], float | None], passed: bool | None = None, digits: int = 4
-) -> Cell:
-    if entry.measures is None:
-        return Cell(NOTHING)
-    found = value(entry.measures)
-    return Cell(NOT_MEANINGFUL if found is None and not entry.replayed else aligned(found, digits), passed)
-
-
-def _largest_controls(problem: OptimalControlProblem, columns: Sequence[MeasuredTrajectory]) -> Group:
-    rows = [
-        Row(*split_unit(one.name), tuple(Cell(aligned(entry.largest(one))) for entry in columns))
-        for one in controls_of(problem)
-    ]
-    return Group("Largest magnitude", tuple(rows))
-
-
-def _violations(
-    title: str,
-    names: Sequence[str],
-    columns: Sequence[MeasuredTrajectory],
-    violation: Callable[[MeasuredTrajectory], Violation | None],
-) -> Group:
-    """Return one row per component that has a bound."""
-    found = [violation(entry) for entry in columns]
-    bounded = np.any([one.bounded for one in found if one is not None], axis=0)
-    rows = list[Row]()
-    for i in map(int, np.flatnonzero(bounded)):
-        cells = tuple(_violation(entry, one, i) for entry, one in zip(columns, found, strict=True))
-        rows.append(Row(*split_unit(names[i]), cells))
-    return Group(title, tuple(rows))
-
-
-def _violation(entry: MeasuredTrajectory, violation: Violation | None, i: int) -> Cell:
-    if violation is None:
-        return Cell(NOT_MEANINGFUL if entry.trajectory is not None else NOTHING)
-    return Cell(aligned(float(violation.values[i])), bool(violation.passed[i]))
-
-
-def _stop_band(title: str, columns: Sequence[MeasuredTrajectory], of_states: bool) -> Group:
-    stopped = columns[0].problem.state_band if of_states else columns[0].problem.control_band
-    if not stopped.any():
-        return Group(title, ())
-    prefix = "state_" if of_states else ""
-    energy = attrgetter(prefix + "stopband_energy")
-    peak = attrgetter(prefix + "stopband_peak")
-    energies = tuple(_measured(one, energy, one.empties_band(of_states)) for one in columns)
-    peaks = tuple(_measured(one, peak) for one in columns)
-    return Group(title, (Row("energy at its bins", "", energies), Row("peak between its bins", "", peaks)))
-
-
-def _one_step(problem: OptimalControlProblem, columns: Sequence[MeasuredTrajectory]) -> Group:
-    """Return how far each step misses the next planned state, which needs no replay."""
-    rows = [
-        Row(
-            *split_unit(name),
-            tuple(Cell(aligned(None if one.one_step is None else one.one_step[i])) for one in columns),
-        )
-        for i, name in enumerate(problem.state_names)
-    ]
-    return Group("Misses the next planned state, in one step, by", tuple(rows))
-
-
-def _place(problem: OptimalControlProblem, condition: Condition) -> str:
+def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
     """Return where a condition is worst; nothing where it holds exactly."""
     if condition.time is None or condition.residual == 0:
         return NOTHING
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
     if condition.label in OF_MODES and condition.component is not None:
-        return f"t = {condition.time}, {mode_names(problem)[condition.component]}"
+        return f"t = {condition.time}, {problem.dynamics.mode_names[condition.component]}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:

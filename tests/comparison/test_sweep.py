@@ -22,7 +22,7 @@ from helpers.command_line import parsed, run
 from helpers.schemas import SWEEP, faults
 from lin_freq_ocp.comparison.sweep import point as sweep_point
 from lin_freq_ocp.comparison.sweep import tasks as sweep_tasks
-from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
+from lin_freq_ocp.comparison.sweep.grid import fingerprint
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary

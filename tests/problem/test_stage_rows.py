@@ -16,9 +16,9 @@ from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.interchange.results.summary import comparison_summary
 from lin_freq_ocp.methods.multipliers import fit_multipliers
 from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.report.findings import finding
 from lin_freq_ocp.report.page import draw, render
 from lin_freq_ocp.report.tables import certificate_rows, comparison_rows
-from lin_freq_ocp.report.words import finding
 
 T, N, M = 16, 3, 2
 KINDS = ("x", "u", "xu")

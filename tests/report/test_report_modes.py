@@ -18,7 +18,6 @@ import lin_freq_ocp as lfo
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp import library
-from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import solve
@@ -28,13 +27,13 @@ from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.report import words
+from lin_freq_ocp.report import findings
 from lin_freq_ocp.report.figures.figures import comparison_data, result_data, result_figure, states_figure
+from lin_freq_ocp.report.figures.modes import adjoint_figure, shade_modes, strip_rows, strips_figure
 from lin_freq_ocp.report.figures.plot_data import Span, spans
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS, TINTS
-from lin_freq_ocp.report.modes.panels import adjoint_figure, shade_modes, strip_rows, strips_figure
-from lin_freq_ocp.report.modes.words import adjoint_caption, border_sentences, modes_caption, search_sentences
 from lin_freq_ocp.report.page import draw, render, tiles
+from lin_freq_ocp.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows
 from lin_freq_ocp.solving import smooth as solve_smooth
 
@@ -96,8 +95,7 @@ def case(name: str) -> Comparison:
     if name == "wall":
         return compare(CASES[name](), filters=["brickwall", "zero_phase"])
     result = by_hand() if name == "norm" else solve(CASES[name]())
-    measures = measure(result.problem, result.trajectory)
-    return Comparison(result.problem, result, result, measures, measures, ())
+    return Comparison(result.problem, result, result, ())
 
 
 @cache
@@ -250,7 +248,7 @@ def test_the_interval_of_a_norm_is_that_of_all_its_selections():
     (norm,) = result.certificate.borders.norms
     assert norm.selection == pytest.approx((0.5, 0), abs=1e-6)
     assert "= (0.5, " in adjoint_caption(result.certificate.borders)
-    assert "norm(x_0, x_1) is zero at t = 1. There" in border_sentences(result.certificate.borders)[0]
+    assert "norm(x_0, x_1) is zero at t = 1. There" in switching_sentences(result.certificate.borders)[0]
 
 
 def test_a_wrong_adjoint_lies_outside_the_bar():
@@ -261,7 +259,7 @@ def test_a_wrong_adjoint_lies_outside_the_bar():
     certificate = judge(result.problem, result.trajectory, spoiled)
     (one,) = kinks(result.problem, result.trajectory, spoiled, certificate.borders)
     assert one.required > one.upper
-    assert any("fails with these multipliers" in sentence for sentence in border_sentences(certificate.borders))
+    assert any("fails with these multipliers" in sentence for sentence in switching_sentences(certificate.borders))
 
 
 @pytest.mark.parametrize("name", ["wall", "kink", "linear"])
@@ -316,7 +314,7 @@ def test_words_of_borders_and_trees():
     assert "flip-stationary: to first order, nothing is gained" in text("kink")
     assert "no global bound" in text("kink")
     assert ("cost found", "-17.599", "no global bound") in tiles(case("kink"))
-    assert "is not here" in " ".join(border_sentences(case("absolute").constrained.certificate.borders))
+    assert "is not here" in " ".join(switching_sentences(case("absolute").constrained.certificate.borders))
     assert "search over their sequences" not in text("kink")
     uncovered = replace(tree, tree_bound=replace(tree.tree_bound, covers=False))
     assert "nothing is bounded" in search_sentences(uncovered)[0]
@@ -325,15 +323,15 @@ def test_words_of_borders_and_trees():
 
 
 def test_words_of_flips_and_jumps():
-    rising = " ".join(border_sentences(lfo.certify(valley(), [[-1.0], [4.0]]).borders))
+    rising = " ".join(switching_sentences(lfo.certify(valley(), [[-1.0], [4.0]]).borders))
     assert "the Hamiltonian rises towards “rising” at t = 1" in rising
     assert "verified" in rising
     assert "other multipliers" not in rising
-    jump = border_sentences(lfo.certify(rotation(), np.zeros((5, 1))).borders)
+    jump = switching_sentences(lfo.certify(rotation(), np.zeros((5, 1))).borders)
     assert jump[0].startswith("The map jumps at the border between “")
     untried = case("norm").constrained.certificate.borders
     kink = untried.norms[0]._replace(rate=2.0)
-    text_of_kink = " ".join(border_sentences(replace(untried, norms=(kink,), flip_stationary=False)))
+    text_of_kink = " ".join(switching_sentences(replace(untried, norms=(kink,), flip_stationary=False)))
     assert "away from norm(x_0, x_1) = 0 at t = 1 (rate 2)" in text_of_kink
     assert "does not prove that the cost can fall" in text_of_kink
 
@@ -358,7 +356,7 @@ def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     tree = replace(comparison.constrained.tree_bound, value=np.inf)
     gone = {"trajectory": None, "multipliers": None, "certificate": None, "sequence": None}
     result = replace(comparison.constrained, status="infeasible", tree_bound=tree, **gone)
-    shown = replace(comparison, constrained=result, constrained_measures=None)
+    shown = replace(comparison, constrained=result)
     made = tuple(drawings("wall")[name] for name in ("comparison", "modes", "states"))
     data = comparison_data(shown)
     assert data.modes == spans(comparison.classical.sequence)
@@ -417,7 +415,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     rows = dict(strip_rows(comparison))
     assert rows["brickwall"] is None
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
-    assert "its states leave the regions of all modes, so that" in str(words.finding(comparison))
+    assert "its states leave the regions of all modes, so that" in str(findings.finding(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
     html = render(comparison, tuple(drawings("wall").values()))

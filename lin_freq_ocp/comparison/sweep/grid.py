@@ -1,4 +1,4 @@
-"""The grid of a sweep: its points, and the problem at each of them."""
+"""The grid of a sweep: its points, the problem at each of them, and what tells problems and points apart."""
 
 from __future__ import annotations
 
@@ -8,34 +8,29 @@ import math
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from hashlib import sha256
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.spectrum.bands import low_pass
 
+# What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords.
 Source = OptimalControlProblem | Callable[..., OptimalControlProblem]
-"""What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords."""
-
-Parameters = dict[str, Any]
-"""The value of every swept parameter at one point."""
-
+Parameters = dict[str, object]  # the value of every swept parameter at one point
+# Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz.
 CUTOFFS = ("cutoff", "cutoff_hz")
-"""Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz."""
-
-MOST_POINTS = 10**6
-"""Points of one grid: more are likely a mistake, and would not fit into memory."""
-
-PLAIN = (bool, int, float, str, type(None))
+MOST_POINTS = 10**6  # points of one grid: more are likely a mistake, and would not fit into memory
+FINGERPRINT_LENGTH = 16  # hexadecimal digits: 64 bits, so that collisions are not expected
 
 
-def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
+def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
     """Return the values of each parameter."""
     if not callable(source):
         require_problem(source)
@@ -45,7 +40,7 @@ def grid_values(source: Source, grid: Any) -> dict[str, list[Any]]:
     return {name: _values(name, given) for name, given in grid.items()}
 
 
-def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
+def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]:
     """Return the points of the full product, by their keys; the last parameter changes fastest."""
     count = math.prod(map(len, values.values()))
     if count > MOST_POINTS:
@@ -54,29 +49,26 @@ def grid_points(values: Mapping[str, Sequence[Any]]) -> dict[str, Parameters]:
     return {point_key(plain_parameters(point)): point for point in points}
 
 
-def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem at one point."""
-    problem = source(**parameters) if callable(source) else with_values(source, parameters)
-    require_problem(problem)
-    return problem
-
-
-def with_values(problem: OptimalControlProblem, values: Mapping[str, Any]) -> OptimalControlProblem:
-    """Return the problem with other fields; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes."""
-    changes = dict(values)
+def problem_at(source: Source, parameters: Mapping[str, object]) -> OptimalControlProblem:
+    """Return the problem at one point; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of its controls."""
+    if callable(source):
+        problem = source(**parameters)
+        require_problem(problem)
+        return problem
+    changes: dict[str, Any] = dict(parameters)
     for name in CUTOFFS:
         if name in changes:
             cutoff = changes.pop(name)
             changes["control_spectrum"] = None if cutoff is None else low_pass(**{name: cutoff})
-    return replace(problem, **changes)
+    return replace(source, **changes)
 
 
-def plain_parameters(parameters: Mapping[str, Any]) -> Parameters:
+def plain_parameters(parameters: Mapping[str, object]) -> Parameters:
     """Return the values as JSON has them; of objects, their kind and a fingerprint."""
     return {name: plain(value) for name, value in parameters.items()}
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """Return a value as JSON has it; of an object, its kind and a fingerprint."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
@@ -84,15 +76,19 @@ def plain(value: Any) -> Any:
         return [plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
-    return value if isinstance(value, PLAIN) else f"{type(value).__name__} {fingerprint(value)}"
+    return (
+        value
+        if isinstance(value, (bool, int, float, str, type(None)))
+        else f"{type(value).__name__} {fingerprint(value)}"
+    )
 
 
-def point_key(parameters: Mapping[str, Any]) -> str:
-    """Return the text by which a point, given by plain values, is known."""
+def point_key(parameters: Mapping[str, object]) -> str:
+    """Return the text that identifies a point, given by plain values."""
     return json.dumps(parameters, sort_keys=True)
 
 
-def require_picklable(source: Source, grid: Mapping[str, Any]) -> None:
+def require_picklable(source: Source, grid: Mapping[str, object]) -> None:
     """Raise ProblemError unless the source and the values can be sent to another process."""
     for field, value in (("problem", source), *((f"grid.{name}", value) for name, value in grid.items())):
         try:
@@ -103,7 +99,7 @@ def require_picklable(source: Source, grid: Mapping[str, Any]) -> None:
             raise ProblemError(field, brief(value), expected, advice) from None
 
 
-def _require_names(source: Source, names: Sequence[Any]) -> None:
+def _require_names(source: Source, names: Sequence[str]) -> None:
     if callable(source):
         known = _keywords(source)
     else:
@@ -117,7 +113,7 @@ def _require_names(source: Source, names: Sequence[Any]) -> None:
             raise ProblemError(f"grid.{name}", "no parameter of that name", expected, suggestion(name, known))
 
 
-def _keywords(function: Callable[..., Any]) -> list[str] | None:
+def _keywords(function: Callable[..., object]) -> list[str] | None:
     """Return the keywords that a function takes; None if it takes any, or has no signature."""
     try:
         parameters = inspect.signature(function).parameters.values()
@@ -128,7 +124,7 @@ def _keywords(function: Callable[..., Any]) -> list[str] | None:
     return [one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
 
 
-def _values(name: str, given: Any) -> list[Any]:
+def _values(name: str, given: object) -> list[object]:
     if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
         raise ProblemError(f"grid.{name}", brief(given), "a sequence of values", "For a single one: [value].")
     values = list(given)
@@ -138,3 +134,40 @@ def _values(name: str, given: Any) -> list[Any]:
         got = f"{again[0]} twice" if again else "nothing"
         raise ProblemError(f"grid.{name}", got, "one value or more, all different")
     return values
+
+
+def fingerprint(value: object) -> str:
+    """Return a text that tells values apart, the same in every process.
+
+    Arrays count by their numbers, dataclasses by their fields (but those without ``compare``), mappings and sequences
+    by their entries, a ``functools.partial`` by its function and arguments, and functions by module and name: not by
+    their code.
+    """
+    return sha256(_described(value).encode()).hexdigest()[:FINGERPRINT_LENGTH]
+
+
+def _described(value: object) -> str:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, complex, str, bytes)):
+        return repr(value)
+    if isinstance(value, np.ndarray):
+        content = np.ascontiguousarray(value)
+        return f"array({content.dtype.str}, {content.shape}, {sha256(content.tobytes()).hexdigest()})"
+    if isinstance(value, Mapping):
+        entries = sorted(f"{_described(key)}: {_described(entry)}" for key, entry in value.items())
+        return f"{{{', '.join(entries)}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_described, value))}]"
+    if isinstance(value, partial):
+        return f"partial({_described(value.func)}, {_described(value.args)}, {_described(value.keywords)})"
+    if is_dataclass(value) and not isinstance(value, type):
+        entries = (f"{one.name}={_described(getattr(value, one.name))}" for one in fields(value) if one.compare)
+        return f"{_named(type(value))}({', '.join(entries)})"
+    if hasattr(value, "__qualname__"):
+        return _named(value)
+    return f"{_named(type(value))}({_described(getattr(value, '__dict__', {}))})"
+
+
+def _named(value: object) -> str:
+    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')}"

@@ -17,59 +17,39 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 
-ERROR = "error"
-"""Status of a point that was not solved: its description is bad, or what should have solved it died."""
-
-INTERRUPTED = "interrupted"
-"""Status of a point whose solve was stopped by Ctrl-C; no sweep keeps it."""
-
-BROKEN = "breaks constraints"
-"""What is said of a point whose cost is none: it may be lower than that of every solution."""
+ERROR = "error"  # status of a point that was not solved: its description is bad, or its worker died
+INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
 
 Row = TypedDict(
     "Row",
     {
-        "parameters": Parameters,
-        "status": str,
-        "proven": bool,
-        "cost": float | None,
+        "parameters": Parameters,  # as JSON has them
+        "status": str,  # of Result, or "error"
+        "proven": bool,  # the status: by the maximum principle, the gap, or a ray
+        "cost": float | None,  # like the gap, only of a point that satisfies every constraint
         "lower_bound": float | None,
         "gap": float | None,
         "pmp": str | None,
         "global": bool | None,
         "method": str | None,
         "backend": str | None,
-        "seconds": float | None,
-        "message": str | None,
+        "seconds": float | None,  # wall time for building, solving and judging
+        "message": str | None,  # how it ended, a bad description, or a band that removes nothing or everything
     },
 )
-"""What is known of a point, as JSON has it; None where there is nothing.
 
-parameters: their values. status: of ``Result``, or "error". proven: whether the status is proven, by the maximum
-principle or the gap, or by a ray. cost, lower_bound, gap, pmp, global, method, backend: of ``Result`` and its
-certificate; cost and gap only of a point that satisfies every constraint. seconds: wall time for building, solving and
-judging. message: how it ended, what is wrong with the description, or that a band removes nothing or everything.
-"""
-
-_building = threading.Lock()
-"""Warnings are caught for a whole process; threads of the same process build one after another."""
+_building = threading.Lock()  # warnings are caught for a whole process: its threads build one after another
 
 
 def solve_point(source: Source, options: Mapping[str, Any], parameters: Parameters, attempt: int = 0) -> Row:
     """Return the row of one point; errors are in the row.
 
-    Parameters
-    ----------
-    source : OptimalControlProblem or callable
-    options : dict
-        "method", "backend", "time_limit" and "tolerance" of ``solve``.
-    parameters : dict
-    attempt : int
-        How often it was lost before: a scheduler that keeps answers must not take it for the same task.
+    ``attempt`` counts how often the point was lost before: a scheduler that keeps answers must not take it for the
+    same task.
     """
     started, bands = time.perf_counter(), list[str]()
     try:
-        with one_blas_thread():  # linear algebra does not depend on how many work beside it
+        with one_blas_thread():  # linear algebra does not depend on how many workers there are
             with _band_warnings(bands):
                 problem = problem_at(source, parameters)
             result = solve_judged(problem, **options)
@@ -77,26 +57,22 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         return failed_point(parameters, str(error), time.perf_counter() - started)
     except Exception as error:  # a function that builds problems may raise anything: the others are solved
         return failed_point(parameters, f"{type(error).__name__}: {error}", time.perf_counter() - started)
-    certificate, feasible = result.certificate, result.primal
-    broken = [] if feasible or result.cost is None else [f"the point found, with cost {result.cost:.6g}, {BROKEN}"]
-    words = "; ".join([*([result.message] if result.message else []), *broken, *bands])
-    return {
-        "parameters": plain_parameters(parameters),
-        "status": INTERRUPTED if result.interrupted else result.status,
-        "proven": _proven(result),
-        "cost": _finite(result.cost) if feasible else None,
-        "lower_bound": _finite(result.lower_bound),
-        "gap": _finite(result.gap) if feasible else None,
-        "pmp": None if certificate is None else certificate.pmp,
-        "global": None if certificate is None else certificate.globally_optimal,
-        "method": result.method,
-        "backend": result.backend,
-        "seconds": time.perf_counter() - started,
-        "message": words or None,
-    }
+    row = failed_point(parameters, None, time.perf_counter() - started)
+    certificate, messages = result.certificate, [result.message] if result.message else []
+    row["status"] = INTERRUPTED if result.interrupted else result.status
+    row["proven"], row["lower_bound"] = _proven(result), _finite(result.lower_bound)
+    row["method"], row["backend"] = result.method, result.backend
+    if certificate is not None:
+        row["pmp"], row["global"] = certificate.pmp, certificate.globally_optimal
+    if result.primal:
+        row["cost"], row["gap"] = _finite(result.cost), _finite(result.gap)
+    elif result.cost is not None:  # it may be lower than that of every solution
+        messages.append(f"the point found, with cost {result.cost:.6g}, breaks constraints")
+    row["message"] = "; ".join([*messages, *bands]) or None
+    return row
 
 
-def failed_point(parameters: Parameters, words: str, seconds: float | None = None) -> Row:
+def failed_point(parameters: Parameters, message: str | None, seconds: float | None = None) -> Row:
     """Return the row of a point that was not solved, and why."""
     return {
         "parameters": plain_parameters(parameters),
@@ -110,15 +86,17 @@ def failed_point(parameters: Parameters, words: str, seconds: float | None = Non
         "method": None,
         "backend": None,
         "seconds": seconds,
-        "message": words,
+        "message": message,
     }
 
 
 def _proven(result: Outcome) -> bool:
     if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
         return result.dual
-    one = result.certificate
-    return one is not None and ((one.pmp == "satisfied" and one.normal is True) or one.globally_optimal)
+    certificate = result.certificate
+    if certificate is None:
+        return False
+    return (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
 
 
 def _finite(value: float | None) -> float | None:
@@ -126,13 +104,13 @@ def _finite(value: float | None) -> float | None:
 
 
 @contextmanager
-def _band_warnings(words: list[str]) -> Generator[None]:
-    """Note what is said of frequency bands, which belongs to the point; other warnings go their way."""
+def _band_warnings(messages: list[str]) -> Generator[None]:
+    """Collect the warnings on frequency bands, which belong to the point; other warnings are issued again."""
     with _building, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", BandWarning)
         yield
-    for one in caught:
-        if issubclass(one.category, BandWarning):
-            words.append(str(one.message))
+    for warning in caught:
+        if issubclass(warning.category, BandWarning):
+            messages.append(str(warning.message))
         else:
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)

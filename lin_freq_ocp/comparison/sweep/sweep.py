@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, closing
@@ -10,15 +11,21 @@ from functools import partial
 from typing import Any, Protocol, get_type_hints
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.comparison.sweep.fingerprint import fingerprint
-from lin_freq_ocp.comparison.sweep.grid import Source, grid_points, grid_values, plain, point_key, require_picklable
+from lin_freq_ocp.comparison.sweep.grid import (
+    Source,
+    fingerprint,
+    grid_points,
+    grid_values,
+    plain,
+    point_key,
+    require_picklable,
+)
 from lin_freq_ocp.comparison.sweep.point import Row, solve_point
 from lin_freq_ocp.comparison.sweep.tasks import finished
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.solving.solve import require_options
 
-MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")
-"""Columns beside the parameters: status, proven, cost, ..."""
+MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,7 @@ class SweepOutcome:
     """
 
     problem: str
-    grid: Mapping[str, tuple[Any, ...]]
+    grid: Mapping[str, tuple[object, ...]]
     rows: tuple[Row, ...] = field(repr=False)
     options: Mapping[str, Any]
     interrupted: bool = False
@@ -65,10 +72,7 @@ class SweepOutcome:
     @property
     def size(self) -> int:
         """Return the number of points of the grid, be they finished or not."""
-        size = 1
-        for values in self.grid.values():
-            size *= len(values)
-        return size
+        return math.prod(map(len, self.grid.values()))
 
     @property
     def complete(self) -> bool:
@@ -99,7 +103,7 @@ class SweepOutcome:
 
 
 class Record(Protocol):
-    """Where finished points are kept while a sweep runs: those of an earlier run, and one after the other."""
+    """Where finished points are kept: those of an earlier run, and each as it is finished."""
 
     rows: list[Row]
 
@@ -108,13 +112,13 @@ class Record(Protocol):
         ...
 
 
-OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[Any]]], AbstractContextManager[Record | None]]
-"""Opens the record of a sweep, from what makes it the same and its grid; None keeps nothing."""
+# Opens the record of a sweep, given its identity and its grid; None keeps nothing.
+OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[object]]], AbstractContextManager[Record | None]]
 
 
 def swept(
     problem: Source,
-    grid: Mapping[str, Sequence[Any]],
+    grid: Mapping[str, Sequence[object]],
     options: Mapping[str, Any],
     executor: Executor | None,
     open_record: OpenRecord,
@@ -123,43 +127,38 @@ def swept(
     """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
     require_options(**options)
     values = grid_values(problem, grid)
-    _require_executor(executor, problem, values)
+    if executor is not None:
+        if not isinstance(executor, Executor):
+            advice = "Of a Dask client: client.get_executor()."
+            raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
+        require_picklable(problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
     head = SweepHead(_name(problem), fingerprint(problem), tuple(values), options)
     rows, interrupted = dict[str, Row](), False
+
+    def report() -> None:
+        if progress is not None:
+            progress(len(rows), len(points))
+
     with open_record(head, shown) as record:
         known = {} if record is None else {point_key(row["parameters"]): row for row in record.rows}
         rows.update({key: known[key] for key in points if key in known})
         missing = {key: point for key, point in points.items() if key not in rows}
         try:
-            _tell(progress, len(rows), len(points))
+            report()
             with closing(finished(partial(solve_point, problem, options), missing, executor)) as results:
                 for key, row in results:
                     if record is not None:
                         record.append(row)
                     rows[key] = row
-                    _tell(progress, len(rows), len(points))
+                    report()
         except KeyboardInterrupt:
             interrupted = True
     kept = tuple(rows[key] for key in points if key in rows)
     return SweepOutcome(head.problem, shown, kept, options, interrupted)
 
 
-def _require_executor(executor: Any, problem: Source, grid: Mapping[str, Any]) -> None:
-    if executor is None:
-        return
-    if not isinstance(executor, Executor):
-        advice = "Of a Dask client: client.get_executor()."
-        raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
-    require_picklable(problem, grid)
-
-
-def _tell(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)
-
-
-def _name(problem: Any) -> str:
+def _name(problem: Source) -> str:
     """Return the name of a problem, or of the function that builds it."""
     if isinstance(problem, partial):
         return _name(problem.func)

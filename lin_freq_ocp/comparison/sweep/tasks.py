@@ -7,7 +7,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
 from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
 from queue import SimpleQueue
 from typing import Any
@@ -16,40 +15,43 @@ from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.comparison.sweep.grid import Parameters
 from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
 
-RESUBMISSIONS = 2
-"""How often a lost point is given out again: a worker may die by chance, thrice the point itself is the reason."""
-
-Task = Callable[[Parameters, int], Row]
-"""Solves one point, given how often it was lost before."""
-
-Finished = Generator[tuple[str, Row]]
-"""Keys and rows, in the order in which they finish."""
+RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason
+Task = Callable[[Parameters, int], Row]  # solves one point, given how often it was lost before
+Finished = Generator[tuple[str, Row]]  # keys and rows, in the order in which they finish
 
 
 def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | None) -> Finished:
     """Solve points on an executor; without one, one after another in this process.
 
-    Whatever an executor raises says that a point was lost, because the task itself raises nothing. If the executor
-    takes no more work, as a process pool does not once a worker has died, a warning says so, and the points that are
-    left are solved one after another in a process of their own: should one of them kill it, that one alone is lost.
+    The task itself raises nothing, so an exception of a future means that its point was lost. If the executor takes no
+    more work, like a process pool once a worker has died, a warning says so, and the remaining points are solved one
+    after another in a process of their own: a point that kills it is lost alone.
 
     Closing the generator, or Ctrl-C, cancels what has not been started.
     """
     if executor is None:
-        yield from _here(task, points)
+        for key, parameters in points.items():
+            row = task(parameters, 0)
+            if row["status"] == INTERRUPTED:
+                raise KeyboardInterrupt
+            yield key, row
         return
     left = yield from _on(executor, task, points)
     if left:
-        words = "solved one after another, in a process of their own; stopping and resuming the sweep is faster."
-        warnings.warn(f"The executor takes no more work: {len(left)} points are {words}", RuntimeWarning, stacklevel=3)
+        warnings.warn(
+            f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
+            "own; stopping and resuming the sweep is faster.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
         yield from _apart(task, left)
 
 
 class WorkerPool(ProcessPoolExecutor):
-    """Worker processes that leave Ctrl-C, which a terminal sends to every one of its processes, to this one."""
+    """Worker processes that ignore Ctrl-C, which a terminal sends to all processes: this one handles it."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a task; Ctrl-C while processes start, in the midst of talking to them, acts when they have."""
+        """Submit a task; Ctrl-C while processes start is acted on after they have."""
         with interrupts_noted() as interrupt:
             try:
                 return super().submit(fn, *args, **kwargs)
@@ -66,37 +68,19 @@ class WorkerPool(ProcessPoolExecutor):
 
 
 def process_pool(workers: int) -> WorkerPool:
-    """Return fresh worker processes, which share no state with this one and leave Ctrl-C to it.
-
-    Where the system can fork, they are copies of one process that has imported the package once for all of them.
-    """
+    """Return fresh worker processes; where the system can fork, of one process that has imported the package."""
     if "forkserver" in get_all_start_methods():
         context = get_context("forkserver")
         context.set_forkserver_preload(["__main__", solve_point.__module__])
-        resource_tracker.ensure_running()  # which would let Ctrl-C through again, if it were started within
-        with _blocked_interrupts():  # from their first instruction on: processes inherit what is blocked
+        resource_tracker.ensure_running()  # which would unblock Ctrl-C again, if it were started below
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # inherited by the processes
+        try:
             forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
     else:
         context = get_context("spawn")
     return WorkerPool(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
-
-
-@contextmanager
-def _blocked_interrupts() -> Generator[None]:
-    """Let Ctrl-C wait, here and in processes that are started within."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _here(task: Task, points: Mapping[str, Parameters]) -> Finished:
-    for key, parameters in points.items():
-        row = task(parameters, 0)
-        if row["status"] == INTERRUPTED:
-            raise KeyboardInterrupt
-        yield key, row
 
 
 def _on(
@@ -109,7 +93,7 @@ def _on(
     def submit(key: str) -> None:
         try:
             future = executor.submit(task, points[key], losses[key])
-        except Exception:  # broken, shut down, disconnected: every executor has its own words for it
+        except Exception:  # broken, shut down, disconnected: the exception depends on the executor
             left[key] = points[key]
             return
         running[future] = key
@@ -148,7 +132,7 @@ def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
             outcome: Row | str = ""
             for attempt in range(1 + RESUBMISSIONS):
                 try:
-                    outcome = _outcome(pool.submit(task, parameters, attempt), wait=True)
+                    outcome = _outcome(pool.submit(task, parameters, attempt))
                 except BrokenExecutor as error:
                     outcome = type(error).__name__
                 if not isinstance(outcome, str):
@@ -162,10 +146,10 @@ def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
     pool.shutdown()
 
 
-def _outcome(future: Future[Row], wait: bool = False) -> Row | str:
-    """Return the row of a future, or in words why there is none."""
+def _outcome(future: Future[Row]) -> Row | str:
+    """Return the row of a future, waiting for it, or in words why there is none."""
     try:
-        row = future.result(None if wait else 0)
+        row = future.result()
     except CancelledError:
         return "cancelled"
     except Exception as error:
@@ -173,5 +157,5 @@ def _outcome(future: Future[Row], wait: bool = False) -> Row | str:
     return INTERRUPTED if row["status"] == INTERRUPTED else row
 
 
-def _lost(parameters: Parameters, words: str) -> Row:
-    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {words}")
+def _lost(parameters: Parameters, reason: str) -> Row:
+    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {reason}")

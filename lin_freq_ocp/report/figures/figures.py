@@ -20,10 +20,12 @@ from matplotlib.ticker import NullFormatter
 from lin_freq_ocp.arrays import NO_BOUND, Array
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.filters import has_frequency_constraint
 from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.phrases import number, short_name, split_unit
+from lin_freq_ocp.report.figures.modes import mode_legend
 from lin_freq_ocp.report.figures.panels import (
     control_panel,
     frequency_axis,
@@ -55,22 +57,14 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.report.modes.panels import mode_legend
 from lin_freq_ocp.solving.outcome import Outcome
 
-LEGEND_HEIGHT = 0.5
-"""Inches for the legend above the panels."""
-
+LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
 STATE_ROW_HEIGHT = 0.78 * ROW_HEIGHT
 
-MOST_PANELS = 6
-"""Up to so many states have a panel each; of more, those of the same unit share one."""
-
-SMALLEST_SHOWN = 1e-6
-"""Stage gaps below this fraction of the largest are rounding, and drawn at the lower edge."""
-
-ROUNDING = 1e-12
-"""Fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller."""
+MOST_PANELS = 6  # up to so many states have a panel each; of more, those of the same unit share one
+SMALLEST_SHOWN = 1e-6  # stage gaps below this fraction of the largest are rounding, and drawn at the lower edge
+ROUNDING = 1e-12  # fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller
 
 
 def result_figure(result: Outcome) -> Figure:
@@ -78,40 +72,29 @@ def result_figure(result: Outcome) -> Figure:
     return four_panels(result_data(result), with_states=True)
 
 
-def comparison_figure(comparison: ComparisonOutcome, filter_name: str | None = None) -> Figure:
-    """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits.
-
-    Parameters
-    ----------
-    comparison : ComparisonOutcome
-    filter_name : str, optional
-        The filter to show; default the brick wall, if it was asked for, else the first.
-    """
-    return four_panels(comparison_data(comparison, filter_name))
+def comparison_figure(comparison: ComparisonOutcome) -> Figure:
+    """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
+    return four_panels(comparison_data(comparison))
 
 
 def result_data(result: Outcome) -> PlotData:
     """Return the solution as plot data; SolveError if it has no trajectory."""
-    if result.trajectory is None:
-        raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
     shown = measured_solution(solution_label(result), result.problem, result)
+    if shown is None:
+        raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
     return PlotData(result.problem, (Trace(shown.label, shown, STYLES[CONSTRAINED]),))
 
 
-def comparison_data(comparison: ComparisonOutcome, filter_name: str | None = None) -> PlotData:
+def comparison_data(comparison: ComparisonOutcome) -> PlotData:
     """Return the classical, the filtered and the constrained trajectory, as far as there are any."""
-    problem, shown = comparison.problem, comparison.shown_filter(filter_name)
-    first, last = comparison.trajectories[0], comparison.trajectories[-1]
-    if first is last and last.trajectory is not None:
-        return PlotData(problem, (Trace(last.label, last, STYLES[CONSTRAINED]),))
-    if first is last:
-        first = measured_solution(CLASSICAL, problem, comparison.classical, comparison.classical_measures)
-    traces = [Trace(CLASSICAL, first, STYLES[CLASSICAL])]
-    if shown is not None:
-        filtered = comparison.replayed(shown)
-        traces.append(Trace("filtered", filtered, STYLES["filtered"], filtered.label, overlay=True))
-    traces.append(Trace(CONSTRAINED, last, STYLES[CONSTRAINED]))
-    return PlotData(problem, tuple(trace for trace in traces if trace.measured.trajectory is not None))
+    filtered, solution, traces = comparison.shown_filter, comparison.constrained_solution, list[Trace]()
+    if solution is None or has_frequency_constraint(comparison.problem):
+        traces.append(Trace(CLASSICAL, comparison.classical_solution, STYLES[CLASSICAL]))
+    if filtered is not None:
+        traces.append(Trace("filtered", filtered.replay, STYLES["filtered"], filtered.replay.label, overlay=True))
+    if solution is not None:
+        traces.append(Trace(solution.label, solution, STYLES[CONSTRAINED]))
+    return PlotData(comparison.problem, tuple(traces))
 
 
 def four_panels(data: PlotData, with_states: bool = False) -> Figure:
@@ -183,7 +166,7 @@ def states_figure(data: PlotData) -> Figure:
     figure, panels = _two_columns(len(names), STATE_ROW_HEIGHT, mode_legend(data).height)
     for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
         state_panel(ax, data, i, short_name(name))
-    _legend(figure, data, with_ends=False, with_band=False)
+    legend_above(figure, _legend_handles(data, with_bounds=True), handlelength=2.6)
     mode_legend(data).draw(figure)
     return figure
 
@@ -193,7 +176,7 @@ def spectra_figure(data: PlotData, signals: Sequence[Signal]) -> Figure:
     figure, panels = _two_columns(len(signals), ROW_HEIGHT)
     for signal, ax in zip(signals, panels, strict=True):
         spectrum_panel(ax, data, signal, f"Spectrum of {short_name(signal.name)}")
-    _legend(figure, data, with_ends=False, with_band=True, with_bounds=False)
+    legend_above(figure, _legend_handles(data, with_band=True), handlelength=2.6)
     return figure
 
 
@@ -284,22 +267,13 @@ def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure,
     return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
 
 
-def _has_bounds(data: PlotData) -> bool:
-    boxes = data.problem.control_tube, data.state_bounds
-    return any(bool((np.abs(bound) < NO_BOUND).any()) for box in boxes for bound in (box.lower, box.upper))
+def _legend_handles(
+    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False
+) -> list[Artist]:
+    handles = list[Artist]()
 
-
-def _legend(figure: Figure, data: PlotData, with_ends: bool, with_band: bool, with_bounds: bool = True) -> None:
-    """Explain lines and markers above the panels."""
-    legend_above(figure, _legend_handles(data, with_ends, with_band, with_bounds), handlelength=2.6)
-
-
-def _legend_handles(data: PlotData, with_ends: bool, with_band: bool, with_bounds: bool) -> list[Artist]:
-    handles: list[Artist] = []
-
-    def add(label: str, **style: Any) -> None:
-        look: dict[str, Any] = {"linewidth": 1.2, "label": label} | style
-        handles.append(Line2D([], [], **look))
+    def add(label: str, linewidth: float = 1.2, **style: Any) -> None:
+        handles.append(Line2D([], [], linewidth=linewidth, label=label, **style))
 
     for trace in data.traces:
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
@@ -307,7 +281,8 @@ def _legend_handles(data: PlotData, with_ends: bool, with_band: bool, with_bound
     signals = [*data.controls, *data.states, *data.outputs]
     rows = [line for one in signals for line in one.row_bounds] if with_bounds else []
     levels = [line for one in signals for line in one.levels] if with_band else []
-    if (with_bounds and _has_bounds(data)) or any(not line.soft for line in [*rows, *levels]):
+    boxes = [bound for one in [*data.controls, *data.states] for bound in one.bounds] if with_bounds else []
+    if any((np.abs(bound) < NO_BOUND).any() for bound in boxes) or any(not line.soft for line in [*rows, *levels]):
         add("bound", color=BOUND)
     if any(line.soft for line in [*rows, *levels]):
         add("soft bound", color=BOUND, linestyle=SOFT)

@@ -14,9 +14,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.comparison.limits import Line
-from lin_freq_ocp.comparison.signals import Signal
+from lin_freq_ocp.comparison.signals import Line, Signal
 from lin_freq_ocp.phrases import number, short_name, split_unit
+from lin_freq_ocp.report.figures.modes import shade_modes
 from lin_freq_ocp.report.figures.plot_data import PlotData, View
 from lin_freq_ocp.report.figures.style import (
     BAND,
@@ -34,20 +34,12 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.report.modes.panels import shade_modes
 
-LABEL_CHARACTERS = 30
-"""A longer name is cut off where several share a legend."""
-
-DECADES = 5
-"""Decades of a spectrum below its largest value; what is smaller is drawn at the lower edge."""
-
-
-ABOVE = 30
-"""A limit of a spectrum that is more than so many times its largest value leaves the picture."""
-
+LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
+DECADES = 5  # decades of a spectrum below its largest value; what is smaller is drawn at the lower edge
+ABOVE = 30  # A limit of a spectrum that is more than so many times its largest value leaves the picture
+# Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours.
 FEW_BINS = 48
-"""Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours."""
 
 
 def control_panel(ax: Axes, data: PlotData, j: int, title: str) -> None:
@@ -91,7 +83,7 @@ def phase_panel(ax: Axes, data: PlotData, i: int, j: int, title: str) -> None:
     """Draw state j over state i, with their bounds as a box, the common start and every end."""
     pair = data.states[i], data.states[j]
     views = [data.view(one) for one in pair]
-    _draw_box(ax, data, [i, j], views)
+    _draw_box(ax, pair, views)
     shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
@@ -139,9 +131,9 @@ def _draw_levels(ax: Axes, data: PlotData, component: Signal, floor: float, ceil
     for line in component.levels:
         cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
         for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            x, y = data.frequency.factor * at, np.maximum(level, floor)
-            look: dict[str, Any] = {"color": BOUND, "linewidth": 1.6, "linestyle": SOFT if line.soft else "-"}
-            ax.plot(*thinned(x, y), marker="_" if len(x) == 1 else None, markersize=9, zorder=2.5, **look)
+            x, y = thinned(data.frequency.factor * at, np.maximum(level, floor))
+            style, marker = SOFT if line.soft else "-", "_" if len(at) == 1 else None
+            ax.plot(x, y, color=BOUND, linewidth=1.6, linestyle=style, marker=marker, markersize=9, zorder=2.5)
         near = line.values[line.values <= ceiling]
         highest = max(highest, float(near.max(initial=0.0)))
     return highest
@@ -164,7 +156,7 @@ def frequency_axis(ax: Axes, data: PlotData) -> None:
 
 
 def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
-    """Draw a component of all traces, and its bounds, before the modes of the main."""
+    """Draw a component of all traces, with its bounds and references, before the modes of the main trajectory."""
     shade_modes(ax, data)
     held = not component.is_state
     drawing = "steps-post" if held else "default"
@@ -174,9 +166,9 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
             times = data.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
     for line in component.row_bounds:
-        _draw_line(ax, data, line, held, {"color": BOUND, "linewidth": 1.2, "linestyle": SOFT if line.soft else "-"})
+        _draw_line(ax, data, line, held, {"color": BOUND, "linestyle": SOFT if line.soft else "-"})
     for line in component.references:
-        _draw_line(ax, data, line, held, {"color": REFERENCE, "linewidth": 1.2, "linestyle": REFERENCE_LINE})
+        _draw_line(ax, data, line, held, {"color": REFERENCE, "linestyle": REFERENCE_LINE})
     for trace in data.showing(component):
         values, style = _held(trace.of(component), held), trace.style
         ax.plot(
@@ -193,14 +185,14 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
 
 
 def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, look: dict[str, Any]) -> None:
-    """Draw what is asked of a component over time; what is asked at one time alone, as a point."""
+    """Draw a bound or reference over time; at a single time, as a point."""
     values, step = line.values, 1 if held else 0
     values = np.append(values, [values[-1]] * step)
     times = data.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
     if np.isfinite(values).sum() <= 1 + step:
         look = look | {"marker": "D", "markersize": 4.5}
     drawing = "steps-post" if held else "default"
-    ax.plot(*thinned(times, values), drawstyle=drawing, zorder=2, **look)
+    ax.plot(*thinned(times, values), linewidth=1.2, drawstyle=drawing, zorder=2, **look)
 
 
 def _held(values: Array, held: bool) -> Array:
@@ -208,14 +200,15 @@ def _held(values: Array, held: bool) -> Array:
     return np.append(values, values[-1]) if held else values
 
 
-def _draw_box(ax: Axes, data: PlotData, pair: list[int], views: Sequence[View]) -> None:
+def _draw_box(ax: Axes, pair: Sequence[Signal], views: Sequence[View]) -> None:
     """Draw the bounds of two states as a box, where they do not depend on time; open sides lie out of sight."""
-    lower, upper = data.state_bounds.lower[:, pair], data.state_bounds.upper[:, pair]
-    if (lower != lower[0]).any() or (upper != upper[0]).any():
+    bounds = [state.bounds for state in pair]
+    if any((bound != bound[0]).any() for both in bounds for bound in both):
         return
-    sizes = [seen.high - seen.low for seen in views]
-    low = [max(float(bound), seen.low - size) for bound, seen, size in zip(lower[0], views, sizes, strict=True)]
-    high = [min(float(bound), seen.high + size) for bound, seen, size in zip(upper[0], views, sizes, strict=True)]
+    low, high = list[float](), list[float]()
+    for (lower, upper), seen in zip(bounds, views, strict=True):
+        low.append(max(float(lower[0]), seen.low - (seen.high - seen.low)))
+        high.append(min(float(upper[0]), seen.high + (seen.high - seen.low)))
     box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
     box.set(fill=False, edgecolor=BOUND, linewidth=1.2, zorder=2)
     ax.add_patch(box)

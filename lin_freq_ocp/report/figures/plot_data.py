@@ -10,23 +10,16 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.comparison.replay import STOPPED
-from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, state_bounds, states_of
+from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
+from lin_freq_ocp.comparison.trajectories import STOPPED
 from lin_freq_ocp.phrases import listed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.report.figures.scales import Scale, frequency_scale, time_scale
 from lin_freq_ocp.report.figures.style import Note, Trace
-from lin_freq_ocp.report.numbers import quantity, rough
+from lin_freq_ocp.report.units import Scale, frequency_scale, quantity, rough, time_scale
 
-OVERLAY_REACH = 0.6
-"""An overlay may widen an axis by this fraction of what the others span; beyond, it is cut off."""
-
-BOUND_REACH = 0.6
-"""Likewise for a bound far from all trajectories."""
-
-MARGIN = 0.06
-"""Empty fraction at either side of an axis."""
+OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
+BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
+MARGIN = 0.06  # empty fraction at either side of an axis
 
 
 @dataclass(frozen=True)
@@ -70,11 +63,6 @@ class PlotData:
         """Return the scale of the frequency axes."""
         return frequency_scale(self.problem)
 
-    @cached_property
-    def state_bounds(self) -> Box:
-        """Return the state set of each time, without the ends."""
-        return state_bounds(self.problem)
-
     @property
     def main(self) -> Trace:
         """Return the trajectory that the figure is about: the last that is not an overlay."""
@@ -98,11 +86,11 @@ class PlotData:
     @cached_property
     def outputs(self) -> list[Signal]:
         """Return the outputs whose spectrum is constrained."""
-        return [*outputs_of(self.problem)]
+        return outputs_of(self.problem)
 
     def showing(self, signal: Signal) -> tuple[Trace, ...]:
         """Return the traces that have meaningful values of this signal."""
-        return tuple(trace for trace in self.traces if trace.measured.replayed or not signal.is_state)
+        return tuple(trace for trace in self.traces if trace.measured.meaningful or not signal.is_state)
 
     def view(self, signal: Signal) -> View:
         """Return the range of a signal's axis."""
@@ -122,7 +110,7 @@ class PlotData:
             measured, text = trace.measured, ""
             if measured.stopped:
                 text = f"not replayed; its states {STOPPED}"
-            elif not measured.replayed and measured.measures is not None:
+            elif not measured.meaningful:
                 text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
                 text = f"leaves the picture; {_end_of(trace, signals)}"
@@ -155,4 +143,4 @@ def _end_of(trace: Trace, signals: Sequence[Signal]) -> str:
     bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
     if end is not None and bounded:
         return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(one) or 0.0, one.name) for one in signals])}"
+    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"

@@ -28,60 +28,32 @@ Numbers = NDArray[np.floating[Any]]
 
 INK, MUTED, GRID, PAPER, BAND, BOUND = "#1f2328", "#59636e", "#d6dbe1", "#ffffff", "#f4e8c9", "#8c959f"
 REFERENCE = "#8250df"
+# Classical is not quite black: SVG files leave out the default, and the page could then not replace it.
 CLASSICAL, FILTERED, CONSTRAINED = "#010101", "#d55e00", "#0072b2"
 
-# Not quite black, which SVG files leave out because it is the default and which the page could then not replace.
-
-THEMED = {
-    INK: "ink",
-    MUTED: "muted",
-    GRID: "grid",
-    PAPER: "paper",
-    BAND: "band",
-    BOUND: "bound",
-    REFERENCE: "reference",
-    CLASSICAL: "classical",
-    FILTERED: "filtered",
-    CONSTRAINED: "constrained",
-}
-"""Colours that the page replaces by its own variables, so that figures follow its light and dark scheme."""
-
+# Behind the panels, by the number of the mode: light enough for the lines; neighbours differ in lightness or in blue
+# against yellow, which all readers see. Each hatch serves as many modes as there are tints.
 TINTS = ("#eceff3", "#cfdcf2", "#e6bfd6", "#cdebd6", "#d8cba0", "#b4b8c4")
-"""Behind what happens in a mode, by its number: light enough for the lines, and neighbours differ in lightness or in
-blue against yellow, which all readers see."""
-
 HATCHES = ("", "////", "....", "xxxx")
-"""Of the first as many modes as there are tints, of the next as many, and so on."""
 
-THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}
-"""Likewise for the tints, which only pages of problems with modes have."""
+# Colours that the page replaces by its own variables, so that figures follow its light and dark scheme.
+THEMED = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", BAND: "band", BOUND: "bound"}
+THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}
+THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}  # only on pages of problems with modes
 
+# Of the components of one signal, of soft bounds, and of references in the cost.
 COMPONENTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
-"""Colours and markers of the components of one signal."""
-
 SOFT: LineStyleType = (0, (4, 2.5))
 REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
-"""Lines of bounds that may be left at a price, and of what the cost draws to."""
 
-WITHOUT_WINDOWS = frozenset({"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"})
-"""Backends of matplotlib that only write files."""
-
+WITHOUT_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}  # backends that only write files
 NOTEBOOK_DPI = 80
-"""Pixels per inch of a figure in a notebook."""
-
-WIDTH, ROW_HEIGHT = 11.0, 3.5
-"""Inches: width of a figure, height of a row of panels."""
-
-MOST_POINTS = 1000
-"""Of a longer signal no more is drawn: the smallest and largest value of every group of neighbours."""
-
+WIDTH, ROW_HEIGHT = 11.0, 3.5  # inches: width of a figure, height of a row of panels
+MOST_POINTS = 1000  # of a longer signal, the smallest and largest value of every group of neighbours is drawn
 TITLE_SIZE, NOTE_SIZE, LABEL_SIZE, TICK_SIZE = 11, 9, 9.5, 9
-LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8
-"""Width of a legend above the panels, and of a line or marker in it."""
-
-NOTE_CHARACTERS = 70
-"""Width of a note under the title of a panel in half of a figure."""
+LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8  # width of a legend above the panels, and of a line or marker in it
+NOTE_CHARACTERS = 70  # width of a note under the title of a panel in half of a figure
 
 
 @dataclass(frozen=True)
@@ -104,28 +76,17 @@ STYLES = {
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One trajectory as a figure shows it.
-
-    Attributes
-    ----------
-    label, detail : str
-        For the legend; the detail only there.
-    measured : MeasuredTrajectory
-        It has a trajectory.
-    overlay : bool
-        Whether the axes may cut it off, so that a filtered trajectory leaves room for the others.
-    """
+    """One trajectory as a figure shows it."""
 
     label: str
     measured: MeasuredTrajectory
     style: Style
-    detail: str = ""
-    overlay: bool = False
+    detail: str = ""  # beside the label in the legend
+    overlay: bool = False  # whether the axes may cut it off, so that a filtered trajectory leaves room for the others
 
     @property
     def trajectory(self) -> Trajectory:
         """Return the trajectory."""
-        assert self.measured.trajectory is not None
         return self.measured.trajectory
 
     def of(self, signal: Signal) -> Array:
@@ -142,26 +103,23 @@ class Note:
 
 
 def plain(text: str) -> str:
-    """Return text that is drawn as it is: a name with dollar signs is no formula."""
+    """Return text with its dollar signs escaped: it is no formula."""
     return text.replace("$", r"\$")
 
 
 def thinned(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
-    """Return what is drawn of y over x: everything, or for long signals the extremes of every group of neighbours."""
+    """Return what is drawn of y over x: for long signals, the extremes of every group of neighbours."""
     if len(y) <= MOST_POINTS:
         return x, y
     starts = np.linspace(0, len(y), MOST_POINTS // 2, endpoint=False, dtype=int)
     groups = np.split(y, starts[1:])
-    kept = np.unique(
-        np.concatenate(
-            [[0, len(y) - 1], *([at + g.argmin(), at + g.argmax()] for at, g in zip(starts, groups, strict=True))]
-        )
-    )
+    extremes = [(at + group.argmin(), at + group.argmax()) for at, group in zip(starts, groups, strict=True)]
+    kept = np.unique([0, len(y) - 1, *np.ravel(extremes)])
     return x[kept], y[kept]
 
 
 class ShownFigure(Figure):
-    """A figure that notebooks show as it is, and that opens a window on request; pyplot knows of it only then."""
+    """A figure that notebooks show, and that opens a window on request; pyplot manages it only then."""
 
     def _repr_png_(self) -> bytes:
         stream = BytesIO()

@@ -1,4 +1,4 @@
-"""Modes, and what holds where they meet, in sentences for an engineer."""
+"""What is proven of a solution, in sentences: maximum principle, global bound, switching, search over modes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,85 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.modes.clarke import Flip, SwitchingFacts
+from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.phrases import listed, number, plural
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 
-NAMED_TIMES = 4
-"""Times of which a text names what is special to each before it only counts the others."""
+NAMED_TIMES = 4  # times that a text describes before it only counts the others
+RIGOROUS = "rigorous"  # the kind of a bound that holds for every trajectory; any other says nothing global
 
 ETA, XI, ALPHA = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}"
 
 
-def border_sentences(borders: SwitchingFacts) -> list[str]:
+def proven_optimal(result: Outcome) -> bool:
+    """Whether status and certificate both say that no other trajectory is cheaper."""
+    return result.status == "optimal" and result.certificate is not None and result.certificate.globally_optimal
+
+
+def bound_kind(certificate: Certificate) -> str:
+    """Return "global" for a rigorous bound, else "numerical"."""
+    return "global" if certificate.bound is not None and certificate.bound.kind == RIGOROUS else "numerical"
+
+
+def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
+    """Return what a certificate, of that problem, proves: the maximum principle and the bound, which are two facts."""
+    if certificate.pmp == "satisfied":
+        kind = f"normal ({ETA}_C = 1)" if certificate.normal else "abnormal (no cost enters)"
+        first = (
+            f"The maximum principle is satisfied: every condition holds within its tolerance. The extremal is {kind}."
+        )
+    elif certificate.pmp == "violated":
+        failed = listed([f"{condition.label} ({condition.name})" for condition in certificate.failed])
+        first = f"The maximum principle is violated. What does not hold: {failed}."
+    elif certificate.borders is not None:
+        first = "The maximum principle does not apply: it needs dynamics without jumps."
+    else:
+        first = "The maximum principle was not judged: there are no multipliers."
+    switching = [] if certificate.borders is None else switching_sentences(certificate.borders)
+    if problem is not None and not problem.dynamics.affine and certificate.bound is None:
+        bound = ["There is no global lower bound: the dynamics are not affine, and none was found."]
+    else:
+        bound = _global_bound(certificate)
+    return [first, *switching, *bound]
+
+
+def _global_bound(certificate: Certificate) -> list[str]:
+    if certificate.bound is None or certificate.lower_bound is None or certificate.gap is None:
+        if certificate.borders is not None:
+            return ["There is no global lower bound: with modes, it takes a search over their sequences."]
+        return ["There is no global lower bound: the cost is not convex, or the multipliers give none."]
+    rigorous = certificate.bound.kind == RIGOROUS
+    kind = "the bound is rigorous, with rounding errors counted in"
+    if not rigorous:
+        kind = "the bound is numerical: valid for trajectories of a similar size, and no proof for all others"
+    sentence = (
+        f"The cost {number(certificate.cost, 9)} is within {number(abs(certificate.gap), 2)} (relative) of the "
+        f"{bound_kind(certificate)} lower bound {number(certificate.lower_bound, 9)}; {kind} "
+        f"(from {certificate.bound.sets})."
+    )
+    if certificate.globally_optimal and rigorous:
+        return [sentence, "So no other trajectory that satisfies the constraints is noticeably cheaper."]
+    return [sentence]
+
+
+def parts_of_the_gap(certificate: Certificate) -> str:
+    """Return what the difference of cost and global bound consists of."""
+    bound = certificate.bound
+    if bound is None or bound.stage_gaps is None:
+        return ""
+    residuals = -bound.dynamics_term - bound.frequency_term + bound.stage_term
+    return (
+        f"Where the cost exceeds the {bound_kind(certificate)} lower bound. "
+        f"The stages add up to {number(float(bound.stage_gaps.sum()), 2)}; "
+        f"residuals of the constraints count {number(residuals, 2)}, "
+        f"and rounding errors are allowed for with {number(bound.rounding, 2)}. "
+        "Hollow triangles: too small for the axis, or negative."
+    )
+
+
+def switching_sentences(borders: SwitchingFacts) -> list[str]:
     """Return what the judge found where the dynamics have no single derivative."""
     sentences = list[str]()
     if borders.jumping is not None:
@@ -30,11 +98,8 @@ def border_sentences(borders: SwitchingFacts) -> list[str]:
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
         return [*sentences, f"{what}: the dynamics have one derivative at every step, and nothing had to be chosen."]
-    sentences.append(f"{_where(borders)}. There the dynamics have no single derivative.")
-    sentences.append(_joint(borders))
-    sentences.append(_flips(borders))
-    sentences.append(_printed(borders))
-    return sentences
+    where = f"{_where(borders)}. There the dynamics have no single derivative."
+    return [*sentences, where, _joint(borders), _flips(borders), _printed(borders)]
 
 
 def search_sentences(result: Outcome) -> list[str]:
@@ -42,7 +107,8 @@ def search_sentences(result: Outcome) -> list[str]:
     proof = result.tree_bound
     if result.tree is None or proof is None:
         return []
-    size = f"{plural(len(result.tree.nodes), 'node')}, of which {_count(proof.leaves, 'is a leaf', 'are leaves')}"
+    leaves = "1 is a leaf" if proof.leaves == 1 else f"{proof.leaves} are leaves"
+    size = f"{plural(len(result.tree.nodes), 'node')}, of which {leaves}"
     if not proof.covers:
         return [f"The search over mode sequences has {size}. They do not cover all sequences, so nothing is bounded."]
     if np.isposinf(proof.value):
@@ -72,26 +138,21 @@ def adjoint_caption(borders: SwitchingFacts) -> str:
         f"{ETA} at t is the price of the state at t + 1: by how much, to first order, the cost falls per unit that "
         "something pushes it up there."
     )
-    if not borders.times and not borders.norms:
+    values, choices = list[str](), list[str]()
+    if borders.times:
+        values.append("over the modes that meet")
+        choices.append(f"weights {ALPHA}")
+    if borders.norms:
+        ball = f"|{XI}| \N{LESS-THAN OR EQUAL TO} 1"
+        values.append(f"over all {XI} with {ball} where a norm of some q is zero, whose slope is {XI}' Dq")
+        choices.append(f"selection {XI}")
+    if not values:
         return text
-    text += (
-        f" Bars: all values that this component of D_x <{ETA}, f> takes {_range(borders)}. Diamonds: the value that "
-        "the adjoint equation requires. It must lie within the bar, and for all components of x and u by the same "
-        f"{_choice(borders)}: {'; '.join(_choices(borders))}."
+    return text + (
+        f" Bars: all values that this component of D_x <{ETA}, f> takes {' and '.join(values)}. Diamonds: the value "
+        "that the adjoint equation requires. It must lie within the bar, and for all components of x and u by the same "
+        f"{' and '.join(choices)}: {'; '.join(_choices(borders))}."
     )
-    return text
-
-
-def _range(borders: SwitchingFacts) -> str:
-    ball = f"|{XI}| \N{LESS-THAN OR EQUAL TO} 1"
-    of_norms = f"over all {XI} with {ball} where a norm of some q is zero, whose slope is {XI}' Dq"
-    parts = (["over the modes that meet"] if borders.times else []) + ([of_norms] if borders.norms else [])
-    return " and ".join(parts)
-
-
-def _choice(borders: SwitchingFacts) -> str:
-    parts = ([f"weights {ALPHA}"] if borders.times else []) + ([f"selection {XI}"] if borders.norms else [])
-    return " and ".join(parts)
 
 
 def _choices(borders: SwitchingFacts) -> list[str]:
@@ -100,7 +161,9 @@ def _choices(borders: SwitchingFacts) -> list[str]:
         f"at t = {t}: {ALPHA} = {_weights(alpha, borders.mode_names)}"
         for t, alpha in zip(borders.times, borders.weights, strict=True)
     ]
-    parts += [f"at t = {one.time}, {one.norm} = 0: {XI} = {_vector(one.selection)}" for one in borders.norms]
+    for kink in borders.norms:
+        selection = ", ".join(number(part, 3) for part in kink.selection)
+        parts.append(f"at t = {kink.time}, {kink.norm} = 0: {XI} = ({selection})")
     return [*parts[:NAMED_TIMES], *([f"{len(parts) - NAMED_TIMES} more"] if len(parts) > NAMED_TIMES else [])]
 
 
@@ -115,7 +178,7 @@ def _where(borders: SwitchingFacts) -> str:
 
 
 def _joint(borders: SwitchingFacts) -> str:
-    """Clarke's rule, with what was chosen."""
+    """Return whether Clarke's joint inclusion holds, with the elements that were chosen."""
     chosen = "; ".join(_choices(borders))
     if borders.joint:
         return (
@@ -181,13 +244,5 @@ def _quoted(name: str) -> str:
     return f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}"
 
 
-def _vector(parts: Sequence[float]) -> str:
-    return f"({', '.join(number(part, 3) for part in parts)})"
-
-
 def _times(times: Sequence[int]) -> str:
     return f"t = {listed([str(t) for t in times])}" if len(times) <= 2 * NAMED_TIMES else plural(len(times), "time")
-
-
-def _count(count: int, one: str, many: str) -> str:
-    return f"{count} {one if count == 1 else many}"

@@ -19,7 +19,7 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.modes.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_names
+from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.phrases import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.figures.plot_data import MARGIN, PlotData, Span, spans
 from lin_freq_ocp.report.figures.style import (
@@ -43,31 +43,21 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
+from lin_freq_ocp.report.proof import ETA
 
-CHARACTER = 0.52 * NOTE_SIZE / 72
-"""Inches: about the width of a character of a note."""
-
+CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note
+# Inches: what a legend may take, and about the width of one of its characters.
 LEGEND_WIDTH, LEGEND_CHARACTER = WIDTH - 0.3, 1.12 * CHARACTER
-"""Inches: what a legend may take, and about the width of one of its characters."""
-
-LONGEST_NAME = 32
-"""Characters of a mode's name in a picture."""
-
-STRIP_HEIGHT = 0.3
-"""Inches: height of a strip, and the room between strips."""
-
-BAR = 0.02
-"""Width of the bar of an interval, relative to the time axis."""
-
+LONGEST_NAME = 32  # characters of a mode's name in a picture
+STRIP_HEIGHT = 0.3  # inches: height of a strip, and the room between strips
+BAR = 0.02  # width of the bar of an interval, relative to the time axis
+# The marker of what the adjoint equation requires.
 REQUIRED: dict[str, Any] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
-"""The marker of what the adjoint equation requires."""
-
-MARKED = 60
-"""Up to so many values are points on their line."""
+MARKED = 60  # up to so many values are points on their line
 
 
 def shade_modes(ax: Axes, data: PlotData) -> None:
-    """Put the tint of the main's mode behind every step of a panel in time."""
+    """Put the tint of the main trajectory's mode behind every step of a panel in time."""
     for span in data.modes:
         if span.mode != NO_MODE:
             start, end = data.time.factor * span.start, data.time.factor * span.end
@@ -128,24 +118,24 @@ class ModeLegend:
 
 
 def mode_legend(data: PlotData) -> ModeLegend:
-    """Return the explanation of the tints behind the panels of a data."""
+    """Return the explanation of the tints behind the panels."""
     whose = "mode" if len(data.traces) == 1 else f"mode of the {data.main.label} trajectory"
     return _legend_of(data, {span.mode for span in data.modes}, whose)
 
 
 def _legend_of(data: PlotData, modes: set[int], whose: str) -> ModeLegend:
-    used, names = sorted(modes - {NO_MODE}), _short_names(mode_names(data.problem))
+    used, names = sorted(modes - {NO_MODE}), _short_names(data.problem.dynamics.mode_names)
     return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
 
 
 def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]]:
     """Return label and mode sequence of every trajectory of a comparison; None without a replay."""
-    return [(one.label, one.modes) for one in comparison.trajectories if one.trajectory is not None]
+    return [(one.label, one.modes) for one in comparison.trajectories]
 
 
 def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
     """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
-    names, factor, horizon = _short_names(mode_names(data.problem)), data.time.factor, data.problem.horizon
+    names, factor, horizon = _short_names(data.problem.dynamics.mode_names), data.time.factor, data.problem.horizon
     drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
     unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
     legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")
@@ -155,7 +145,7 @@ def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) ->
         _draw_strip(ax, span, row, factor, horizon, names)
     for row, (_, modes) in enumerate(rows):
         if modes is None:
-            ax.text(0.5 * factor * horizon, row, "not replayed", **_word(MUTED))
+            _write(ax, 0.5 * factor * horizon, row, "not replayed", MUTED)
     style_axes(ax, "Modes", data.time.label, "")
     ax.grid(False)
     ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)
@@ -188,8 +178,7 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
         ax.set_xlim(-BAR * end, (1 + BAR) * end)
         notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
         short, unit = split_unit(name)
-        label = f"\N{GREEK SMALL LETTER ETA} [cost per {unit or 'unit'}]"
-        style_axes(ax, f"Adjoint of {short}", data.time.label, label, notes)
+        style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
     _adjoint_legend(figure, bool(found))
     mode_legend(data).draw(figure)
     return figure
@@ -202,7 +191,7 @@ def smallest_adjoint(certificate: Certificate) -> float:
 
 
 def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
-    """Let the axis reach over all values, but not magnify what is nothing but rounding; say so."""
+    """Let the axis reach over all values; where these are zero up to rounding, do not magnify them, and say so."""
     low, high = float(shown.min()), float(shown.max())
     if max(-low, high) <= least:
         ax.set_ylim(-1, 1)
@@ -227,16 +216,11 @@ def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
 
 
 def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
-    eta = "\N{GREEK SMALL LETTER ETA}"
-    handles: list[Artist] = [
-        Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {eta}")
-    ]
+    look: dict[str, Any] = {"color": COMPONENTS[0], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
+    handles: list[Artist] = [Line2D([], [], **look, label=f"adjoint {ETA}")]
     if with_kinks:
-        within, required = (
-            f"$D_x$ <{eta}, f> over all derivatives at a kink",
-            "what the adjoint equation requires of it",
-        )
-        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=within))
+        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
+        required = "what the adjoint equation requires of it"
         handles.append(Line2D([], [], linestyle="none", marker="D", **REQUIRED, label=required))
     legend_above(figure, handles)
 
@@ -251,15 +235,15 @@ def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, nam
     ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
     name = "outside" if outside else names[span.mode]
     if _has_room(span, name, horizon):
-        ax.text(0.5 * factor * (span.start + span.end), row, name, **_word(MUTED if outside else INK))
+        _write(ax, 0.5 * factor * (span.start + span.end), row, name, MUTED if outside else INK)
 
 
 def _has_room(span: Span, name: str, horizon: int) -> bool:
     return 0.82 * WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
 
 
-def _word(color: str) -> dict[str, Any]:
-    return {"ha": "center", "va": "center_baseline", "fontsize": TICK_SIZE, "color": color}
+def _write(ax: Axes, x: float, row: int, text: str, color: str) -> None:
+    ax.text(x, row, text, ha="center", va="center_baseline", fontsize=TICK_SIZE, color=color)
 
 
 def _look(mode: int) -> dict[str, Any]:

@@ -1,1 +1,0 @@
-"""Modes over time, in figures and in sentences."""
