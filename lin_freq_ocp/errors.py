@@ -21,7 +21,13 @@ __all__ = [
 
 
 class LinFreqOCPError(Exception):
-    """Base of all errors of this package."""
+    """Base of all errors of this package.
+
+    Examples
+    --------
+    >>> issubclass(lfo.errors.SolveError, lfo.errors.LinFreqOCPError)
+    True
+    """
 
 
 class ProblemError(LinFreqOCPError, ValueError):
@@ -35,6 +41,11 @@ class ProblemError(LinFreqOCPError, ValueError):
         What was found there, and what would be right.
     advice : str, optional
         What to do about it.
+
+    Examples
+    --------
+    >>> print(lfo.errors.ProblemError("horizon", "0", "a whole number above zero"))
+    horizon: got 0; expected a whole number above zero.
     """
 
     def __init__(self, field: str, got: str, expected: str, advice: str = ""):
@@ -47,15 +58,34 @@ class ProblemError(LinFreqOCPError, ValueError):
 
 
 class UnsupportedError(LinFreqOCPError):
-    """A valid problem that the chosen method cannot take; the message says why and what can."""
+    """A valid problem that the chosen method cannot take; the message says why and what can.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator(), "enumerate")
+    Traceback (most recent call last):
+    lin_freq_ocp.errors.UnsupportedError: method: got 'enumerate', which is for piecewise-affine dynamics; ...
+    """
 
 
 class MissingExtraError(LinFreqOCPError, ImportError):
-    """An optional package is not installed; the message names it and how to get it."""
+    """An optional package is not installed; the message names it and how to get it.
+
+    Examples
+    --------
+    >>> issubclass(lfo.errors.MissingExtraError, ImportError)
+    True
+    """
 
 
 class SolveError(LinFreqOCPError):
-    """A solve that ended without an optimum; ``result`` holds all that was found."""
+    """A solve that ended without an optimum; ``result`` holds all that was found.
+
+    Examples
+    --------
+    >>> issubclass(lfo.errors.LimitError, lfo.errors.SolveError)
+    True
+    """
 
     def __init__(self, message: str, result: Any = None):
         self.result = result
@@ -69,6 +99,12 @@ class InfeasibleError(SolveError):
     ----------
     proven : bool
         Whether the judge has verified a proof; otherwise a solver only says so.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3), throw=False)
+    >>> lfo.errors.InfeasibleError("no trajectory", result).proven
+    True
     """
 
     @property
@@ -78,11 +114,23 @@ class InfeasibleError(SolveError):
 
 
 class UnboundedError(SolveError):
-    """The cost has no lower bound on the feasible set."""
+    """The cost has no lower bound on the feasible set.
+
+    Examples
+    --------
+    >>> lfo.errors.UnboundedError("no lower bound").result is None
+    True
+    """
 
 
 class NumericalError(SolveError):
-    """The solver stopped at a point whose residuals, computed by us, are too large to call it a solution."""
+    """The solver stopped at a point whose residuals, computed by us, are too large to call it a solution.
+
+    Examples
+    --------
+    >>> lfo.errors.NumericalError("large residuals").result is None
+    True
+    """
 
 
 class LimitError(SolveError):
@@ -96,6 +144,13 @@ class LimitError(SolveError):
         A lower bound on the optimal cost, None if none was found.
     gap : float or None
         What the two leave open, as ``result.gap`` says it.
+
+    Examples
+    --------
+    >>> problem = lfo.library.pendulum_with_wall()
+    >>> result = lfo.solve(problem, node_limit=1, throw=False)
+    >>> lfo.errors.LimitError("stopped", result).gap == result.gap
+    True
     """
 
     @property
@@ -115,7 +170,13 @@ class LimitError(SolveError):
 
 
 class BandWarning(UserWarning):
-    """A frequency band that, on this horizon, removes nothing or everything."""
+    """A frequency band that, on this horizon, removes nothing or everything.
+
+    Examples
+    --------
+    >>> issubclass(lfo.errors.BandWarning, UserWarning)
+    True
+    """
 
 
 def first_line(error: Exception) -> str:

@@ -26,6 +26,11 @@ class Status(StrEnum):
         A limit of time, iterations or nodes was reached, or the solve was interrupted.
     NUMERICAL_ERROR
         The method ended at a point that does not satisfy the maximum principle, or at none.
+
+    Examples
+    --------
+    >>> lfo.results.Status.OPTIMAL == "optimal", lfo.results.Status("limit").solved
+    (True, False)
     """
 
     OPTIMAL = "optimal"

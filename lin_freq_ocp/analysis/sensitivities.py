@@ -38,6 +38,12 @@ class Sensitivities:
     control_bins : complex (T//2 + 1, m), state_bins : complex ((T+1)//2 + 1, n)
         Prices of removed bins, 0 at free ones: if a bin were to be z instead of 0, its conjugate with it, J* would grow
         by Re(conj(price) z).
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> result.sensitivities.terminal_state.shape
+    (2,)
     """
 
     initial_state: Array

@@ -33,6 +33,12 @@ class Comparison(ComparisonOutcome):
         The four panels of the comparison.
     save(folder)
         Write the HTML report.
+
+    Examples
+    --------
+    >>> comparison = lfo.compare(lfo.library.double_integrator(), ["clipped"])
+    >>> [filtered.name for filtered in comparison.filtered]
+    ['clipped']
     """
 
     classical: Result

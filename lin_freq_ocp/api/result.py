@@ -53,6 +53,12 @@ class Result(Outcome):
         The trajectory for other tools.
     dump(path)
         Write the whole run, to be repeated anywhere.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> result.to_frame().shape
+    (201, 3)
     """
 
     @property

@@ -26,6 +26,12 @@ class SavedRun(RunRecord):
     -------
     solve()
         Solve it again.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator()).dump("run.zip")
+    >>> lfo.load_run("run.zip").options["method"]
+    'auto'
     """
 
     def solve(self, throw: bool = False) -> Result:

@@ -32,6 +32,12 @@ class Sweep(SweepOutcome):
         A figure of the costs.
     to_csv(path)
         Write the points as a table.
+
+    Examples
+    --------
+    >>> found = lfo.sweep(lfo.library.double_integrator, {"horizon": [60, 80]})
+    >>> found.complete, len(found.table())
+    (True, 2)
     """
 
     def to_csv(self, path: str | PathLike[str]) -> None:

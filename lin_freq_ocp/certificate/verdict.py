@@ -90,6 +90,12 @@ class Certificate:
         What holds where modes meet; None for linear dynamics.
     rounded : Rounded or None
         If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
+
+    Examples
+    --------
+    >>> certificate = lfo.solve(lfo.library.double_integrator()).certificate
+    >>> certificate.pmp, certificate.normal, certificate.globally_optimal
+    ('satisfied', True, True)
     """
 
     pmp: str

@@ -12,36 +12,46 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
-from typing import Any
 
 import click
 
 from lin_freq_ocp import __version__
-from lin_freq_ocp.cli.console import BAD_INPUT, NOT_PROVEN, complain, err, error_status, error_words, fit_console
+from lin_freq_ocp.cli.console import (
+    BAD_INPUT,
+    NOT_PROVEN,
+    complain,
+    err,
+    error_message,
+    error_status,
+    exit_status,
+    fit_console,
+)
 from lin_freq_ocp.errors import BandWarning, SolveError
 from lin_freq_ocp.starting import INTERRUPTED, leave_silently, let_commands_decide
 
-COMMANDS = ("list", "show", "solve", "compare", "sweep", "certify", "rerun", "init")
+# The commands, in the order of the help, and their modules.
+COMMANDS = {name: name for name in ("list", "show", "solve", "compare", "sweep", "certify", "rerun", "init")}
+COMMANDS |= {"list": "start", "init": "start"}
 
 
 class Commands(click.Group):
-    """Commands that are imported when they are called, and that Ctrl-C ends without a word."""
+    """Commands that are imported when they are called; Ctrl-C ends them silently."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return their names."""
+        """Return the names of the commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command; Ctrl-C in the midst of it ends the process."""
+        """Import a command; Ctrl-C meanwhile ends the process."""
         if cmd_name not in COMMANDS:
             return None
         leave_silently()
-        module = import_module(f"lin_freq_ocp.cli.{cmd_name}")
+        module = import_module(f"lin_freq_ocp.cli.{COMMANDS[cmd_name]}")
         let_commands_decide()
         command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def invoke(self, ctx: click.Context) -> object:
         """Run a command."""
         try:
             return super().invoke(ctx)
@@ -61,9 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
-    ours = let_commands_decide()
+    silent = let_commands_decide()
     status = _status(arguments)
-    if ours:
+    if silent:
         leave_silently()
     sys.exit(status)
 
@@ -78,16 +88,14 @@ def _status(arguments: Sequence[str] | None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return INTERRUPTED
     except SolveError as error:
-        from lin_freq_ocp.cli.answers import exit_status
-
         complain(error)
         return NOT_PROVEN if error.result is None else exit_status(error.result)
     except Exception as error:
         if error_status(error) != INTERRUPTED:
-            complain(error_words(error))
+            complain(error_message(error))
         return error_status(error)
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    words = "" if issubclass(category, BandWarning) else f" ({category.__name__})"
-    err.print(f"warning: {message}{words}", markup=False, highlight=False, soft_wrap=True)
+def _show_warning(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
+    kind = "" if issubclass(category, BandWarning) else f" ({category.__name__})"
+    err.print(f"warning: {message}{kind}", markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""The command lin-freq-ocp certify: a trajectory from anywhere, and the maximum principle."""
+"""The command lin-freq-ocp certify: the maximum principle for any trajectory."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import click
 import numpy as np
 
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.cli.answers import certificate_status, print_certificate
-from lin_freq_ocp.cli.console import print_json, progress, say
+from lin_freq_ocp.cli.console import certificate_status, print_certificate, print_json, progress, say
 from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build
 from lin_freq_ocp.errors import UnsupportedError
@@ -42,7 +41,7 @@ def certify_command(
 
 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
-    """Say whether there are others, or the direction that proves that there are none, and what holds at borders."""
+    """Print whether the multipliers are unique, or the direction that excludes any, and the conditions at borders."""
     descent = certificate.descent
     if certificate.rounded is not None:
         say(f"rounding    {certificate.rounded}")

@@ -7,8 +7,16 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.cli.answers import exit_status, print_conflict
-from lin_freq_ocp.cli.console import print_json, print_lines, print_table, progress, say, written
+from lin_freq_ocp.cli.console import (
+    exit_status,
+    print_conflict,
+    print_json,
+    print_lines,
+    print_table,
+    progress,
+    say,
+    written,
+)
 from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option, time_limit_option
 from lin_freq_ocp.cli.problems import build, require_folder
 from lin_freq_ocp.errors import SolveError

@@ -1,33 +1,27 @@
-"""The problem that the arguments of a command describe: a library problem or a file, and its settings."""
+"""The problem of a command: a library problem or a file, with its settings."""
 
 from __future__ import annotations
 
 import inspect
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from lin_freq_ocp import library
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.locations import naming
+from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
 from lin_freq_ocp.interchange.problem_file.toml_file import read_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
-    """Return the library problem of that name, or the problem in that file, with the settings applied.
-
-    Raises
-    ------
-    ProblemError
-        If there is no such problem, a setting is not TOML, or the problem has no such parameter.
-    """
+    """Return the library problem of that name, or the problem in that file, with the settings applied."""
     given = parsed_settings(settings)
     if is_file(problem):
         return ProblemFile.read(problem, given).problem
@@ -35,73 +29,49 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
         return builder(problem, given)()
     except ProblemError:
         raise
-    except (
-        TypeError,
-        ValueError,
-        ArithmeticError,
-        LookupError,
-        AttributeError,
-    ) as error:  # one of a wrong type, met in the midst of a formula
+    except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:  # parameters of a wrong type
         raise ProblemError("--set", brief(given), f"parameters that {problem} can use", f"({error})") from None
 
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """A problem file as a function of its keys; those of tables with dots, ``control_set.upper``.
+    """A problem file as a function of its keys; keys within tables are written with dots, ``control_set.upper``.
 
-    ``cutoff`` (rad/sample) and ``cutoff_hz`` stand for a low pass of all controls in place of the file's
+    ``cutoff`` (rad/sample) and ``cutoff_hz`` are a low pass of all controls in place of the file's
     ``control_spectrum``, as in ``lfo.sweep``.
-
-    Attributes
-    ----------
-    path : Path
-        Read anew for every point; not part of what is compared when a sweep is resumed.
-    settings : dict
-        Values that take precedence over the file's.
-    problem : OptimalControlProblem
-        What the file describes; read first, so that a file with a fault is no sweep of errors.
     """
 
-    path: Path = field(compare=False)
-    settings: Mapping[str, Any]
-    problem: OptimalControlProblem
+    path: Path = field(compare=False)  # read anew for every point; not compared when a sweep is resumed
+    settings: FileTable  # take precedence over the file
+    problem: OptimalControlProblem  # read first, so that an invalid file is no sweep of errors
 
     @classmethod
-    def read(cls, path: str, settings: Mapping[str, Any]) -> ProblemFile:
-        """Read the file, with these settings.
-
-        Raises
-        ------
-        ProblemError
-            If a setting has an unknown key, two set the same, or the file describes no problem.
-        """
+    def read(cls, path: str, settings: FileTable) -> ProblemFile:
+        """Read the file, with these settings."""
         with naming(Path(path)):
             require_keys_of_file(settings)
         return cls(Path(path), settings, read_problem(path, file_tables(settings)))
 
     @property
     def name(self) -> str:
-        """Return the name of the problem, or else that of the file."""
+        """Return the name of the problem, or of the file."""
         return self.problem.name or self.path.stem
 
-    def __call__(self, **parameters: Any) -> OptimalControlProblem:
+    def __call__(self, **parameters: FileValue) -> OptimalControlProblem:
         """Return the problem with these values, which take precedence over the settings."""
         replaced = SPECTRA if any(key in SPECTRA for key in parameters) else ()
-        tables = _copied({key: value for key, value in self.settings.items() if key not in replaced})
+        tables = deepcopy({key: value for key, value in self.settings.items() if key not in replaced})
         for key, value in parameters.items():
-            merge_tables(tables, _nested(key, value))
+            _merge(tables, _nested(key, value))
         return read_problem(self.path, file_tables(tables))
 
 
-# what --set and --grid can change in a problem file, at the top; within tables, keys are written with dots
-FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)
-
-
+FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)  # top-level keys for --set and --grid
 SPECTRA = ("control_spectrum", *CUTOFFS)  # keys that all set the frequency constraints of the controls
 
 
 def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
-    """Raise ProblemError unless problem files have these keys, or they stand for one, each of another field."""
+    """Raise ProblemError unless these are keys of problem files or cut-offs, and at most one sets the spectrum."""
     for key in keys:
         first = key.partition(".")[0]
         if first not in FILE_KEYS:
@@ -113,8 +83,8 @@ def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
         raise ProblemError(f"{option}{given[1]}", f"{given[0]}, too", "one of them", "Both set the same.")
 
 
-def file_tables(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as the tables of a problem file: a cut-off as the low pass that it stands for."""
+def file_tables(settings: FileTable) -> FileTable:
+    """Return settings as tables of a problem file, with a cut-off as a low pass."""
     tables = {key: value for key, value in settings.items() if key not in CUTOFFS}
     for key in CUTOFFS:
         if key in settings:
@@ -128,14 +98,8 @@ def is_file(problem: str) -> bool:
     return problem not in library.PROBLEMS and (problem.endswith(".toml") or Path(problem).is_file())
 
 
-def builder(name: str, given: Mapping[str, Any]) -> partial[OptimalControlProblem]:
-    """Return the function that builds the library problem of that name, with these parameters set.
-
-    Raises
-    ------
-    ProblemError
-        If there is no such problem, or it has no such parameter.
-    """
+def builder(name: str, given: FileTable) -> partial[OptimalControlProblem]:
+    """Return the function that builds the library problem of that name, with these parameters set."""
     function = library.by_name(name)
     parameters = inspect.signature(function).parameters
     for key in given:
@@ -145,13 +109,13 @@ def builder(name: str, given: Mapping[str, Any]) -> partial[OptimalControlProble
     return partial(function, **given)
 
 
-def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
+def parsed_settings(settings: Sequence[str]) -> FileTable:
     """Return KEY=VALUE settings as nested tables; dotted keys name entries of tables."""
-    result: dict[str, Any] = {}
+    result: FileTable = {}
     for setting in settings:
         try:
-            table = without_none(tomllib.loads(setting))
-            merge_tables(result, table)
+            table = _without_none(tomllib.loads(setting))
+            _merge(result, table)
         except (ValueError, RecursionError) as error:  # numbers of thousands of digits and deep nesting, too
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
@@ -160,16 +124,16 @@ def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
     return result
 
 
-def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with None for the text "none", which stands for no value: TOML has no word for that."""
+def _without_none(table: FileTable) -> FileTable:
+    """Return the table with None for the text "none": TOML has no null."""
     return {
-        key: None if value == "none" else without_none(value) if isinstance(value, dict) else value
+        key: None if value == "none" else _without_none(value) if isinstance(value, dict) else value
         for key, value in table.items()
     }
 
 
 def require_writable(option: str, file: Path, problem: str) -> None:
-    """Raise ProblemError unless something can be written to the file: an answer must not be lost to a slip."""
+    """Raise ProblemError unless the file can be written, so that no answer is lost to a typing error."""
     if file.is_dir():
         raise ProblemError(f"{option} {file}", "a folder", "a file to write")
     if not file.absolute().parent.is_dir():
@@ -187,20 +151,15 @@ def require_folder(folder: Path) -> None:
             return
 
 
-def merge_tables(into: dict[str, Any], new: Mapping[str, Any]) -> None:
+def _merge(into: FileTable, new: FileTable) -> None:
     """Put new entries into nested tables."""
     for key, value in new.items():
         if isinstance(value, dict) and isinstance(into.get(key), dict):
-            merge_tables(into[key], value)
+            _merge(into[key], value)
         else:
             into[key] = value
 
 
-def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested tables that can be changed without changing the given ones."""
-    return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in table.items()}
-
-
-def _nested(key: str, value: Any) -> dict[str, Any]:
+def _nested(key: str, value: FileValue) -> FileTable:
     first, _, rest = key.partition(".")
     return {first: _nested(rest, value) if rest else value}

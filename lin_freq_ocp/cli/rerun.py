@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
-from lin_freq_ocp.cli.answers import exit_status
-from lin_freq_ocp.cli.console import NOT_PROVEN, error_status, print_json, print_lines, progress
+from lin_freq_ocp.cli.console import NOT_PROVEN, error_status, exit_status, print_json, print_lines, progress
 from lin_freq_ocp.cli.options import json_option
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import tomli_w
@@ -44,25 +44,25 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
 
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))
-    out.print(terms([(one["what"], one["words"]) for one in summary["facts"]], out.width))
+    out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
     out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
-    out.print(terms([(_assignment(one), one.about) for one in parameters], out.width))
+    out.print(terms([(_assignment(parameter), parameter.about) for parameter in parameters], out.width))
     return PROVEN
 
 
 def _assignment(parameter: Parameter) -> str:
-    """Return a parameter and its default as they are written after --set, and what is set instead."""
-    default, value = (_shortened(as_toml(one)) for one in (parameter.default, parameter.value))
+    """Return a parameter and its default as they are written after --set, and the value that is set instead."""
+    default, value = (_shortened(as_toml(given)) for given in (parameter.default, parameter.value))
     return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
 
 
-def as_toml(value: Any) -> str:
-    """Return a value as it stands after --set, in one line."""
+def as_toml(value: object) -> str:
+    """Return a value as it is written after --set, in one line."""
     text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables
     return text.replace("[ ", "[").replace(", ]", "]").removeprefix("_ = [[").removesuffix("]]")
 
 
-def _without_null(value: Any) -> Any:
+def _without_null(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _without_null(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,40 +1,112 @@
-"""The command lin-freq-ocp solve: an answer, its certificate, and files of it."""
+"""The command lin-freq-ocp solve: an answer, its certificate, and the files --save, --csv, --plot and --dump."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
+from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
-from lin_freq_ocp.cli.answers import exit_status, print_certificate, print_conflict
-from lin_freq_ocp.cli.console import print_json, print_lines, progress, search_progress, written
-from lin_freq_ocp.cli.options import (
-    backend_option,
-    json_option,
-    method_option,
-    problem_argument,
-    settings_option,
-    time_limit_option,
-    tolerance_option,
+from lin_freq_ocp.atomic import replacing
+from lin_freq_ocp.cli.console import (
+    complain,
+    exit_status,
+    print_certificate,
+    print_conflict,
+    print_json,
+    print_lines,
+    progress,
+    search_progress,
+    written,
 )
-from lin_freq_ocp.cli.outputs import Outputs, output_options
-from lin_freq_ocp.cli.problems import build
-from lin_freq_ocp.interchange.results.solution_file import load_trajectory
+from lin_freq_ocp.cli.options import Command, json_option, problem_argument, solve_options
+from lin_freq_ocp.cli.problems import build, require_writable
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.locations import FileTable
+from lin_freq_ocp.interchange.results.solution_file import kind_of_file, load_trajectory
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.status import Status
 
+HELP = {
+    "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",
+    "csv": "Write the trajectory to this file as a table, one row per time.",
+    "plot": "Draw the answer into this file: .png, .svg, .pdf.",
+    "dump": "Write the whole run to this .zip file; see rerun.",
+}
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """The files to write, by their options; None where an option is not given."""
+
+    save: Path | None = None
+    csv: Path | None = None
+    plot: Path | None = None
+    dump: Path | None = None
+
+    @property
+    def wanted(self) -> dict[str, Path]:
+        """Return the files whose options are given."""
+        files = {option.name: getattr(self, option.name) for option in fields(self)}
+        return {name: file for name, file in files.items() if file is not None}
+
+    def require_writable(self, problem: str) -> None:
+        """Raise ProblemError, before anything is solved, unless all can be written, each to a file of its own."""
+        taken: dict[Path, str] = {}
+        for name, file in self.wanted.items():
+            require_writable(f"--{name}", file, problem)
+            if file.absolute() in taken:
+                raise ProblemError(f"--{name} {file}", f"the file of --{taken[file.absolute()]}", "another file")
+            taken[file.absolute()] = name
+        if self.save is not None:
+            kind_of_file(self.save, f"--save {self.save}")
+        if self.plot is not None:
+            _require_picture(self.plot)
+
+    def writes(self, result: Result) -> list[Callable[[], None]]:
+        """Return the function that writes each file, and report the files that stay unwritten."""
+        writers = {"save": result.save, "csv": result.to_csv, "plot": partial(_draw, result), "dump": result.dump}
+        writes: list[Callable[[], None]] = []
+        for name, file in self.wanted.items():
+            if name == "dump" or result.trajectory is not None:
+                writes.append(partial(writers[name], file))
+            else:
+                done = "drawn" if name == "plot" else "saved"
+                complain(f"nothing {done} to {file}: there is no trajectory.")
+        return writes
+
+
+def output_options(command: Command) -> Command:
+    """Add the options of all outputs to a command."""
+    for name, text in reversed(HELP.items()):
+        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
+    return command
+
+
+def _draw(result: Result, file: Path) -> None:
+    figure = result.plot()
+    with replacing(file) as stream:
+        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
+
+
+def _require_picture(file: Path) -> None:
+    from matplotlib.figure import Figure  # here, because it takes long to import
+
+    kinds = Figure().canvas.get_supported_filetypes()
+    if file.suffix.lower().removeprefix(".") not in kinds:
+        got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
+        raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
+
 
 @click.command("solve")
 @problem_argument
-@settings_option
-@method_option
-@backend_option
-@time_limit_option
-@tolerance_option
+@solve_options
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
 @click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
 @output_options
@@ -58,7 +130,7 @@ def solve_command(
     outputs.require_writable(problem)
     if with_trajectory and not as_json:
         raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
-    options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     if node_limit is not None:
         options["node_limit"] = node_limit
     if start is not None:

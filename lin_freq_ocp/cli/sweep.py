@@ -11,7 +11,6 @@ import tomllib
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -20,15 +19,7 @@ from lin_freq_ocp.api.sweep import Sweep, sweep
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import replacing, writing
 from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written
-from lin_freq_ocp.cli.options import (
-    backend_option,
-    json_option,
-    method_option,
-    problem_argument,
-    settings_option,
-    time_limit_option,
-    tolerance_option,
-)
+from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import (
     ProblemFile,
     builder,
@@ -37,26 +28,21 @@ from lin_freq_ocp.cli.problems import (
     require_folder,
     require_keys_of_file,
 )
-from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS
+from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS, Source
 from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.starting import INTERRUPTED
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
-
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 
 
 @click.command("sweep")
 @problem_argument
 @click.option("--grid", "grids", multiple=True, required=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
-@settings_option
-@method_option
-@backend_option
-@time_limit_option
-@tolerance_option
+@solve_options
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes to solve on.")
 @click.option(
     "--out", "folder", type=click.Path(path_type=Path), help="Write sweep.jsonl, .csv and .png here; resume from it."
@@ -75,7 +61,8 @@ def sweep_command(
     as_json: bool,
 ) -> int:
     """Solve a problem at every point of a grid of parameters, to see what bandwidth, time or a bound costs."""
-    source = _source(problem, settings)
+    given = parsed_settings(settings)
+    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
     grid = parsed_grid(grids, source)
     path = None
     if folder is not None:
@@ -83,7 +70,7 @@ def sweep_command(
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         path = folder / "sweep.jsonl"
-    options: dict[str, Any] = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     with _pool(workers) as executor, _bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
         if found.interrupted and executor is not None:
@@ -100,7 +87,7 @@ def sweep_command(
 
 @contextmanager
 def _pool(workers: int) -> Generator[WorkerPool | None]:
-    """Yield processes to work on, if more than one is wanted; on errors and on Ctrl-C they are not waited for."""
+    """Yield a pool of more than one process; on errors and on Ctrl-C its tasks are abandoned."""
     if workers == 1:
         yield None
         return
@@ -113,15 +100,9 @@ def _pool(workers: int) -> Generator[WorkerPool | None]:
     pool.shutdown()
 
 
-def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
-    """Return the values of each parameter; "none" is None, as it is in --set.
-
-    Raises
-    ------
-    ProblemError
-        If one is neither a list nor a range, is given twice, or is a key that no problem file has.
-    """
-    result: dict[str, list[Any]] = {}
+def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
+    """Return the values of each parameter, a list or a range; "none" is None, as in --set."""
+    result: dict[str, list[FileValue]] = {}
     for given in grids:
         key, equals, text = (part.strip() for part in given.partition("="))
         if not key or not equals:
@@ -129,17 +110,12 @@ def parsed_grid(grids: Sequence[str], source: Any) -> dict[str, list[Any]]:
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
         result[key] = _values(key, text)
-    if isinstance(source, ProblemFile):  # what functions take, the sweep looks at itself
+    if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
 
 
-def _source(problem: str, settings: Sequence[str]) -> Callable[..., OptimalControlProblem]:
-    given = parsed_settings(settings)
-    return ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
-
-
-def _values(key: str, text: str) -> list[Any]:
+def _values(key: str, text: str) -> list[FileValue]:
     match = RANGE.fullmatch(text)
     try:
         if match:
@@ -153,7 +129,7 @@ def _values(key: str, text: str) -> list[Any]:
 
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:
-    """Return so many numbers from the first to the last; whole ones, if all are and both ends are written so."""
+    """Return ``count`` numbers from the first to the last; integers, if all are and both ends are written so."""
     if int(count) > MOST_POINTS:
         raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()

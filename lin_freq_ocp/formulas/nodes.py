@@ -240,7 +240,7 @@ def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> 
 
 
 def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
-    """Return the smallest of several formulas and numbers; parameters and errors as for ``maximum``.
+    """Return the smallest of several formulas and numbers.
 
     Parameters
     ----------
@@ -250,6 +250,11 @@ def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> 
     Returns
     -------
     Formula
+
+    Raises
+    ------
+    ProblemError
+        If there is no formula, or not one name each.
 
     Examples
     --------

@@ -80,8 +80,17 @@ def ball_and_paddle(
     acceleration_bounds : (2,)
         Symmetric bounds on the accelerations of the paddle in x and y [m/s^2].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Marcucci and Tedrake, "Mixed-integer formulations for optimal control of piecewise-affine systems", Hybrid Systems:
     Computation and Control, 2019. Numbers, states, weights and bounds are theirs. The paper prints no matrices; those
     here are derived in this module, and the contact law agrees with that of the paper's public code
@@ -94,6 +103,11 @@ def ball_and_paddle(
 
     Modes: "free", then "stick", "slide right", "slide left" on the paddle, and the same at the ceiling; right and left
     say where the ball's lowest, or highest, point slides to.
+
+    Examples
+    --------
+    >>> lfo.library.ball_and_paddle().horizon
+    20
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     bounds = symmetric("state_bounds", state_bounds)

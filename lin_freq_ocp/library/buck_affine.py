@@ -80,11 +80,25 @@ def buck_affine(
         Volts. The lower one must be above 2 V, where the second mode has its pole; without one an optimum never uses
         the second mode, because the first makes the same i+ of a smaller v.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Example 3 of the paper without losses in the diode (r_d = 0), R = 2 ohm, L = 1 mH; the paper gives no numbers, these
     are chosen here. Modes: "on" (e <= 0), listed first, then "off", or "off 1", "off 2", ... by increasing voltage. The
     map is continuous.
+
+    Examples
+    --------
+    >>> lfo.library.buck_affine().horizon
+    6
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     lowest, highest = _voltages(voltage_bounds)

@@ -62,11 +62,25 @@ def elliptic_rendezvous(
     radial_bound, thrust_bound : float or None
         Symmetric bounds on the radial distance [km] and on each thrust acceleration [mm/s^2].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Tschauner and Hempel, "Rendezvous zu einem in elliptischer Bahn umlaufenden Ziel", Astronautica Acta 11(2), 1965;
     in this form in Inalhan, Tillerson and How, "Relative dynamics and control of spacecraft formations in eccentric
     orbits", J. Guidance, Control, and Dynamics 25(1), 2002. The orbit and the manoeuvre are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.elliptic_rendezvous().horizon
+    180
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     e, start = float(shaped("eccentricity", eccentricity, ())), float(shaped("first_anomaly", first_anomaly, ()))

@@ -54,12 +54,26 @@ def crane(
     speed_bound, swing_bound, acceleration_bound : float or None
         Symmetric bounds on the trolley's speed [m/s], the swing angle [rad] and the trolley's acceleration [m/s^2].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Input shaping: Singer and Seering, "Preshaping command inputs to reduce system vibration", J. Dynamic Systems,
     Measurement, and Control 112(1), 1990; on cranes: Singhose, Porter, Kenison and Kriikku, "Effects of hoisting on the
     input shaping control of gantry cranes", Control Engineering Practice 8(10), 2000. The idea is theirs; all numbers
     are chosen here, and a stop band over one horizon is not a shaper, which is a filter for any command.
+
+    Examples
+    --------
+    >>> lfo.library.crane().horizon
+    150
     """
     length = positive_number("cable_length", cable_length)
     swing_frequency = sqrt(GRAVITY / length)  # rad/s
@@ -121,13 +135,27 @@ def flexible_joint_arm(
     torsion_bound, torque_bound : float or None
         Symmetric bounds on the torsion [rad] and on the torque over the inertia of the motor [rad/s^2].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     The model: Spong, "Modeling and control of elastic joint robots", J. Dynamic Systems, Measurement, and Control
     109(4), 1987; its numbers, 48.6, 1.25 and 19.5: Raghavan and Hedrick, "Observer design for a class of nonlinear
     systems", International Journal of Control 59(2), 1994. There the arm turns in a vertical plane; here in a
     horizontal one, so that gravity has no part and the model is linear. The move, its time, the band and the bounds
     are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.flexible_joint_arm().horizon
+    120
     """
     ratio = positive_number("stiffness_ratio", stiffness_ratio)
     of_motor, of_link = ratio * STIFFNESS_PER_MOTOR, ratio * STIFFNESS_PER_LINK
@@ -189,12 +217,26 @@ def flexible_satellite(
     rate_bound, torque_bound : float or None
         Symmetric bounds on the hub's rate [rad/s] and the torque [N m].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Di Gennaro, "Output stabilization of flexible spacecraft with active vibration suppression", IEEE Transactions on
     Aerospace and Electronic Systems 39(3), 2003; here its roll axis alone, with the first two modes: inertia
     350 kg m^2, couplings 6.45637 and -1.25819 sqrt(kg) m, frequencies 0.7681 and 1.1038 rad/s, damping ratios
     0.005607 and 0.00862. The move and the bounds are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.flexible_satellite().horizon
+    250
     """
     return OptimalControlProblem(
         dynamics=LinearDynamics.from_continuous(
@@ -274,10 +316,24 @@ def mass_chain(
     terminal_weight : float
         P; it matters when the end is free.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Of the family of oscillating masses in Wang and Boyd, "Fast model predictive control using online optimization",
     IEEE Transactions on Control Systems Technology 18(2), 2010. Masses of 1 kg; the other numbers are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.mass_chain().horizon
+    400
     """
     return OptimalControlProblem(
         dynamics=LinearDynamics.from_continuous(
@@ -350,10 +406,24 @@ def two_mass_spring(
     deflection_bound, force_bound : float or None
         Symmetric bounds on the deflection [m] and the force [N].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Wie and Bernstein, "Benchmark problems for robust control design", J. Guidance, Control, and Dynamics 15(5), 1992:
     m1 = m2 = 1 kg, k = 1 N/m, force on body 1. The move, its time and the bounds are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.two_mass_spring().horizon
+    200
     """
     k = positive_number("stiffness", stiffness)
     flexible = sqrt(k * (1 / MASS_1 + 1 / MASS_2))  # rad/s

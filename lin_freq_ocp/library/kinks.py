@@ -50,10 +50,24 @@ def absolute_value(
     state_bound : float or None
         Symmetric bound on x; None: the smallest that no trajectory reaches beyond, |x_0| + T control_bound.
 
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
     Notes
     -----
     Mode "+" is x >= 0, listed first, and mode "-" x <= 0; the map is continuous. Chosen here. Costs from x_0 = 0, if no
     bound is active (b <= 1/2): J = -T (b + 1/4), and -T (b + 1/4) + 2 b with x_1 < 0.
+
+    Examples
+    --------
+    >>> lfo.library.absolute_value().horizon
+    2
     """
     T = positive_integer("horizon", horizon)
     limit = positive_number("control_bound", control_bound)
@@ -118,11 +132,25 @@ def max_min_network(
     control_bound, state_bound : float
         Symmetric bounds on u and x.
 
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
     Notes
     -----
     Four modes around the origin: "x" (x + u <= 0, u <= 2 x), "-u" (x + u >= 0, x >= 2 u), and u - x in the rest, which
     is not convex and stands as two, "u - x, above" (x + u >= 0, x <= 2 u) and "u - x, left" (x + u <= 0, u >= 2 x). The
     map is continuous. With ``load_first`` all four are x+ = u at t = 0, so that the maps depend on time. Chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.max_min_network().horizon
+    2
     """
     T, limit = positive_integer("horizon", horizon), positive_number("control_bound", control_bound)
     weight = float(shaped("control_weight", control_weight, ()))
@@ -202,10 +230,24 @@ def switched_rotation(
     control_bound : float
         Symmetric bound on u.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Bemporad and Morari, "Control of systems integrating logic, dynamics, and constraints", Automatica 35(3), 1999, the
     example of predictive control. Optima are listed in docs/hybrid_systems.md.
+
+    Examples
+    --------
+    >>> lfo.library.switched_rotation().horizon
+    6
     """
     T = positive_integer("horizon", horizon)
     return OptimalControlProblem(

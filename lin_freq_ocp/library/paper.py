@@ -55,6 +55,20 @@ def pendulum(
         Symmetric bounds on the states.
     control_bound : float or None
         Symmetric bound on the force [N].
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    Examples
+    --------
+    >>> lfo.library.pendulum().horizon
+    240
     """
     return OptimalControlProblem(
         dynamics=LinearDynamics.from_continuous(
@@ -115,10 +129,24 @@ def norm_dynamics(
     terminal_cost : bool
         Whether |x_T|^2 is in the cost.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Example 2 of the paper, from Gruene and Pannek, Nonlinear Model Predictive Control, 2017, example 5.8. States
     have no bounds in it; none is needed: |x_{t+1}|^2 <= |x_t|^2 ((1 - u)^2 + u^2), and u is in [0, 1].
+
+    Examples
+    --------
+    >>> lfo.library.norm_dynamics().horizon
+    10
     """
     T = positive_integer("horizon", horizon)
     weight = 2.0 if terminal_cost else 0.0
@@ -174,6 +202,15 @@ def buck_converter(
     terminal_price : float
         p of an additional cost p i_T [1/A].
 
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
     Notes
     -----
     With the current i, the voltage v, a = exp(-R Tc/L), r = I_ref R and the border i_b(v) = (I_ref - v/R)/a + v/R,
@@ -184,6 +221,11 @@ def buck_converter(
     with d = I_ref exp(-(R + r_d) Tc/L). With e = i - i_b(v) the first is I_ref + a e, and with r_d = 0 the second is
     I_ref - r a e/(v - r): a fraction. The map is continuous, I_ref on the border, for every r_d, since there
     (v - R i)/(v - r) = 1/a. The paper gives no numbers: those of the defaults are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.buck_converter().horizon
+    8
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     R, L = positive_number("resistance", resistance), positive_number("inductance", inductance)

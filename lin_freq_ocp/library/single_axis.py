@@ -43,11 +43,25 @@ def double_integrator(
     speed_bound, control_bound : float or None
         Symmetric bounds on the speed [m/s] and the acceleration [m/s^2].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     The plant: Rao and Bernstein, "Naive control of the double integrator", IEEE Control Systems Magazine 21(5), 2001.
     State bounds in minimum-energy problems on it: Bryson and Ho, "Applied Optimal Control", 1975, chapter 3.
     The numbers are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.double_integrator().horizon
+    200
     """
     return OptimalControlProblem(
         dynamics=LinearDynamics.from_continuous(
@@ -106,12 +120,26 @@ def scanner(
     speed_bound, drive_bound : float or None
         Symmetric bounds on the speed [mm/s] and on the drive, given as the position [um] that it holds at rest.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Perez, Zou and Devasia, "Design and control of optimal scan trajectories: scanning tunneling microscope example",
     J. Dynamic Systems, Measurement, and Control 126(1), 2004; Fleming and Wills, "Optimal periodic trajectories for
     band-limited systems", IEEE Transactions on Control Systems Technology 17(3), 2009. The numbers are chosen here, of
     the size usual for a piezoelectric tube.
+
+    Examples
+    --------
+    >>> lfo.library.scanner().horizon
+    250
     """
     T = positive_integer("horizon", horizon)
     frequency = 2 * pi * positive_number("resonance_hz", resonance_hz)

@@ -87,8 +87,17 @@ def quadcopter(
     rotor_bounds : (2,)
         Lower and upper bound on each rotor; the controls are the deviations from hover, 10.5916.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     The sampled matrices, bounds, weights and reference are those of "Model predictive control (MPC)" among the examples
     of OSQP (osqp.org), which has them from the collection mpcBenchmarking (github.com/ferreau/mpcBenchmarking), and
     that from the demos of MPT 3: see Kouzoupis, Zanelli, Peyrl and Ferreau, "Towards proper assessment of QP algorithms
@@ -96,6 +105,11 @@ def quadcopter(
     0.1 s. Neither names the states or gives units: those here are read off the matrices, which are a rigid body with
     drag, sampled, under a gravity of 9.81 m/s^2. What the rotors are measured in remains unknown. The horizon and the
     cut-off are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.quadcopter().horizon
+    60
     """
     lowest, highest = shaped("rotor_bounds", rotor_bounds, (2,)) - HOVER
     return OptimalControlProblem(
@@ -174,11 +188,25 @@ def quarter_car(
     travel_bound, force_bound : float or None
         Symmetric bounds on the travel of the suspension [m] and the force of the actuator [kN].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Model and parameters: Lin and Kanellakopoulos, "Nonlinear design of active suspensions", IEEE Control Systems
     Magazine 17(3), 1997: body 290 kg, wheel 59 kg, spring 16812 N/m, damper 1000 N s/m, tyre 190000 N/m. The band:
     ISO 2631-1:1997, frequency weighting W_k. The weights and bounds are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.quarter_car().horizon
+    300
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     height = float(shaped("bump_height", bump_height, ()))

@@ -51,11 +51,25 @@ def pendulum_with_wall(
     torque_bound : float
         Symmetric bound on the torque [N m].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     The plant is an example of T. Marcucci and R. Tedrake's on predictive control through contact; sampling time, bounds
     and weights are chosen here. Modes: "free" (angle <= 0.1), listed first, and "contact" (angle >= 0.1). Optima are
     listed in docs/hybrid_systems.md.
+
+    Examples
+    --------
+    >>> lfo.library.pendulum_with_wall().horizon
+    6
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     return OptimalControlProblem(
@@ -120,11 +134,25 @@ def cart_between_walls(
     speed_bound, force_bound : float
         Symmetric bounds on speed [m/s] and force [N].
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     The plant, its numbers and this task are among the examples of pympc (github.com/TobiaMarcucci/pympc). Mass 1 kg,
     walls 0.5 m from the middle, half width of the cart 0.1 m. Modes: "free", listed first, "impact right", "impact
     left". No force brings this cart to rest before the wall: 2.5 m/s needs 0.6 m at 5 N.
+
+    Examples
+    --------
+    >>> lfo.library.cart_between_walls().horizon
+    60
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     kept = float(shaped("restitution", restitution, ()))
@@ -189,14 +217,28 @@ def cart_pole_with_walls(
     force_bound : float
         Symmetric bound on the force [N] on the cart.
 
-    Notes
-    -----
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
     Marcucci and Tedrake, "Warm start of mixed-integer programs for model predictive control of hybrid systems", IEEE
     Transactions on Automatic Control 66(6), 2021; bounds, weights and horizon are chosen here. With p_r + p_l = -1 only
     one wall is touched at a time. Five modes: "right wall", "left wall" (penetrated, with force), listed first because
     the force counts at p = 0, then "free" (p_r <= 0, p_l <= 0), "leaving right", "leaving left" (penetrated, but moving
     away so fast that damping would pull: no force, the same map as "free"). The force jumps by 30 p' where p = 0 is
     crossed inwards: the two borders between "free" and a wall jump, the other borders are continuous.
+
+    Examples
+    --------
+    >>> lfo.library.cart_pole_with_walls().horizon
+    30
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     into_right, into_left = np.append(TIP, [0.0, 0.0]), np.append(-TIP, [0.0, 0.0])

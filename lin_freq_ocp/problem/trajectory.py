@@ -65,6 +65,12 @@ class Multipliers:
     weights : (T, modes), optional
         Of piecewise-affine dynamics: how much of each mode's derivatives stands in those of f_t, the same for states
         and controls. None for linear dynamics, or where the judge is to find them.
+
+    Examples
+    --------
+    >>> multipliers = lfo.solve(lfo.library.double_integrator()).multipliers
+    >>> multipliers.eta_C, multipliers.eta.shape
+    (1.0, (200, 2))
     """
 
     eta_C: float

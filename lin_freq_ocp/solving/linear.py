@@ -43,6 +43,11 @@ class Convex:
     tolerance : float, optional
         Relative residuals asked of the solver, on a program scaled to order 1. Above 1e-6, the judge allows as much,
         up to 1e-2.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator(), lfo.solvers.Convex(backend="osqp")).solver
+    'convex, osqp'
     """
 
     backend: str = "auto"
@@ -95,6 +100,11 @@ class Spectral:
     ----------
     tolerance : float, optional
         Relative violation of bounds to stop at. Above 1e-6, the judge allows as much, up to 1e-2.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator(), lfo.solvers.Spectral()).solver
+    'spectral'
     """
 
     tolerance: float | None = None

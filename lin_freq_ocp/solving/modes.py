@@ -64,6 +64,12 @@ class BranchAndBound(_Search):
         Relaxations to solve at most.
     executor : concurrent.futures.Executor, optional
         Searches sub-trees with its workers. The answer does not depend on how many there are.
+
+    Examples
+    --------
+    >>> problem = lfo.library.pendulum_with_wall(horizon=4)
+    >>> lfo.solve(problem, lfo.solvers.BranchAndBound(gap=1e-4)).status
+    'optimal'
     """
 
     executor: Executor | None = None
@@ -86,6 +92,12 @@ class Enumeration(_Search):
     ----------
     gap, node_limit
         As for ``BranchAndBound``.
+
+    Examples
+    --------
+    >>> problem = lfo.library.pendulum_with_wall(horizon=4)
+    >>> lfo.solve(problem, lfo.solvers.Enumeration()).status
+    'optimal'
     """
 
     shorthand: ClassVar[str] = "enumerate"
@@ -105,6 +117,11 @@ class MixedInteger:
         "auto" (SCIP), "scip" or "daqp".
     gap, node_limit
         As for ``BranchAndBound``, which follows.
+
+    Examples
+    --------
+    >>> lfo.solvers.MixedInteger(backend="daqp").gap
+    1e-06
     """
 
     backend: str = "auto"

@@ -31,6 +31,11 @@ class Cure:
         root of its limit.
     words : str
         From what to what.
+
+    Examples
+    --------
+    >>> print(lfo.results.Cure("terminal state", 0.1, "[1., 0.] -> [0.9, 0.]"))
+    terminal state: [1., 0.] -> [0.9, 0.]
     """
 
     block: str
@@ -54,6 +59,11 @@ class Explanation:
         unsure or the time was over.
     cures : tuple of Cure
         For each block of the family that cures the whole problem by giving way alone: the least by which it must.
+
+    Examples
+    --------
+    >>> print(lfo.results.Explanation(("initial state", "terminal state"), True, ()))
+    together  initial state, terminal state
     """
 
     family: tuple[str, ...]

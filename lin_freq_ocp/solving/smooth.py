@@ -50,6 +50,17 @@ class Nonsmooth:
         Whether a global lower bound is computed, by dynamic programming with intervals; up to three states.
     gap : float, optional
         Relative gap (J - D)/S at which the bound is good enough, 1e-4 by default.
+
+    Raises
+    ------
+    UnsupportedError
+        If a gap is given without a global bound.
+
+    Examples
+    --------
+    >>> problem = lfo.library.norm_dynamics(horizon=3)
+    >>> lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False)).status
+    'locally_optimal'
     """
 
     global_bound: bool = True

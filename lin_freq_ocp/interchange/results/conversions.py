@@ -58,6 +58,12 @@ def to_time_response(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     ------
     ProblemError
         If the trajectory is not of the problem's shape.
+
+    Examples
+    --------
+    >>> result = lfo.solve(lfo.library.double_integrator())
+    >>> lfo.io.to_time_response(result.problem, result.trajectory).states.shape
+    (2, 201)
     """
     import control  # here, because it takes seconds to import and only its users need it
 

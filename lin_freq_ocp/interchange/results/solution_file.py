@@ -40,6 +40,12 @@ class SavedSolution:
         None if the file has none.
     summary : dict
         Status, cost, method and so on, as they were saved; empty if the file has none.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator()).save("run.npz")
+    >>> lfo.load("run.npz").summary["status"]
+    'optimal'
     """
 
     trajectory: Trajectory

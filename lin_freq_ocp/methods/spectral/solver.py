@@ -43,6 +43,12 @@ class SpectralSolution(Candidate):
         bounds, and weights in the method's own units.
     rounds : int
         Rounds of the exchange.
+
+    Examples
+    --------
+    >>> solution = lfo.SpectralSolver(lfo.library.double_integrator()).solve()
+    >>> solution.status, solution.rounds > 0
+    ('optimal', True)
     """
 
     problem: OptimalControlProblem | None = None

@@ -194,6 +194,11 @@ def high_pass(
     -------
     Band
 
+    Raises
+    ------
+    ProblemError
+        If not exactly one unit is given, or an edge is out of range.
+
     Examples
     --------
     >>> str(lfo.spectrum.high_pass(0.1))
@@ -225,6 +230,11 @@ def band_pass(
     Returns
     -------
     Band
+
+    Raises
+    ------
+    ProblemError
+        If not exactly one unit is given, or an edge is out of range.
 
     Examples
     --------
@@ -261,6 +271,11 @@ def notch(
     -------
     Band
 
+    Raises
+    ------
+    ProblemError
+        If not exactly one unit is given, or an edge is out of range.
+
     Examples
     --------
     >>> str(lfo.spectrum.notch(1.0, 0.2))
@@ -284,6 +299,11 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
     Returns
     -------
     Band
+
+    Raises
+    ------
+    ProblemError
+        If there is no bin, or the bins are not whole numbers.
 
     Examples
     --------
