@@ -12,13 +12,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 class ModeMultipliers:
     """Multipliers that bound the cost of all sequences within a mask.
 
-    Attributes
-    ----------
-    multipliers : Multipliers
-        Those of the theorem, with mu and nu zero: a bound minimises over boxes. eta_C = 0 for a proof that there is no
-        trajectory.
-    region : (T, modes, rows)
-        Of the rows G_i x_t + H_i u_t <= h_i of every mode, zero or above.
+    ``multipliers`` are those of the theorem, with mu and nu zero: a bound minimises over boxes. eta_C = 0 for a proof
+    that there is no trajectory. ``region`` (T, modes, rows) >= 0 are those of G_i x_t + H_i u_t <= h_i of every mode.
     """
 
     multipliers: Multipliers
@@ -27,21 +22,10 @@ class ModeMultipliers:
 
 @dataclass(frozen=True, eq=False)
 class ModeNode:
-    """One node.
+    """A node: its parent and the time at which that was split (-1 for the root), and its mask, allowed (T, modes).
 
-    Attributes
-    ----------
-    parent : int
-        The node that it was split from; -1 for the root.
-    stage : int
-        The time at which its parent was split; -1 for the root.
-    allowed : (T, modes)
-        Its mask of modes, without those that cannot be reached.
-    bound : float
-        What the search believes to be a lower bound on the cost of all sequences within the mask; inf if none has a
-        trajectory.
-    proof : ModeMultipliers or None
-        What the bound can be checked by; None where the node was split, or nothing within its mask can be reached.
+    ``bound`` is what the search computed for the mask, inf if it has no trajectory; ``proof`` what the bound is checked
+    by, None where the node was split or nothing within its mask can be reached.
     """
 
     parent: int
@@ -53,6 +37,6 @@ class ModeNode:
 
 @dataclass(frozen=True, eq=False)
 class ModeTree:
-    """All nodes; a node that is nobody's parent is a leaf. ``Result.tree`` of a search over modes."""
+    """All nodes; a node that is no parent is a leaf. ``Result.tree`` of a search over modes."""
 
     nodes: tuple[ModeNode, ...]

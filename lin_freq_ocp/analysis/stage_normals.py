@@ -7,30 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-TOUCHING = 1e-6
-"""A bound or row is active at this distance, relative to its size: what the judge forgives."""
-
-STATE, CONTROL = "mu", "nu"
-"""The fields of Multipliers that are normals to boxes; other families are names of terms."""
+ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
+STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """One active bound or row of a stage.
+    """An active bound or row of a stage.
 
     Attributes
     ----------
     family : str
         STATE, CONTROL, or the name of a term.
     place : (int, int)
-        Where its multiplier stands in the array of the family.
+        Index of its multiplier in the array of the family.
     sign : float
         1, or -1 for a lower bound, whose multiplier is negative.
     column : (n + m,)
@@ -44,18 +41,15 @@ class Normal:
 
     def value(self, multipliers: Multipliers) -> float:
         """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
-        array = multipliers.stage.get(self.family) if self.family not in (STATE, CONTROL) else None
-        if array is None:
-            if self.family not in (STATE, CONTROL):
-                return 0.0
-            array = multipliers.mu if self.family == STATE else multipliers.nu
-        return max(self.sign * float(array[self.place]), 0.0)
+        own = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = own.get(self.family, multipliers.stage.get(self.family))
+        return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
 
 
 def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
     """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
 
-    Balls, cones and soft sets are not among them: their multipliers stay what they are.
+    Balls, cones and soft sets are not among them: their multipliers are kept.
     """
     found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
     sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
@@ -71,7 +65,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
 
 
 def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
-    near = TOUCHING * (size + np.abs(signal))
+    near = ACTIVE_DISTANCE * (size + np.abs(signal))
     lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
     for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
         for t, k in np.argwhere(active):
@@ -86,7 +80,7 @@ def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple
         return
     values = term.map.values(trajectory.x, trajectory.u)
     sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
-    near = TOUCHING * np.where(sizes > 0, sizes, 1.0)
+    near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
     for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
         if rows.times[group] < horizon:
             place = int(group), int(row)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, ray_bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stated_sizes
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explanation.blocks import Block, blocks, without

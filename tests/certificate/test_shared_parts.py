@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis import measures, mode_reach
-from lin_freq_ocp.certificate import hamiltonian
+from lin_freq_ocp.analysis import measures, mode_reach, sizes
+from lin_freq_ocp.certificate import conflict, directions, hamiltonian
 from lin_freq_ocp.certificate.modes.reach import IntervalReach
 from lin_freq_ocp.methods.modes import branch_and_bound
 from lin_freq_ocp.methods.modes import weights as search_weights
+from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.solving.certify import certify
 from lin_freq_ocp.status import Status
@@ -22,7 +23,7 @@ library = lfo.library
 
 ALLOWED = {
     "lin_freq_ocp.analysis.mode_tree": {"ModeMultipliers", "ModeTree"},
-    "lin_freq_ocp.analysis.measures": {"stated_sizes"},
+    "lin_freq_ocp.analysis.sizes": {"stated_sizes"},
 }
 """What the judge imports of the floor that searches and scalings stand on: plain data, and one size (docs/judge.md)."""
 
@@ -139,6 +140,50 @@ def test_modes_that_the_search_takes_for_meeting_are_not_believed(monkeypatch):
         bad /= bad.shape[1]
         judged = certify(result.problem, result.trajectory, replace(result.multipliers, weights=bad))
         assert judged.pmp == "violated"
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-9])
+def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch, factor):
+    """Every mode seems to hold everywhere, to the search and to what it shares: the judge measures by itself."""
+    solved = [lfo.solve(made(given), throw=False) for given in (WALL, BUCK)]
+    right = ModeArrays.distance
+    monkeypatch.setattr(ModeArrays, "distance", lambda self, x, u: factor * right(self, x, u))
+    for given, true in zip((WALL, BUCK), solved, strict=True):
+        result = lfo.solve(made(given), throw=False)
+        assert not wrongly_optimal(result, given["cost"])
+        judged = certify(true.problem, true.trajectory, true.multipliers)
+        assert (judged.pmp, judged.feasible) == (true.certificate.pmp, True)
+        for mode in range(len(true.problem.dynamics.modes)):
+            replayed = lfo.simulate(
+                replace(true.problem, dynamics=true.problem.piecewise.along(np.full(given["horizon"], mode))),
+                true.trajectory.u,
+            )
+            if np.abs(replayed.x - true.trajectory.x).max() > 1e-3:  # led by a mode whose region it has left
+                assert not certify(true.problem, replayed, true.multipliers).feasible
+
+
+@pytest.mark.parametrize("factors", [(1e6, 1e6), (1e-6, 1e-6), (1e6, 1e-6), (1e-6, 1e6)])
+@pytest.mark.parametrize("make", [library.pendulum, library.double_integrator, library.crane])
+def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeypatch, make, factors):
+    """They bound the box of a numerical ray, and measure directions: no optimum is called infeasible or unbounded."""
+    problem, right, rng = make(), sizes.stated_sizes, np.random.default_rng(0)
+    result = lfo.solve(problem)
+    for module in (conflict, directions):
+        monkeypatch.setattr(
+            module, "stated_sizes", lambda given: tuple(f * s for f, s in zip(factors, right(given), strict=True))
+        )
+    for method in ("convex", "auto"):
+        found = lfo.solve(problem, method=method)
+        assert (found.status, found.cost) == (Status.OPTIMAL, pytest.approx(result.cost))
+    for _ in range(10):
+        given = {
+            field: rng.normal(size=getattr(result.multipliers, field).shape) * getattr(result.multipliers, field)
+            for field in ("eta", "mu", "nu", "rho_u", "rho_x")
+        }
+        ray = replace(result.multipliers, eta_C=0.0, **given)
+        proof = conflict.prove_infeasible(problem, ray)
+        assert proof is None or proof.bound.kind == "numerical"
+    assert directions.unbounded_direction(problem, result.trajectory) is None
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 2.0])

@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 from scipy.signal import cont2discrete
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis import measures
+from lin_freq_ocp.analysis import measures, sizes
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -912,16 +912,16 @@ def test_stated_sizes_come_from_ends_then_references_then_bounds():
         terminal_state=Box([-2.0, None], [1.0, None]),
         control_set=Box(-3.0, None),
     )
-    states, controls = measures.stated_sizes(made)
+    states, controls = sizes.stated_sizes(made)
     np.testing.assert_array_equal(states, [2.0, 7.0])
     np.testing.assert_array_equal(controls, [3.0])
     tracking = problem(
         state_set=Box([-9.0, -7.0], [5.0, 3.0]), cost=QuadraticCost(R=1.0, x_ref=[0.25, -4.0], u_ref=[-0.5])
     )
-    states, controls = measures.stated_sizes(tracking)
+    states, controls = sizes.stated_sizes(tracking)
     np.testing.assert_array_equal(states, [0.25, 4.0])
     np.testing.assert_array_equal(controls, [0.5])
-    for part in measures.stated_sizes(problem()):  # nothing is said, but a size is a size
+    for part in sizes.stated_sizes(problem()):  # nothing is said, but a size is a size
         assert (part > 0).all()
         assert np.isfinite(part).all()
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stated_sizes
-from lin_freq_ocp.analysis.sizes import search_scale
+from lin_freq_ocp.analysis.sizes import search_scale, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.measures import stated_sizes
 from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from lin_freq_ocp.analysis.measures import FAR_BEYOND, given_sizes, stated_sizes
+from lin_freq_ocp.analysis.sizes import FAR_BEYOND, given_sizes, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
