@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.dynamics.mode_arrays import BORDER_TOLERANCE
+from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
@@ -171,7 +171,7 @@ def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Ind
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
     arrays = measured_modes(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
-    outside = arrays.distance(x, u).min(axis=1) > BORDER_TOLERANCE
+    outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
 
 

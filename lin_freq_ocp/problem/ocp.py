@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.regions import Border
+from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
 from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.box import Box, box_of, end_set, end_within, stacked
 from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
@@ -215,7 +215,7 @@ class OptimalControlProblem:
         return _in_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
-    def borders(self) -> tuple[Border, ...]:
+    def borders(self) -> tuple[SwitchingFacet, ...]:
         """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
         return self.dynamics.borders(self._stage_sets) if self.dynamics.mode_names else ()
 

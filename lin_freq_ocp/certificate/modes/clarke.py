@@ -28,7 +28,7 @@ from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.sizes import Floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
-from lin_freq_ocp.problem.dynamics.regions import Border
+from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -101,7 +101,7 @@ class SwitchingFacts:
         Where several modes are active.
     weights : (len(times), modes)
         alpha there.
-    jumping : Border or None
+    jumping : SwitchingFacet or None
         Where the map jumps most, if it does: then the theorem does not apply.
     conditions : tuple of Condition
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
@@ -117,7 +117,7 @@ class SwitchingFacts:
     regular: bool
     times: tuple[int, ...]
     weights: Array
-    jumping: Border | None
+    jumping: SwitchingFacet | None
     conditions: tuple[Condition, ...]
     mode_names: tuple[str, ...]
     norms: tuple[NormKink, ...] = ()

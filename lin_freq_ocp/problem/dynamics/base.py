@@ -19,7 +19,7 @@ from lin_freq_ocp.arrays import Array, Indices, Mask, brief, names, positive_num
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.phrases import first_few, plural
-from lin_freq_ocp.problem.dynamics.regions import Border
+from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 
 Entry = TypeVar("Entry")
@@ -67,7 +67,7 @@ class Dynamics(ABC):
         """Raise ProblemError unless f_t is defined on the sets, and unique."""
         self.standard_form.require_sets(sets)
 
-    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+    def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return where regions of affine modes meet within the sets."""
         return self.standard_form.borders(sets)
 
@@ -125,7 +125,7 @@ class StandardDynamics(Dynamics):
     def require_sets(self, sets: StageSets) -> None:
         """Accept all sets."""
 
-    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+    def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return none."""
         return ()
 

@@ -10,11 +10,11 @@ from lin_freq_ocp.arrays import Array, Indices, Mask
 
 # A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
 # 1e-8 or so, and the judge forgives 1e-6.
-BORDER_TOLERANCE = 1e-6
+FACET_TOLERANCE = 1e-6
 # Two modes lead to the same state if their images differ by less, relative to the largest sum of absolute terms:
-# those of a continuous map differ by |g| times the distance from the facet, which is at most BORDER_TOLERANCE of |g
+# those of a continuous map differ by |g| times the distance from the facet, which is at most FACET_TOLERANCE of |g
 # h'| times the terms for each of the two, and |g h'| <= |F_1| + |F_2|.
-SAME_IMAGE = 4 * BORDER_TOLERANCE
+SAME_IMAGE = 4 * FACET_TOLERANCE
 # No component is measured more finely than this fraction of what the problem says of its size, as by the judge.
 LEAST_SIZE = 1e-4
 # A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows.
@@ -75,12 +75,12 @@ class ModeArrays:
         return np.maximum((self.excess(x, u) / self.row_sizes(x, u)).max(axis=2), 0.0)
 
     def active_facets(self, x: Array, u: Array) -> Mask:
-        """Which rows of each region (x_t, u_t) lies on, or beyond, within BORDER_TOLERANCE; (T, modes, rows)."""
-        return self.excess(x, u) >= -BORDER_TOLERANCE * self.row_sizes(x, u)
+        """Which rows of each region (x_t, u_t) lies on, or beyond, within FACET_TOLERANCE; (T, modes, rows)."""
+        return self.excess(x, u) >= -FACET_TOLERANCE * self.row_sizes(x, u)
 
     def active(self, x: Array, u: Array) -> Mask:
-        """Which modes hold at (x_t, u_t), within BORDER_TOLERANCE; (T, modes)."""
-        return self.distance(x, u) <= BORDER_TOLERANCE
+        """Which modes hold at (x_t, u_t), within FACET_TOLERANCE; (T, modes)."""
+        return self.distance(x, u) <= FACET_TOLERANCE
 
     def sequence(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
@@ -89,7 +89,7 @@ class ModeArrays:
         rounding, it is the first. Where none holds, those whose regions are nearest; x is (T+1, n), u is (T, m).
         """
         distance = self.distance(x, u)
-        outside = np.where(distance <= BORDER_TOLERANCE, 0.0, distance)
+        outside = np.where(distance <= FACET_TOLERANCE, 0.0, distance)
         nearest = outside <= outside.min(axis=1, keepdims=True)
         sizes = self.image_sizes(x, u, nearest)
         relative = np.abs(x[1:, None] - self.images(x, u)) / np.where(sizes > 0, sizes, 1.0)

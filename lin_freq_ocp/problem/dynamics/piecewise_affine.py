@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.dynamics.guards import guarded_modes
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.max_min import modes_of
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
-from lin_freq_ocp.problem.dynamics.regions import Border, borders_of, require_partition
+from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet, borders_of, require_partition
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
@@ -221,7 +221,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         arrays = self.arrays(sets.horizon)
         require_partition(arrays, self.mode_names, sets, not self.regions_vary, self._checked)
 
-    def borders(self, sets: StageSets) -> tuple[Border, ...]:
+    def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return where regions meet within the sets, and whether the map jumps there."""
         return borders_of(self.arrays(sets.horizon), sets, self.time_varying)
 

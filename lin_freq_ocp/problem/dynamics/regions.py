@@ -28,7 +28,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
 
 # Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
-# linearised are right to 1e-9 or so, and what the judge forgives, BORDER_TOLERANCE, is ten times as much.
+# linearised are right to 1e-9 or so, and what the judge forgives, FACET_TOLERANCE, is ten times as much.
 CONTINUITY_TOLERANCE = 1e-7
 NARROW = 1e-9  # A component whose bounds are closer than this, relative to their size, is fixed between them
 # Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
@@ -37,7 +37,7 @@ LEAST_UNIT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Border:
+class SwitchingFacet:
     """A facet of two modes, h_x'x + h_u'u = limit with |(h_x, h_u)| = 1: the first mode is where it is less."""
 
     first: int
@@ -106,11 +106,11 @@ def require_partition(
             raise found
 
 
-def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[Border, ...]:
+def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[SwitchingFacet, ...]:
     """Return every border that regions share within the sets."""
     n, around = arrays.A.shape[-1], sets.around()
     known: dict[bytes, list[tuple[int, int, Array, float]]] = {}
-    found: list[Border] = []
+    found: list[SwitchingFacet] = []
     for t in range(sets.horizon if time_varying else 1):
         pieces = _pieces(arrays, t, around)
         if pieces.key not in known:
@@ -123,7 +123,7 @@ def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple
             size = float(np.linalg.norm(normal))
             edge = (limit + float(normal @ pieces.centre)) / size
             time = t if time_varying else None
-            found.append(Border(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
+            found.append(SwitchingFacet(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
     return tuple(found)
 
 
