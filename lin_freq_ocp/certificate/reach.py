@@ -169,7 +169,9 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
-        for group, t in enumerate(() if rows is None else rows.times):
+        if rows is None:
+            continue
+        for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
             slack = np.maximum(rows.e[group] - matrix @ signals[t], 0.0)
             for i, row in enumerate(matrix):

@@ -131,18 +131,10 @@ def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Mo
 class Floors:
     """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
 
-    Attributes
-    ----------
-    x : (n,), u : (m,)
-        Of states and controls.
-    level : float
-        What multipliers times signals are compared with: S of ``cost_scale``, but at least SCALE_FLOOR of what a stage
-        costs with states and controls of their natural sizes; for eta_C = 0, which has no unit of cost, SCALE_FLOOR of
-        the largest terms of the Hamiltonian.
-    in_x : (n,), in_u : (m,)
-        Of multipliers in the adjoint equation and in D_u H: what changes the cost of a stage by its own size.
-    terms : tuple of (dim,)
-        Of values of terms, one entry per term, with states and controls of their natural sizes.
+    x (n,) and u (m,) are those of states and controls, in_x (n,) and in_u (m,) of multipliers in the adjoint equation
+    and in D_u H, and terms (dim,) of the values of each term. ``level`` is what multipliers times signals are compared
+    with: S, but at least SCALE_FLOOR of what a stage costs with states and controls of their natural sizes; for
+    eta_C = 0, which has no unit of cost, SCALE_FLOOR of the largest terms of the Hamiltonian.
     """
 
     x: Array

@@ -66,27 +66,10 @@ def value_bounds(
 ) -> Iterator[ValueBound]:
     """Yield bounds, each as close as the last or closer, until one is cost - gap.
 
-    Parameters
-    ----------
-    multipliers : Multipliers
-        Those of frequency constraints and terms; eta is not used.
-    cost : float
-        Of a trajectory; inf if none is known. D is a bound for any value, but never more than cost - gap / 2.
-    gap : float
-        Wanted distance from the cost.
-    deadline : float
-        Of ``time.perf_counter``, at which OutOfTimeError is raised.
-    progress : callable, optional
-        Called with the number of the level, from 1, and how much of it is done, from 0 to 1.
-    scale : float, optional
-        S, what the terms of the cost add up to: losses expected of the first level are relative to it. Default: the
-        cost, or the gap if that is larger.
-
-    Raises
-    ------
-    UnsupportedError
-        If there are more than three states, or a state or control is not bounded, nor by its cost.
-    OutOfTimeError
+    Of the multipliers, eta is not used. The cost is that of a trajectory, inf if none is known: D is a bound for any
+    value, but never more than cost - gap / 2. ``scale`` is S, for the loss expected of the first level. ``progress`` is
+    called with the number of the level and how much of it is done, from 0 to 1. OutOfTimeError is raised at the
+    deadline, by ``time.perf_counter``; UnsupportedError for more than three states or unbounded components.
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
     scale = scale or max(abs(cost), gap)
@@ -110,18 +93,10 @@ def value_bounds(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is to be bounded at one time.
+    """What is to be bounded at a time: boxes, not bisected above ``target`` (cells,), an estimate of c + V.
 
-    Attributes
-    ----------
-    boxes : Boxes
-        None at the last time.
-    target : (cells,)
-        Estimate of c + V on trajectories below the cutoff: boxes above it are not bisected.
-    left : (cells,) or None
-        The cutoff less the least cost-to-come of the level before, None on the first level.
-    before, parents : CostToGo or None, (cells,)
-        V_t of the level before, and its cells; None at t = 0, where nothing is paid before.
+    ``left`` (cells,) is the cutoff less the least cost-to-come of the level before, None on the first level; ``before``
+    is V_t of that level and ``parents`` (cells,) its cells, None at t = 0.
     """
 
     lattice: Lattice

@@ -58,8 +58,8 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
     linear = own - of_reference + np.hstack([in_x[:T], in_u])
     terminal_linear = cost.p - terminal + in_x[T]
     size = float(np.abs(constants).sum() + np.abs(in_x * x_ref).sum() + np.abs(in_u * u_ref).sum())
-    parts = (np.asarray(part, dtype=np.float64) for part in (linear, cost.P, terminal_linear))
-    return StageCosts(hessians, *parts, float(np.sum(constants)), size)
+    linear, P, terminal_linear = (np.asarray(part, dtype=np.float64) for part in (linear, cost.P, terminal_linear))
+    return StageCosts(hessians, linear, P, terminal_linear, float(np.sum(constants)), size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,17 +121,10 @@ class Step:
     def values(
         self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float
     ) -> tuple[CostToGo, Boxes]:
-        """Return V_t with given slopes, and boxes that cover what a trajectory below the cutoff goes through.
+        """Return V_t with slopes (cells, pieces, n), and boxes that cover what trajectories below the cutoff go through.
 
-        Parameters
-        ----------
-        boxes : Boxes
-            All that are looked at.
-        slopes : (cells, pieces, n)
-        target, cutoff : (cells, pieces)
-            Boxes whose bound is larger than these are not bisected any more, and are dropped.
-        tolerance : float
-            Nor are boxes bisected whose bound is this near to the value at the centre of one.
+        Boxes whose bound is above target (cells, pieces), or within the tolerance of the value at the centre of a box,
+        are not bisected any more; those above the cutoff (cells, pieces) are dropped.
         """
         lattice, target = self._lattice, target.copy()
         lowest = np.full(target.shape, np.inf)

@@ -25,15 +25,8 @@ def least_of(
 ) -> Array:
     """Return lower bounds of given + gradient z + 1/2 z' hessian z + sigma (f(y + z) - at) over |z| <= r, (p,).
 
-    Parameters
-    ----------
-    hessian, gradient, given : (p, k, k), (p, k), (p,)
-    sigma, at : (p, n)
-    r : (p, k)
-    centre, whole : IntervalJets
-        Of f at the centres y, and over boxes.
-    box : (p,)
-        Which of the boxes of the jets is meant.
+    hessian (p, k, k), gradient and r (p, k), given (p,), sigma and at (p, n). ``centre`` and ``whole`` enclose f at the
+    centres y and over the boxes numbered by ``box`` (p,).
     """
     value, terms = given.copy(), np.abs(given)
     slope, bend = [gradient.copy(), gradient.copy()], [hessian.copy(), hessian.copy()]

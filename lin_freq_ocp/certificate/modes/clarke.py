@@ -162,20 +162,9 @@ class Judgement:
 class SwitchingStage:
     """A time at which several modes are active; vectors are in (x, u), n + m entries.
 
-    Attributes
-    ----------
-    modes, slopes : (k,), (k, n + m)
-        The active modes and their a_i.
-    required : (n + m,)
-        p_t.
-    normals, held : (count, n + m), (count,)
-        The active bounds and rows of the stage, and their multipliers in p_t.
-    facets : tuple of (n + m, rows)
-        Of each mode, the active rows of its region, as columns.
-    scale : (n + m,)
-        What a residual is compared with.
-    states : int
-        n.
+    ``slopes`` (k, n + m) are the a_i of the modes and ``required`` is p_t. ``normals`` (count, n + m) are the active
+    bounds and rows of the stage, ``held`` their multipliers in p_t. ``facets`` are, per mode, the active rows of its
+    region as columns; ``scale`` is what a residual is compared with, and ``states`` is n.
     """
 
     time: int
