@@ -121,7 +121,7 @@ class Step:
     def values(
         self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float
     ) -> tuple[CostToGo, Boxes]:
-        """Return V_t with slopes (cells, pieces, n), and boxes that cover what trajectories below the cutoff go through.
+        """Return V_t with slopes (cells, pieces, n), and boxes that cover all trajectories below the cutoff.
 
         Boxes whose bound is above target (cells, pieces), or within the tolerance of the value at the centre of a box,
         are not bisected any more; those above the cutoff (cells, pieces) are dropped.
