@@ -117,7 +117,6 @@ FAMILIES = {
     },
     "state-arcs": Family("double integrator, speed limit active for long", state_arcs, (200,), (200, 400, 800, 4000)),
 }
-
 # Families solved again and again from new initial states
 RESOLVED = {"resolve": "pendulum", "resolve-slow": "pendulum-slow"}
 RESOLVE_SIZES = (240,)

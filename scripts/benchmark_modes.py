@@ -45,7 +45,6 @@ from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
-
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit
 ALLOWED = 3.0
 
@@ -56,7 +55,6 @@ def _case(name: str, horizon: int) -> Callable[[], lfo.OptimalControlProblem]:
 
 
 SYSTEMS = {"pendulum": "pendulum_with_wall", "rotation": "switched_rotation", "buck": "buck_affine"}
-
 # All with a terminal cost and the bins max(2, ceil(T/3)) .. T//2 of the control removed.
 CASES = {
     f"{short}-{horizon}": _case(SYSTEMS[short], horizon)

@@ -27,7 +27,6 @@ from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
-
 # Of a row of order 1. A binary that is 1 up to SCIP's 1e-6 relaxes it by 1e-2 then; above, indicators do it.
 LARGEST_RELAXATION = 1e4
 LARGEST_UNIT = 1e6  # enclosures beyond this say little of what a formula takes: its variable keeps this unit

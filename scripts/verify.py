@@ -59,7 +59,6 @@ from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, referenc
 PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200, "units": 2000}
 WIDTH = 132  # columns of the tables, also where they are written into a file
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
-
 # Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems
 PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 MASKED = 1e-6  # relative error of the cost of the reference problem with a mask, which is known to no more

@@ -1,7 +1,4 @@
-"""Random infeasible problems: the ray is verified, the family cannot spare a block, each cure helps, and less does not.
-
-What can be satisfied is asked of CVXPY and Clarabel on a program written by ``to_cvxpy``, never of what explains.
-"""
+"""Random infeasible problems are explained, and each statement is checked (see tests/helpers/checks/explain.py)."""
 
 from __future__ import annotations
 

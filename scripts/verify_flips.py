@@ -1,9 +1,4 @@
-"""Random continuous piecewise-affine problems: where the judge says "flip", it improves, and where not, it does not.
-
-A random mode sequence is optimised; at every border that its optimum lies on, every other mode that holds there is
-tried by solving the sequence with that mode instead. Then the steepest flips are followed to where there is none, and
-``certify`` is given the trajectory alone: it must find multipliers that satisfy the maximum principle.
-"""
+"""Random continuous piecewise-affine problems: flips of modes at switching facets (see tests/helpers/checks/flips.py)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Random feasible problems of mixed features, solved here and by CVXPY on a model written as a user would write it.
-
-Every optimum must be proven, cost what CVXPY's does, and no longer be accepted by the judge when a constraint that
-matters is made tighter or a multiplier changes its sign.
-"""
+"""Random feasible problems of mixed features, against CVXPY (see tests/helpers/checks/mixed.py)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Known piecewise-affine problems: enumeration, branch and bound, SCIP and DAQP must agree, and the gap be proven.
-
-Ten instances over five systems, half with a frequency constraint. What a mixed-integer solver claims counts only so far
-as its mode sequence, solved again as a convex program, has that cost.
-"""
+"""Known piecewise-affine problems by four methods (see tests/helpers/checks/modes.py)."""
 
 from __future__ import annotations
 

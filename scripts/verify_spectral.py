@@ -1,11 +1,4 @@
-"""Random LTI problems by the Fourier-domain method against a sparse QP: every difference between the two explained.
-
-Part of scripts/verify.py. The reference is Clarabel at 1e-11 on the sparse program; PIQP where Clarabel is not sure
-or contradicts the witness (a trajectory that the problem was built around). A difference of the two costs is explained
-only by a proof that the reference is inaccurate (our certificate is tighter than the difference), or by the reference's
-own residuals times its multipliers. The generator makes R positive definite, so no problem is refused for a cost that
-is singular on an allowed bin: every refusal is a failure.
-"""
+"""Random LTI problems by the Fourier-domain method and by a sparse program (see tests/helpers/checks/spectral.py)."""
 
 from __future__ import annotations
 

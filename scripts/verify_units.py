@@ -1,11 +1,4 @@
-"""Verdicts do not depend on units, on scale, on the origin, or on which large number stands for none.
-
-Every random problem is solved as drawn, and again in other words: the cost times 1e-15..1e15, units of states, controls
-and time 1e-9..1e9, another origin, bounds that are not active looser by 1..1e19 or removed, states in another order, a
-state more on which nothing depends. The status, whether the maximum principle is satisfied, the class of the gap and
-the cost must be the same; ``certify`` must say the same of both trajectories, and of the controls spoiled by a part in
-ten.
-"""
+"""The same problem in other units has the same verdict (see tests/helpers/checks/units.py)."""
 
 from __future__ import annotations
 

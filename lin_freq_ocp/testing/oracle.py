@@ -17,8 +17,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.arrays import Array, Indices
 
 TOLERANCE = 1e-10  # asked of Clarabel
-AGREEMENT = 1e-6  # difference of the two costs, relative to what the terms of the cost add up to
-NONE = 1e6  # bounds from here on are left out if the answer is far within them: they stand for none
+AGREEMENT = 1e-6  # difference of the two costs, relative to the sum of the absolute terms
+NONE = 1e6  # bounds from here on stand for infinity, and are left out if the answer is far within them
 NOISE = 1e-9  # difference of two costs, in good units, that Clarabel's tolerance can make
 ACTIVE = 1e-7  # distance from a limit, in good units, at which it may carry a multiplier
 NEAR = 1e4  # an answer below this is far within bounds of NONE
@@ -44,7 +44,8 @@ def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgr
     equations, limits = _Rows(variables), _Rows(variables)
     P, gradient, constant = np.zeros((variables, variables)), np.zeros(variables), 0.0
     cost = problem.quadratic
-    per_time = [np.broadcast_to(getattr(cost, one), (T, *shape)) for one, shape in _shapes(n, m).items()]
+    shapes = {"Q": (n, n), "R": (m, m), "S": (n, m), "q": (n,), "r": (m,)}
+    per_time = [np.broadcast_to(getattr(cost, field), (T, *shape)) for field, shape in shapes.items()]
     x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
     for t in range(T + 1):
         here = np.arange(t * n, t * n + n)
@@ -55,7 +56,7 @@ def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgr
             A, B, d = problem.linear.at(t)
             for i in range(n):
                 equations.add(np.concatenate([[here[i] + n], here, now]), np.concatenate([[1.0], -A[i], -B[i]]), d[i])
-            Q, R, S, q, r = (one[t] for one in per_time)
+            Q, R, S, q, r = (field[t] for field in per_time)
             H, linear = np.block([[Q, S], [S.T, R]]), np.concatenate([q, r])
             at, reference = np.concatenate([here, now]), np.concatenate([x_ref[t], u_ref[t]])
         P[np.ix_(at, at)] += H
@@ -65,7 +66,7 @@ def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgr
     _add_bands(problem, equations)
     for family in problem.stage_rows:
         for t in range(T):
-            C, D = (np.broadcast_to(one, (T, *one.shape[-2:]))[t] for one in (family.C, family.D))
+            C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[t] for part in (family.C, family.D))
             e = np.broadcast_to(family.e, (T, family.rows))[t]
             at = np.concatenate([np.arange(t * n, t * n + n), states + np.arange(t * m, t * m + m)])
             for i in np.flatnonzero(e < none):
@@ -88,10 +89,6 @@ class _Rows:
         row = np.repeat(np.arange(len(self._right)), [len(one[0]) for one in self._entries])
         shape = len(self._right), self._columns
         return sp.csc_array((values, (row, at.astype(int))), shape=shape), np.array(self._right)
-
-
-def _shapes(n: int, m: int) -> dict[str, tuple[int, ...]]:
-    return {"Q": (n, n), "R": (m, m), "S": (n, m), "q": (n,), "r": (m,)}
 
 
 def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _Rows, none: float) -> None:
@@ -135,10 +132,7 @@ def _add_bands(problem: lfo.OptimalControlProblem, equations: _Rows) -> None:
 
 
 def fitted(program: PlainProgram, z: Array) -> tuple[Array, float]:
-    """Return the multipliers that fit a point best, of equations and limits, and how wrong its cost can be with them.
-
-    To first order, that is what violations, slopes that are left, and distances from limits are worth.
-    """
+    """Return the multipliers of equations and limits that fit a point best, and the first-order error of its cost."""
     slack = program.h - program.G @ z
     active = slack <= ACTIVE * (1 + np.abs(program.h))
     held = np.concatenate([np.ones(len(program.b), dtype=bool), active])
@@ -157,18 +151,10 @@ def fitted(program: PlainProgram, z: Array) -> tuple[Array, float]:
 
 @dataclass(frozen=True)
 class Reference:
-    """Clarabel's answer, in good units.
+    """Clarabel's answer, in good units: its status, or "unsure" where its "Solved" point has a larger error.
 
-    Attributes
-    ----------
-    status : str
-        Its own word, or "unsure" where it says "Solved" of a point whose cost is not known to AGREEMENT.
-    program : PlainProgram
-    z, y : (variables,), (rows,)
-        The point, and the duals of equations and limits: >= 0 for limits.
-    cost : float
-    error : float
-        How wrong the cost can be, to first order: residuals times multipliers, and complementarity.
+    ``y`` are the duals of equations and limits (>= 0); ``error`` is the first-order error of the cost: residuals times
+    multipliers, and complementarity.
     """
 
     status: str
@@ -180,13 +166,13 @@ class Reference:
 
 
 def worth(program: PlainProgram, y: Array, z: Array) -> float:
-    """Return by how much the violations of a point can make it cheaper, to first order, with multipliers y."""
+    """Return the first-order decrease of the cost by the violations of a point, with multipliers y."""
     missed = np.concatenate([np.abs(program.A @ z - program.b), np.maximum(program.G @ z - program.h, 0.0)])
     return float(np.abs(y) @ missed)
 
 
 def solved_plainly(problem: lfo.OptimalControlProblem) -> Reference:
-    """Return what plain Clarabel says; bounds that stand for none are left out first."""
+    """Return plain Clarabel's answer; bounds that stand for infinity are first left out."""
     reference = _clarabel(problem, plain_program(problem, NONE))
     if reference.status == "Solved" and np.abs(reference.z).max() < NEAR:
         return reference
@@ -214,8 +200,8 @@ def _signals(problem: lfo.OptimalControlProblem, z: Array) -> tuple[Array, Array
 
 
 def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
-    """Return what the terms of the cost add up to in absolute value."""
-    a, b = (np.abs(one) for one in problem.quadratic.deviations(x, u))
+    """Return the sum of the absolute terms of the cost."""
+    a, b = (np.abs(part) for part in problem.quadratic.deviations(x, u))
     absolute = problem.quadratic.magnitudes()
     no_linear = lfo.QuadraticCost(Q=absolute.Q, R=absolute.R, S=absolute.S, P=absolute.P)
     T, n = len(u), x.shape[1]

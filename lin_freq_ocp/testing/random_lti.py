@@ -19,7 +19,6 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
-
 # Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible
 SPOILT = 0.18
 HARMLESS_GROWTH = 1e3  # open-loop growth over the horizon from which the end of the horizon must not be left to itself

@@ -20,8 +20,6 @@ UNARY = [
     lambda a: 1 / (a * a + 1),
     lambda a: lfo.norm([a, a + 1.0]),
 ]
-
-
 BINARY = [lambda a, b: a + b, lambda a, b: a - 2 * b, lambda a, b: a * b, lambda a, b: a / (b * b + 1)]
 
 

@@ -11,17 +11,9 @@ from jsonschema import Draft202012Validator
 from lin_freq_ocp.interchange.results.summary import to_json
 
 DOCS = Path(__file__).parents[2] / "docs"
-
-
 PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
-
-
 RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
-
-
 SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
-
-
 SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
 
 

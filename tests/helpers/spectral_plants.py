@@ -10,26 +10,12 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.measures import one_step_residual
 
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
-
-
 B = np.array([[0.5, 0.0], [0.2, 0.6], [0.3, -0.4]])
-
-
 START, END = np.array([1.0, -0.5, 0.3]), np.array([-0.4, 0.6, 0.2])
-
-
 T = 24
-
-
 TIGHT = lfo.Box([-0.3, -0.25], [0.25, 0.3])
-
-
 CONTROL_BOX = lfo.Box([-0.7, -0.8], [0.6, 0.7])
-
-
 STATE_BOX = lfo.Box([-1.1, -0.53, -0.25], [1.05, 0.65, 0.42])
-
-
 LARGE_BOX = lfo.Box([-1.4, -0.7, -0.4], [1.2, 0.7, 0.5])
 
 

@@ -49,7 +49,7 @@ def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
     """
     first = transcriptions[0]
     stated = first.column_units(*stated_sizes(first.problem))
-    largest = np.max([natural_scaling(one).columns for one in transcriptions], axis=0)
+    largest = np.max([natural_scaling(transcription).columns for transcription in transcriptions], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
     return _scaling(first, columns, columns)
 
@@ -104,13 +104,8 @@ def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scal
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
     revised = own_scaling(transcription, z, scaling.columns)
-    return revised if distance(revised, scaling) > REVISED else None
-
-
-def distance(one: Scaling, other: Scaling) -> float:
-    """Return the largest factor between the units of two scalings."""
-    changes = np.append(one.columns / other.columns, one.cost / other.cost)
-    return float(np.exp(np.abs(np.log(changes)).max()))
+    factors = np.append(revised.columns / scaling.columns, revised.cost / scaling.cost)
+    return revised if np.exp(np.abs(np.log(factors)).max()) > REVISED else None
 
 
 def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:

@@ -175,7 +175,8 @@ def _least_excesses(domains: Sequence[Rows]) -> Array:
     limits = np.concatenate([limits for _, limits in domains])
     upper = np.tile(np.append(np.ones(columns - 1), np.inf), len(blocks))
     lower = np.tile(np.append(-np.ones(columns - 1), 0.0), len(blocks))
-    return _minimiser(cost, sp.block_diag(blocks, format="csr"), limits, lower, upper)[columns - 1 :: columns]
+    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
+    return _required(_minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
 
 
 def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
@@ -187,22 +188,27 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
     largest, live = np.zeros(len(scaled)), sizes > 0
     if blocks:
         cost, ones = -scaled[live] / sizes[live, None], np.ones(scaled[live].size)
-        matrix = sp.block_diag([rows for rows, _ in blocks], format="csr")
-        v = _minimiser(cost.ravel(), matrix, np.concatenate([limits for _, limits in blocks]), -ones, ones)
+        matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks], format="csr"))
+        limits = np.concatenate([limits for _, limits in blocks])
+        v = _required(_minimiser(cost.ravel(), matrix, limits, -ones, ones))
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
     middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
     terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
     return np.split(largest + OUTWARD * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
 
 
-def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array:
-    """Return the minimiser of a linear program that has one."""
+def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
+    """Return the minimiser of a linear program, None if it has none; the matrix may be sparse, despite scipy's stubs."""
     from scipy.optimize import linprog  # slow to import
 
-    answer: Any = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
-    if answer.status != 0:
-        raise NumericalError(f"A linear program about the domains of modes ended as: {answer.message}")
-    return np.asarray(answer.x)
+    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
+    return np.asarray(answer.x) if answer.status == 0 else None
+
+
+def _required(minimiser: Array | None) -> Array:
+    if minimiser is None:
+        raise NumericalError("A linear program about the domains of modes was not solved.")
+    return minimiser
 
 
 def _normalised(rows: Array, limits: Array) -> Rows:
@@ -230,17 +236,14 @@ def _with_implied_bounds(
 
 def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Array) -> tuple[Array, Array]:
     """Return bounds (n+m,), missing ones computed from the rows where these imply any."""
-    from scipy.optimize import linprog  # slow to import
-
     low, high = lower.copy(), upper.copy()
     scaled, right = _normalised(rows * units, limits)
-    bounds = np.column_stack([lower, upper]) / units[:, None]
     for sign, side in ((1.0, high), (-1.0, low)):
         for k in np.flatnonzero(~np.isfinite(side)):
             cost = np.where(np.arange(len(units)) == k, -sign, 0.0)
-            answer: Any = linprog(cost, scaled, right, bounds=bounds.tolist(), method="highs")
-            if answer.status == 0:
-                side[k] = units[k] * (answer.x[k] + sign * OUTWARD * max(1.0, abs(float(answer.x[k]))))
+            found = _minimiser(cost, scaled, right, lower / units, upper / units)
+            if found is not None:
+                side[k] = units[k] * (found[k] + sign * OUTWARD * max(1.0, abs(float(found[k]))))
     return low, high
 
 

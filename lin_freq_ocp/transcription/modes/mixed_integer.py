@@ -120,13 +120,13 @@ def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> It
         for k in range(columns.n):
             for same in _equal_groups(holding, arrays.A[t, :, k], arrays.B[t, :, k], arrays.offset[t, :, k, None]):
                 i, others = same[0], np.setdiff1d(holding, same)
-                place = np.concatenate([columns.state(t + 1)[k : k + 1], columns.stage(t), columns.delta(t, others)])
+                at = np.concatenate([columns.state(t + 1)[k : k + 1], columns.stage(t), columns.delta(t, others)])
                 map_row, offset = [1.0, *-arrays.A[t, i, k], *-arrays.B[t, i, k]], float(arrays.offset[t, i, k])
                 if not len(others):
-                    yield place, np.array(map_row), offset, offset
+                    yield at, np.array(map_row), offset, offset
                     continue
-                yield place, np.append(map_row, -found.above[t, i, others, k]), -np.inf, offset
-                yield place, np.append(map_row, -found.below[t, i, others, k]), offset, np.inf
+                yield at, np.append(map_row, -found.above[t, i, others, k]), -np.inf, offset
+                yield at, np.append(map_row, -found.below[t, i, others, k]), offset, np.inf
 
 
 def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
@@ -138,9 +138,9 @@ def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iter
         for same in _equal_groups(asked, G, H, h):
             i, r = divmod(int(same[0]), count)
             others = np.setdiff1d(np.flatnonzero(possible), same // count)
-            place = np.concatenate([columns.stage(t), columns.delta(t, others)])
+            at = np.concatenate([columns.stage(t), columns.delta(t, others)])
             yield (
-                place,
+                at,
                 np.concatenate([arrays.G[t, i, r], arrays.H[t, i, r], -found.regions[t, i, others, r]]),
                 -np.inf,
                 float(arrays.h[t, i, r]),
@@ -168,10 +168,10 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
     """Return the rows with all of the host's but its dynamics, in the host's deviations from the references."""
     program, binaries = host.program, columns.count - columns.host
     listed = [row for block in rows.values() for row in block]
-    places = np.concatenate([place for place, _, _, _ in listed])
-    of_row = np.repeat(np.arange(len(listed)), [len(place) for place, _, _, _ in listed])
+    of_column = np.concatenate([row[0] for row in listed])
+    of_row = np.repeat(np.arange(len(listed)), [len(row[0]) for row in listed])
     values = np.concatenate([row[1] for row in listed])
-    own = sp.csr_array((values, (of_row, places)), (len(listed), columns.count))
+    own = sp.csr_array((values, (of_row, of_column)), (len(listed), columns.count))
     limits = np.array([row[2:] for row in listed]).T - own @ _origin(host, columns)
     first = program.rows[Block.DYNAMICS].stop  # the host's first rows
     of_host = sp.hstack([program.A[first:], sp.csc_array((len(program.lower) - first, binaries))])
@@ -187,7 +187,7 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
         A=A,
         lower=np.append(limits[0], program.lower[first:]),
         upper=np.append(limits[1], program.upper[first:]),
-        rows={block: _shifted(place, moved) for block, place in program.rows.items()} | blocks,
+        rows={block: _shifted(part, moved) for block, part in program.rows.items()} | blocks,
         cones=tuple(_shifted(cone, moved) for cone in program.cones),
         binaries=np.arange(columns.host, columns.count),
     )
@@ -201,8 +201,8 @@ def _origin(host: LinearTranscription, columns: _Columns) -> Array:
     return origin
 
 
-def _shifted(place: slice, by: int) -> slice:
-    return slice(place.start + by, place.stop + by)
+def _shifted(rows: slice, by: int) -> slice:
+    return slice(rows.start + by, rows.stop + by)
 
 
 def _scaling(program: Program, of_signals: Scaling) -> Scaling:

@@ -10,8 +10,6 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.nonsmooth.newton import NewtonRun, newton
 
 SAME_COST = 1e-8
-
-
 NEAR = 3.0  # kinks within so many times the noise get a selection
 PROBLEMS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
     "norm, x_0 = (1, 1), T = 10": lambda: lfo.library.norm_dynamics((1.0, 1.0), 10),

@@ -57,11 +57,7 @@ class Verdict(StrEnum):
 
 
 BOTH_SOLVED = Verdict.AGREES, Verdict.PROVEN, Verdict.EXPLAINED, Verdict.UNEXPLAINED
-
-
 UNSURE = Verdict.ALONE, Verdict.RAY_ALONE, Verdict.UNDECIDED
-
-
 GOOD = *BOTH_SOLVED[:-1], Verdict.RAY, *UNSURE
 
 
