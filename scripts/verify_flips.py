@@ -1,4 +1,4 @@
-"""Random continuous piecewise-affine problems: flips of modes at switching facets (see tests/helpers/checks/flips.py)."""
+"""Random continuous piecewise-affine problems: flips of modes (see tests/helpers/checks/flips.py)."""
 
 from __future__ import annotations
 

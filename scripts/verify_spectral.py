@@ -1,4 +1,4 @@
-"""Random LTI problems by the Fourier-domain method and by a sparse program (see tests/helpers/checks/spectral.py)."""
+"""Random LTI problems, Fourier-domain method against a sparse program (see tests/helpers/checks/spectral.py)."""
 
 from __future__ import annotations
 

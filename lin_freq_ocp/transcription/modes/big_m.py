@@ -198,7 +198,7 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
 
 
 def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the minimiser of a linear program, None if it has none; the matrix may be sparse, despite scipy's stubs."""
+    """Return the minimiser of a linear program, None if it has none; the matrix may be sparse."""
     from scipy.optimize import linprog  # slow to import
 
     answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
