@@ -58,11 +58,7 @@ def stacked(arguments: Sequence[Jet]) -> Jet:
 def composed(arguments: Jet, value: Array, first: Array, second: Array) -> Jet:
     """Return the jets of the outputs of g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'.
 
-    Parameters
-    ----------
-    arguments : Jet
-        As of ``stacked``.
-    value : (points, outputs), first : (points, outputs, arguments), second : (points, outputs, arguments, arguments)
+    Of ``stacked`` arguments; value (points, outputs), first (..., arguments), second (..., arguments, arguments).
     """
     _, slopes, hessians = arguments
     hessian = np.einsum("poi,pikl->pokl", first, hessians)

@@ -123,17 +123,13 @@ def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -
         for second in patterns[i + 1 :]:
             both = _together(first, second)
             if both is not None and modes[first] is not modes[second] and guards.occurs(both):
-                raise ProblemError(
-                    f"guards.modes[{second!r}]", f"a pattern that holds together with {first!r}", "one of the two"
-                )
+                got = f"a pattern that holds together with {first!r}"
+                raise ProblemError(f"guards.modes[{second!r}]", got, "one of the two")
     for signs in _without_pattern("", patterns, guards.count):
         if guards.occurs(signs):
-            raise ProblemError(
-                "guards.modes",
-                f"no pattern for the signs {signs!r}",
-                "a mode for all signs that occur",
-                "If they do not occur within the sets of the problem, give None for them.",
-            )
+            got, expected = f"no pattern for the signs {signs!r}", "a mode for all signs that occur"
+            advice = "If they do not occur within the sets of the problem, give None for them."
+            raise ProblemError("guards.modes", got, expected, advice)
 
 
 def _together(first: str, second: str) -> str | None:

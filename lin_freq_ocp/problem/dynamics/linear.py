@@ -63,29 +63,19 @@ class LinearDynamics(StandardDynamics):
     ):
         matrix_A, matrix_B = real_array("dynamics.A", A), real_array("dynamics.B", B)
         if matrix_A.ndim not in (2, 3) or matrix_A.shape[-1] != matrix_A.shape[-2] or matrix_A.shape[-1] == 0:
-            raise ProblemError(
-                "dynamics.A", f"shape {matrix_A.shape}", "a square matrix (n, n), or (T, n, n) with one per time"
-            )
+            expected = "a square matrix (n, n), or (T, n, n) with one per time"
+            raise ProblemError("dynamics.A", f"shape {matrix_A.shape}", expected)
         n = matrix_A.shape[-1]
         if matrix_B.ndim not in (2, 3) or matrix_B.shape[-2] != n or matrix_B.shape[-1] == 0:
-            raise ProblemError(
-                "dynamics.B",
-                f"shape {matrix_B.shape}",
-                f"a matrix ({n}, m), or (T, {n}, m) with one per time",
-                "A single control is a matrix with one column: [[b_1], [b_2], ...].",
-            )
+            expected = f"a matrix ({n}, m), or (T, {n}, m) with one per time"
+            advice = "A single control is a matrix with one column: [[b_1], [b_2], ...]."
+            raise ProblemError("dynamics.B", f"shape {matrix_B.shape}", expected, advice)
         drift = real_array("dynamics.offset", np.zeros(n) if offset is None else offset)
         if drift.ndim not in (1, 2) or drift.shape[-1] != n:
-            raise ProblemError(
-                "dynamics.offset", f"shape {drift.shape}", f"shape ({n},), or (T, {n}) with one per time"
-            )
-        assign(
-            self,
-            A=matrix_A,
-            B=matrix_B,
-            offset=drift,
-            **signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names),
-        )
+            expected = f"shape ({n},), or (T, {n}) with one per time"
+            raise ProblemError("dynamics.offset", f"shape {drift.shape}", expected)
+        labels = signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names)
+        assign(self, A=matrix_A, B=matrix_B, offset=drift, **labels)
 
     @classmethod
     def from_continuous(
@@ -138,17 +128,14 @@ class LinearDynamics(StandardDynamics):
         import control  # here, because it takes seconds to import and only its users need it
 
         if not isinstance(plant, control.StateSpace):
-            raise ProblemError(
-                "plant", type(plant).__name__, "a control.StateSpace", "Convert it with control.ss(plant)."
-            )
-        labels: dict[str, Any] = {
-            "state_names": state_names or plant.state_labels,
-            "control_names": control_names or plant.input_labels,
-        }
+            advice = "Convert it with control.ss(plant)."
+            raise ProblemError("plant", type(plant).__name__, "a control.StateSpace", advice)
+        states, controls = state_names or plant.state_labels, control_names or plant.input_labels
+        A, B = np.asarray(plant.A), np.asarray(plant.B)
         continuous, step = clock("plant", plant.dt, sampling_time)
         if continuous and step is not None:
-            return cls.from_continuous(np.asarray(plant.A), np.asarray(plant.B), step, **labels)
-        return cls(np.asarray(plant.A), np.asarray(plant.B), sampling_time=step, **labels)
+            return cls.from_continuous(A, B, step, state_names=states, control_names=controls)
+        return cls(A, B, None, step, states, controls)
 
     @classmethod
     def linearised(
@@ -224,9 +211,8 @@ class LinearDynamics(StandardDynamics):
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
         for field, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
             if array.ndim > constant_ndim and len(array) != horizon:
-                raise ProblemError(
-                    f"dynamics.{field}", f"{len(array)} times", f"one for each of the {horizon} steps of the horizon"
-                )
+                expected = f"one for each of the {horizon} steps of the horizon"
+                raise ProblemError(f"dynamics.{field}", f"{len(array)} times", expected)
 
     def at(self, t: int) -> tuple[Array, Array, Array]:
         """Return A_t (n, n), B_t (n, m) and d_t (n,)."""

@@ -92,12 +92,11 @@ def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bo
         return True, positive_number("dynamics.sampling_time", sampling_time)
     own = None if dt is True else float(dt)
     if own is not None and sampling_time is not None and not np.isclose(own, sampling_time, rtol=1e-12, atol=0.0):
-        raise ProblemError(
-            "sampling_time",
-            brief(sampling_time),
+        expected, advice = (
             f"{own}, the sampling time of the discrete {field}",
             f"Leave it out, or resample the {field} first.",
         )
+        raise ProblemError("sampling_time", brief(sampling_time), expected, advice)
     return False, own or sampling_time
 
 
@@ -176,12 +175,9 @@ def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value
 
 def _kink(i: int, j: int, n: int, t: int, found: str) -> ProblemError:
     variable = f"x[{j}]" if j < n else f"u[{j - n}]"
-    return ProblemError(
-        f"system, t = {t}",
-        f"derivatives of state {i} by {variable}: {found}",
-        "a smooth model",
-        "Give state_scale and control_scale, or a point farther from the kink.",
-    )
+    got = f"derivatives of state {i} by {variable}: {found}"
+    advice = "Give state_scale and control_scale, or a point farther from the kink."
+    return ProblemError(f"system, t = {t}", got, "a smooth model", advice)
 
 
 def _over_one_period(

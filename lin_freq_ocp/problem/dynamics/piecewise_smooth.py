@@ -66,10 +66,8 @@ class SmoothMode:
         if len(f) != dimensions[0]:
             raise ProblemError(f"{field}.f", f"{len(f)} formulas", f"{dimensions[0]}, one for each state")
         if next(kinks([*f, *region, *domain], MAXIMUM, MINIMUM), None) is not None:
-            expected = "smooth pieces"
-            raise ProblemError(
-                f"{field}", "a maximum or minimum", expected, "PiecewiseSmoothDynamics.from_formulas makes the pieces."
-            )
+            advice = "PiecewiseSmoothDynamics.from_formulas makes the pieces."
+            raise ProblemError(field, "a maximum or minimum", "smooth pieces", advice)
         return SmoothMode(f, region, domain, self.name)
 
 

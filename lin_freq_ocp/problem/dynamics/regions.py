@@ -66,7 +66,7 @@ class _Pieces:
     units: Array
     extent: Array  # (n + m,): the largest |y| within the bounds; 1 without
 
-    def place(self, y: Array) -> str:
+    def point_text(self, y: Array) -> str:
         """Return (x, u) of free components y, as a message shows it."""
         v = self.centre.copy()
         v[self.free] += self.units[self.free] * y
@@ -155,22 +155,15 @@ def _fault(pieces: _Pieces, names: Sequence[str], when: str) -> ProblemError | N
     for i, j in combinations(range(len(names)), 2):
         point = _overlap(pieces, i, j)
         if point is not None:
-            return ProblemError(
-                f"dynamics.modes[{j}]",
-                f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.place(point)}",
-                "regions that meet on borders only",
-            )
+            got = f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.point_text(point)}"
+            return ProblemError(f"dynamics.modes[{j}]", got, "regions that meet on borders only")
     columns = np.eye(len(pieces.free))[:, pieces.free]
     regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
     point = uncovered(pieces.domain, [region for region in regions if region is not None])
     if point is None:
         return None
-    return ProblemError(
-        "dynamics.modes",
-        f"no mode around (x, u) = {pieces.place(point)}{when}",
-        "regions that cover the state and control sets",
-        "Widen a region or tighten the bounds.",
-    )
+    got, advice = f"no mode around (x, u) = {pieces.point_text(point)}{when}", "Widen a region or tighten the bounds."
+    return ProblemError("dynamics.modes", got, "regions that cover the state and control sets", advice)
 
 
 def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
