@@ -3,7 +3,7 @@
     python scripts/structure.py
 
 Circles of files count every import, within functions and for type checkers too. Lines of functions are counted without
-their docstrings. isinstance on dynamics and terms is what a protocol replaces: checks of what a user gave remain.
+their docstrings. isinstance on kinds of dynamics and of terms is what their protocols replace.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ TERMS = ("terms", "sets", "costs", "spectrum")
 """Folders of problem/ whose classes are terms of a problem."""
 
 LIMITS = {
-    "lines": 42_500,
+    "lines": 39_900,
     "files in a folder": 17,
     "lines of a file": 402,
     "lines of a function": 60,
     "files in circles": 0,
-    "isinstance on dynamics": 5,
-    "isinstance on terms": 17,
+    "isinstance on dynamics": 3,
+    "isinstance on terms": 8,
     "Any": 531,
     "names in __all__": 45,
 }
@@ -50,11 +50,16 @@ def functions(tree: ast.Module) -> Iterator[tuple[str, int]]:
             yield node.name, (node.end_lineno or 0) - node.lineno + 1 - described
 
 
-def classes(trees: dict[Path, ast.Module], folder: str) -> set[str]:
-    """Return the names of the classes in a folder of problem/."""
+def kinds(trees: dict[Path, ast.Module], folder: str) -> set[str]:
+    """Return the names of the concrete classes in a folder of problem/: those of another class of the package."""
     inside = PACKAGE / "problem" / folder
     found = (node for path, tree in trees.items() if path.parent == inside for node in ast.walk(tree))
-    return {node.name for node in found if isinstance(node, ast.ClassDef)}
+    return {node.name for node in found if isinstance(node, ast.ClassDef) and node.bases and not abstract(node)}
+
+
+def abstract(node: ast.ClassDef) -> bool:
+    """Whether a class is an interface."""
+    return any(isinstance(base, ast.Name) and base.id in ("ABC", "Protocol", "Enum", "StrEnum") for base in node.bases)
 
 
 def tests_of(trees: dict[Path, ast.Module], names: set[str]) -> int:
@@ -102,8 +107,8 @@ def measures() -> dict[str, tuple[int, str]]:
         "lines of a file": (lines[largest], largest),
         "lines of a function": max(sizes),
         "files in circles": (len(circles), ", ".join(circles[:3])),
-        "isinstance on dynamics": (tests_of(trees, classes(trees, "dynamics")), ""),
-        "isinstance on terms": (tests_of(trees, set().union(*(classes(trees, folder) for folder in TERMS))), ""),
+        "isinstance on dynamics": (tests_of(trees, kinds(trees, "dynamics")), ""),
+        "isinstance on terms": (tests_of(trees, set().union(*(kinds(trees, folder) for folder in TERMS))), ""),
         "Any": (sum(uses_of_any(tree) for tree in trees.values()), ""),
         "names in __all__": (len(lfo.__all__), ""),
     }
