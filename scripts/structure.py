@@ -29,7 +29,7 @@ TERMS = ("terms", "sets", "costs", "spectrum")
 """Folders of problem/ whose classes are terms of a problem."""
 
 LIMITS = {
-    "lines": 39_900,
+    "lines": 38_300,
     "files in a folder": 17,
     "lines of a file": 402,
     "lines of a function": 60,

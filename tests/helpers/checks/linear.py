@@ -17,6 +17,8 @@ from lin_freq_ocp.testing.random_linear import random_linear
 
 ANSWERS = ("optimal", "locally_optimal")
 
+FIT = 0.1  # error of the multipliers of our point, relative to a difference that they are to explain
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -58,9 +60,9 @@ def check(seed: int) -> Outcome:
 def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: float, x: Array, u: Array) -> Outcome:
     """Return the outcome of two different costs: Clarabel is wrong where its own rules say so of its point.
 
-    Only where multipliers fit our point: then it is another optimum, and Clarabel's point is not the optimum if ours is
-    cheaper though its violations, by Clarabel's multipliers, are not worth it, or Clarabel's is cheaper, and its
-    violations, by the multipliers that fit our point, are.
+    Where ours is cheaper, its violations must be worth less than that, by Clarabel's multipliers. Where Clarabel's is
+    cheaper, its violations must be worth that, by multipliers that fit our point far better. Else ours must be another
+    optimum: multipliers fit it.
     """
     program, z = reference.program, np.concatenate([x.ravel(), u.ravel()])
     y, error = fitted(program, z)
@@ -69,7 +71,10 @@ def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: fl
         f"{'dearer' if excess > 0 else 'cheaper'} by {abs(excess):.1e}; violations here are worth {ours:.1e}, "
         f"Clarabel's {theirs:.1e}; multipliers fit here to {error:.1e}, there to {reference.error:.1e}"
     )
-    wrong = ours < -excess / 2 if excess < 0 else theirs > excess / 2
-    if error > AGREEMENT * scale:
+    if excess < 0:
+        wrong = ours < -excess / 2
+    else:
+        wrong = theirs > excess / 2 and error < FIT * excess
+    if not wrong and error > AGREEMENT * scale:
         return replace(outcome, words=words)
     return replace(outcome, theirs="not the optimum" if wrong else "another optimum", words=words)
