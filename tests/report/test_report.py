@@ -316,7 +316,7 @@ def test_a_trajectory_that_flies_off_does_not_squeeze_the_others():
     assert any("ends 0.813 m" in one.get_text() for one in position.texts)
 
 
-def test_view_keeps_hosts_and_near_guests():
+def test_view_keeps_trajectories_and_near_overlays():
     main, far, near = np.array([0.0, 1.0]), np.array([0.0, 9.0]), np.array([-0.4, 0.0])
     bounds = np.array([-np.inf, 1.5, 40.0])
     seen = view([main], [far], bounds)
@@ -464,7 +464,7 @@ def violated(comparison: Comparison) -> Certificate:
     return judge(comparison.problem, moved, result.multipliers)
 
 
-def test_what_fails_is_said():
+def test_failing_conditions_are_named():
     comparison = case("pendulum")
     certificate = violated(comparison)
     failing = [row for row in certificate_rows(comparison.problem, certificate) if not row.passed]
@@ -488,7 +488,7 @@ def draw_nothing():
     return tuple(replace(blank, name=name) for name in ("comparison", "states"))
 
 
-def test_a_solve_without_an_answer_is_said():
+def test_a_solve_without_an_answer_has_a_page():
     comparison = case("pendulum")
     result = replace(comparison.constrained, status="limit", message="time is up", trajectory=None, certificate=None)
     stopped = replace(comparison, constrained=result)
@@ -541,7 +541,7 @@ def test_terminal_tables_show_units_and_rows(name: str):
         assert all(f" {one.name} " in console.file.getvalue() for one in certificate.conditions)
 
 
-def test_problem_is_told_in_words():
+def test_problem_is_described():
     facts = dict(problem_facts(pendulum()))
     assert facts["horizon"] == "240 steps of 0.01 s (2.4 s)"
     assert facts["control: force [N]"] == "within ±5"
@@ -556,7 +556,7 @@ def test_problem_is_told_in_words():
     assert dict(problem_facts(reaching))[f"state: {STATES[1]}"] == "no bound; starts at 0; ends at least 0"
 
 
-def test_costs_are_told_term_by_term():
+def test_costs_are_described_term_by_term():
     problem = case("no band").problem
     everything = QuadraticCost(
         Q=np.diag([1.0, 2.0]), R=3.0, S=np.ones((2, 1)), q=[1, 1], r=[1], P=2.0, p=[0, 1], x_ref=[1, 0], u_ref=[0]

@@ -72,38 +72,34 @@ class ModeLegend:
     names: tuple[str, ...]
     whose: str
 
-    @property
-    def columns(self) -> int:
-        """Return how many names fit side by side."""
-        return max(1, int(LEGEND_WIDTH / self._entry)) if self.modes else 1
-
-    @property
-    def in_one_row(self) -> bool:
-        """Whether all fit into one row, with whose modes they are."""
-        return len(self.modes) * self._entry + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH
+    def _layout(self) -> tuple[int, bool]:
+        """Return how many names stand side by side, and whether all do, with whose modes they are."""
+        width = LEGEND_CHARACTER * max(map(len, self.names)) + 0.55
+        if len(self.modes) * width + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH:
+            return len(self.modes), True
+        return max(1, int(LEGEND_WIDTH / width)), False
 
     @property
     def height(self) -> float:
         """Return the inches that it takes."""
-        rows = 0 if not self.modes else 1 if self.in_one_row else 1 + ceil(len(self.modes) / self.columns)
-        return 0.24 * rows + (0.08 if rows else 0.0)
-
-    @property
-    def _entry(self) -> float:
-        return LEGEND_CHARACTER * max(map(len, self.names), default=0) + 0.55
+        if not self.modes:
+            return 0.0
+        columns, in_one_row = self._layout()
+        return 0.24 * (1 if in_one_row else 1 + ceil(len(self.modes) / columns)) + 0.08
 
     def draw(self, figure: Figure) -> None:
         """Put it below the panels."""
         if not self.modes:
             return
+        columns, in_one_row = self._layout()
         legend = figure.legend(
             handles=[Patch(**_look(mode)) for mode in self.modes],
             labels=["mode"] * len(self.modes),
-            title=None if self.in_one_row else plain(self.whose),
+            title=None if in_one_row else plain(self.whose),
             title_fontsize=LABEL_SIZE + 0.5,
             alignment="left",
             loc="outside lower left",
-            ncols=len(self.modes) if self.in_one_row else self.columns,
+            ncols=columns,
             frameon=False,
             fontsize=LABEL_SIZE + 0.5,
             labelcolor=INK,
@@ -112,7 +108,7 @@ class ModeLegend:
         )
         legend.get_title().set_color(INK)
         labels = list(self.names)
-        labels[-1] += f"   ({self.whose})" if self.in_one_row else ""
+        labels[-1] += f"   ({self.whose})" if in_one_row else ""
         for text, label in zip(legend.get_texts(), labels, strict=True):
             text.set_text(label)  # a label that begins with an underscore would be left out
 
