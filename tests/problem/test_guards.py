@@ -105,6 +105,7 @@ def test_signs_that_occur_beyond_the_sets_only_may_be_left_out_on_purpose():
         ({"H": [[1.0]]}, "guards.H", "expected shape (2, 1)"),
         ({"d": [1.0]}, "guards.d", "expected shape (2)"),
         ({"d": 1.0}, "guards.d", "shape ()"),
+        ({"G": np.zeros((3, 2, 2)), "d": np.zeros((4, 2))}, "guards.G", "3 times; expected 4"),
         ({"G": [[1.0, 0.0], [0.0, "a"]]}, "guards.G", "numbers"),
         ({"G": np.zeros((0, 2)), "modes": {"": (A, B)}, "d": None}, "guards.G", "shape (0, 2)"),
     ],

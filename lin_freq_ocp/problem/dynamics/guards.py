@@ -113,6 +113,12 @@ def _guards(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, n: in
             advice = "A single guard is a matrix with one row: [[g_1, g_2, ...]]." if field != "d" else ""
             wanted = f"shape ({right}), one row per guard, or (T, {right}) with one per time"
             raise ProblemError(f"guards.{field}", f"shape {array.shape}", wanted, advice)
+    times = {field: len(array) for field, array in given.items() if array.ndim > len(expected[field])}
+    for field, T in times.items():
+        if T != max(times.values()):
+            raise ProblemError(
+                f"guards.{field}", f"{T} times", f"{max(times.values())}, as many as the longest of G, H, d"
+            )
     return _Guards(*(given.get(field, np.zeros(shape)) for field, shape in expected.items()))
 
 
