@@ -89,14 +89,13 @@ def with_rows(matrices: Array, rows: Array) -> Array:
     return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
 
 
-LARGEST = 10**8
-"""Longest horizon: its arrays would fill a large machine; anything above is a slip of the pen."""
+LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
 
 
 def positive_integer(field: str, value: Any) -> int:
     """Require a whole number of at least 1."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= LARGEST:
-        raise ProblemError(field, brief(value), f"a whole number from 1 to {LARGEST}")
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= LARGEST_HORIZON:
+        raise ProblemError(field, brief(value), f"a whole number from 1 to {LARGEST_HORIZON}")
     return int(value)
 
 

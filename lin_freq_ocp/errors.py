@@ -53,7 +53,7 @@ class ProblemError(LinFreqOCPError, ValueError):
         super().__init__(f"{field}: got {got}; expected {expected}." + (f" {advice}" if advice else ""))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes an equal error in another process: pickle would call the class with the message alone."""
+        """Return the arguments of an equal error: pickle would call the class with the message alone."""
         return type(self), (self.field, self.got, self.expected, self.advice), self.__dict__
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-MOST_ROWS = 24
-"""Rows of a table; of more, the number of those left out."""
-
+MOST_TABLE_ROWS = 24  # a table says how many more there are
 LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap"
 VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
 
@@ -15,7 +13,7 @@ VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
 def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
     """Return a table of terms and values under a title."""
     given = list(rows)
-    shown = given[:MOST_ROWS]
+    shown = given[:MOST_TABLE_ROWS]
     if len(given) > len(shown):
         shown.append(("\N{HORIZONTAL ELLIPSIS}", f"{len(given) - len(shown)} more"))
     body = "".join(

@@ -1,4 +1,4 @@
-"""How much memory may be used: large arrays are refused in words before they are allocated."""
+"""How much memory may be used: large arrays are refused before they are allocated."""
 
 from __future__ import annotations
 
@@ -8,16 +8,10 @@ from pathlib import Path
 
 from lin_freq_ocp.errors import UnsupportedError
 
-SHARE = 0.5
-"""Part of the memory that one solve may take: estimates are good to a factor of two, and other programs need some."""
-
-GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
-"""Where Linux says what a container may use."""
-
+SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
+GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
 GIB = 2.0**30
-
-NUMBERS_PER_SIGNAL = 16
-"""Numbers per component and time that a problem and one trajectory with multipliers are made of."""
+NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory with multipliers
 
 
 def memory_limit() -> float:
@@ -29,17 +23,7 @@ def memory_limit() -> float:
 
 
 def require_memory(what: str, size: float, advice: str) -> None:
-    """Raise UnsupportedError if something is estimated to take more memory than one solve may.
-
-    Parameters
-    ----------
-    what : str
-        What would be allocated, as the beginning of a sentence.
-    size : float
-        Bytes.
-    advice : str
-        What to do instead.
-    """
+    """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
     limit = memory_limit()
     if size > limit:
         raise UnsupportedError(

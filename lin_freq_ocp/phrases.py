@@ -12,16 +12,10 @@ from lin_freq_ocp.arrays import NO_BOUND, Array
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 
-SMALL, LARGE = 1e-3, 1e6
-"""Numbers outside this range are written with a power of ten."""
-
-NOTHING = "\N{EN DASH}"
-"""What stands where there is no number."""
-
+SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
+NOTHING = "\N{EN DASH}"  # in place of a missing number
 AT_MOST = "\N{LESS-THAN OR EQUAL TO}"
-
-MOST_ENTRIES, MOST_ROWS, MOST_TEXT = 6, 3, 150
-"""A longer vector, more rows or a longer text is described by its size."""
+MOST_ENTRIES, MOST_ROWS, MOST_TEXT = 6, 3, 150  # a longer vector, more rows or a longer text is described by its size
 
 
 def number(value: float | None, digits: int = 5) -> str:

@@ -9,8 +9,7 @@ import threading
 from pathlib import PurePath
 from typing import Any
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+INTERRUPTED = 130  # exit status after Ctrl-C, as of shells
 
 
 def leave(number: int, frame: Any) -> None:

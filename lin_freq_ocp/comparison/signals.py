@@ -10,7 +10,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, stacked
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
@@ -160,7 +160,7 @@ def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
 
 def state_bounds(problem: OptimalControlProblem) -> Box:
     """Return the state set of each time without the ends, bounds of shape (T+1, n)."""
-    return stacked("state_set", problem.state_set, problem.state_dim, problem.horizon + 1)
+    return problem.state_boxes
 
 
 def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:

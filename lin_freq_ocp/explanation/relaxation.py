@@ -15,7 +15,7 @@ import numpy as np
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.explanation.blocks import ENDS, Block, hard_only, kept_stopped, relaxed
-from lin_freq_ocp.problem.augmented import FurtherStates, extended
+from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -100,7 +100,7 @@ def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible
 def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
     """Return the problem of the least delta >= 0, its last state, by which the block is relaxed."""
     m, T = problem.control_dim, problem.horizon
-    delta = FurtherStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
+    delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
     base = replace(
         hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
     )

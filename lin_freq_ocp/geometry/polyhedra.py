@@ -15,53 +15,28 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 
-TOLERANCE = 1e-10
-"""Of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii that are asked for."""
-
+TOLERANCE = 1e-10  # of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii below
+# A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers satisfy rows to
+# 1e-8 or so, and within that a point is on both sides.
 THICKNESS = 1e-7
-"""A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers meet rows to 1e-8
-or so, and within that a point is on both sides."""
-
+# Largest difference of two rows, of length 1 in natural units, that are the same hyperplane: more than what counts as
+# no gap, so that regions without a gap between them share a facet.
 SAME_FACET = 4 * THICKNESS
-"""Largest difference of two rows, of length 1 in natural units, that are one and the same hyperplane: more than what
-counts as no gap, so that regions without a gap between them have a border."""
-
-EASY_RADIUS = 0.05
-"""A ball of this radius is looked for by a few projections before a linear program is asked for the largest."""
-
-PROJECTIONS, OVERSHOOT = 12, 1.2
-"""Their number, and their length: a little beyond the row, so that two rows at an acute angle take few."""
-
-LARGEST_BALL = 1.0
-"""No larger one is looked for: in an unbounded polyhedron there is no largest."""
-
-SMALLEST_PIECE = 1e-10
-"""Radius of the largest ball of a piece of a function, in natural units, from which it has an interior: the radius is
-this exact."""
-
-SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)
-"""Affine functions whose coefficients differ by less, relative to their sizes, are the same: rounding."""
-
-FLAT = 1e-9
-"""A row whose normal, or the part of it that counts, is shorter than this has no direction: rounding."""
-
-OPTIMAL, INFEASIBLE = 0, 2
-"""Statuses of ``linprog``."""
+EASY_RADIUS = 0.05  # a ball of this radius is sought by projections before a linear program finds the largest
+PROJECTIONS, OVERSHOOT = 12, 1.2  # number and length: a little beyond the row, for rows at an acute angle
+LARGEST_BALL = 1.0  # the largest radius sought: in an unbounded polyhedron there is no largest
+SMALLEST_PIECE = 1e-10  # radius of the largest ball, in natural units, from which a piece has an interior
+SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)  # relative difference of coefficients that is rounding
+FLAT = 1e-9  # a row whose normal, or the part of it that counts, is shorter has no direction: rounding
+OPTIMAL, INFEASIBLE = 0, 2  # statuses of ``linprog``
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """{y : normals y <= limits}.
+    """{y : normals y <= limits}."""
 
-    Attributes
-    ----------
-    normals : (rows, d)
-        Of length 1.
-    limits : (rows,)
-    """
-
-    normals: Array
-    limits: Array
+    normals: Array  # (rows, d), of length 1
+    limits: Array  # (rows,)
 
     def __and__(self, other: Cell) -> Cell:
         return Cell(np.vstack([self.normals, other.normals]), np.append(self.limits, other.limits))
@@ -126,20 +101,8 @@ def ball_centre(
 ) -> Array | None:
     """Return the centre y of the largest ball, normals y + radius * radii <= limits, if its radius is above thickness.
 
-    Parameters
-    ----------
-    normals : (rows, d), limits : (rows,)
-    radii : (rows,)
-        How fast a ball grows towards each row: 1 for a row of length 1, less for a ball in a plane, 0 (below ``FLAT``)
-        for a row that only its centre must keep, within ``thickness``.
-    thickness : float
-    plane : (normal, limit), optional
-        The centre lies in normal'y = limit.
-
-    Raises
-    ------
-    NumericalError
-        If the solver cannot tell.
+    ``radii``, (rows,), are 1 for rows of length 1, less for a ball in a plane, and 0 (below ``FLAT``) for a row that
+    only the centre must satisfy, within ``thickness``. With a ``plane`` (normal, limit), the centre lies in it.
     """
     grows = radii > FLAT
     rows = np.column_stack([normals, np.where(grows, radii, 0.0)])
@@ -148,8 +111,8 @@ def ball_centre(
     def holds(y: Array) -> bool:
         slack = right - normals @ y
         free = (slack[grows] / radii[grows]).min(initial=LARGEST_BALL) > thickness
-        there = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
-        return bool(np.isfinite(y).all() and free and there and (slack[~grows] >= 0).all())
+        in_plane = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
+        return bool(np.isfinite(y).all() and free and in_plane and (slack[~grows] >= 0).all())
 
     y = _projected(normals, right - EASY_RADIUS * rows[:, -1], plane)
     if y is not None and EASY_RADIUS > thickness and holds(y):
@@ -294,22 +257,11 @@ def irredundant(cell: Cell, thickness: float) -> Indices:
 
 
 def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:
-    """Return a unit for each component, from the rows matrix v <= limits and the half widths of its bounds.
+    """Return a unit for each component, (d,), from the rows matrix v <= limits and the half widths of its bounds.
 
-    Parameters
-    ----------
-    matrix : (rows, d), limits : (rows,)
-        Finite; v counts from the middle of its bounds.
-    half_widths : (d,)
-        inf without bounds, 0 where a component is fixed.
-    least : float
-        What reaches less far than this part of the half width says no size: it may be rounding.
-
-    Returns
-    -------
-    (d,)
-        How far the rows reach along a component, if that is less than its half width, or if it has none: there they
-        cross it, the others being as large as they are. 1 if nothing says a size.
+    v counts from the middle of its bounds; half widths are inf without bounds, 0 where a component is fixed. The unit
+    is how far the rows reach along a component, where that is less than its half width (but not less than the part
+    ``least`` of it, which may be rounding) or there is none; else the half width, or 1.
     """
     coefficients = np.abs(matrix)
     bounded = np.isfinite(half_widths) & (half_widths > 0)

@@ -1,10 +1,9 @@
-"""Problems with further states beside their own: what a constraint must remember becomes a state."""
+"""Problems with states added to their own: the memory of a constraint becomes a state."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,36 +18,26 @@ from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
 @dataclass(frozen=True, eq=False)
-class FurtherStates:
-    """States w of w_{t+1} = A w_t + B u_t, without cost.
+class AddedStates:
+    """States w of w_{t+1} = A w_t + B u_t, without cost."""
 
-    Attributes
-    ----------
-    A : (k, k), B : (k, m)
-    initial : Box
-        Of w_0, bounds (k,).
-    lower : (k,)
-        Of w_t, at all times.
-    names : sequence of str
-    """
-
-    A: Array
-    B: Array
-    initial: Box
-    lower: Array
+    A: Array  # (k, k)
+    B: Array  # (k, m)
+    initial: Box  # of w_0, bounds (k,)
+    lower: Array  # (k,), of w_t at all times
     names: Sequence[str]
 
 
-def extended(problem: OptimalControlProblem, further: FurtherStates) -> OptimalControlProblem:
+def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    k = len(further.A)
+    k = len(added.A)
     free = np.full(k, np.inf)
     return replace(
         problem,
-        dynamics=problem.dynamics.augmented(further.A, further.B, further.names),
+        dynamics=problem.dynamics.augmented(added.A, added.B, added.names),
         cost=_wider_cost(problem, k),
-        state_set=_wider_state_set(problem, further.lower),
-        initial_state=_with_box(problem.initial_state, problem.initial_box, further.initial),
+        state_set=_wider_state_set(problem, added.lower),
+        initial_state=_with_box(problem.initial_state, problem.initial_box, added.initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
             *bands_of(problem.state_stop),
@@ -77,19 +66,17 @@ def _wider_cost(problem: OptimalControlProblem, k: int) -> CostSum:
     return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
 
 
-def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> Any:
-    given, k = problem.state_set, len(lower)
-    if isinstance(given, (list, tuple)):
-        bounds = Box(lower, np.full(k, np.inf))
-        return [_with_box(one, problem.state_boxes.at(t), bounds) for t, one in enumerate(given)]
-    boxes, T = problem.state_boxes, problem.horizon
-    shape = T + 1, k
-    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.full(shape, np.inf)))
+def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> ConvexSet | list[ConvexSet]:
+    given, boxes, upper = problem.state_set, problem.state_boxes, np.full(len(lower), np.inf)
+    if given is not None and not isinstance(given, ConvexSet):
+        return [_with_box(one, boxes.at(t), Box(lower, upper)) for t, one in enumerate(given)]
+    shape = problem.horizon + 1, len(lower)
+    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)))
 
 
-def _with_box(given: ConvexSet | None, bounds: Box, further: Box) -> ConvexSet:
-    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the further ones."""
-    box = Box(np.hstack([bounds.lower, further.lower]), np.hstack([bounds.upper, further.upper]))
-    n, k = bounds.lower.shape[-1], further.lower.shape[-1]
+def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
+    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the added ones."""
+    box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
+    n, k = bounds.lower.shape[-1], added.lower.shape[-1]
     members = () if given is None else given.members
     return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box

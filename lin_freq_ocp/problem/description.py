@@ -1,4 +1,4 @@
-"""A problem in words: every part describes itself, and here they are put together."""
+"""The description of a problem, from those of its parts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
 
-LONGEST = 300
-"""Characters of a fact: what is longer, as names of any length make it, is cut off."""
-
-Fact = tuple[str, str]
-"""A term, and what it is."""
+LONGEST = 300  # characters of a fact; names of any length could make it longer
+Fact = tuple[str, str]  # a term, and its description
 
 
 def problem_facts(problem: ProblemData) -> list[Fact]:
-    """Return the problem in words, as pairs of a term and what it is; one term may stand more than once."""
+    """Return the description of a problem as pairs of a term and its text; a term may occur more than once."""
     facts = [
         ("horizon", _horizon(problem)),
         *_cost(problem),

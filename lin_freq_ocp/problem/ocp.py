@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
@@ -16,26 +16,28 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.html import html_table
 from lin_freq_ocp.memory import require_horizon
 from lin_freq_ocp.phrases import plural
-from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import Cost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
+from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
-from lin_freq_ocp.problem.sets.box import Box, box_of, end_set, end_within, stacked
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
 from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
-from lin_freq_ocp.problem.spectrum.bands import stopped_bins
-from lin_freq_ocp.problem.terms.stage_rows import row_families
+from lin_freq_ocp.problem.spectrum.base import Constraints
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 Kind = TypeVar("Kind", bound=Dynamics)
 
 
-@dataclass(frozen=True, eq=False)
-class OptimalControlProblem:
+class OptimalControlProblem(ProblemData):
     """Minimise a cost over x_{t+1} = f_t(x_t, u_t), with x_t in X_t, u_t in U_t, and DFT bins of x and u set to zero.
 
     Parameters
@@ -88,45 +90,54 @@ class OptimalControlProblem:
         The linear dynamics along a trajectory.
     """
 
-    dynamics: Dynamics
-    horizon: int
-    cost: Cost
-    control_set: Any = None
-    state_set: Any = None
-    initial_state: Any = None
-    terminal_state: Any = None
-    control_spectrum: Any = None
-    state_spectrum: Any = None
-    stage_rows: Any = None
-    output_spectrum: Any = None
-    name: str = ""
-
-    def __post_init__(self):
-        set_field = object.__setattr__
-        if not isinstance(self.dynamics, Dynamics):
-            raise ProblemError(
-                "dynamics",
-                brief(self.dynamics),
-                "LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics",
-                "From python-control: LinearDynamics.from_statespace.",
-            )
-        if not isinstance(self.cost, Cost):
-            raise ProblemError("cost", brief(self.cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
-        printable("name", self.name)
-        set_field(self, "horizon", positive_integer("horizon", self.horizon))
-        self.dynamics.require_horizon(self.horizon)
-        n, m, T = self.state_dim, self.control_dim, self.horizon
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        horizon: int,
+        cost: Cost,
+        control_set: SetOrSets = None,
+        state_set: SetOrSets = None,
+        initial_state: ConvexSet | ArrayLike | None = None,
+        terminal_state: ConvexSet | ArrayLike | None = None,
+        control_spectrum: Constraints = None,
+        state_spectrum: Constraints = None,
+        stage_rows: StageRows | Sequence[StageRows] | None = None,
+        output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None = None,
+        name: str = "",
+    ):
+        if not isinstance(dynamics, Dynamics):
+            expected = "LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics"
+            advice = "From python-control: LinearDynamics.from_statespace."
+            raise ProblemError("dynamics", brief(dynamics), expected, advice)
+        if not isinstance(cost, Cost):
+            raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+        printable("name", name)
+        n, m, T = dynamics.state_dim, dynamics.control_dim, positive_integer("horizon", horizon)
+        dynamics.require_horizon(T)
         require_horizon(T, n, m)
-        set_field(self, "cost", self.cost.at_dimensions(n, m, T))
-        set_field(self, "initial_state", end_set("initial_state", self.initial_state, n))
-        set_field(self, "terminal_state", end_set("terminal_state", self.terminal_state, n))
-        set_field(self, "stage_rows", row_families(self.stage_rows, n, m, T))
-        _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # validated, kept for later
-        if self.dynamics.mode_names:
-            self.dynamics.require_sets(self._stage_sets)
+        assign(
+            self,
+            dynamics=dynamics,
+            horizon=T,
+            cost=cost.at_dimensions(n, m, T),
+            control_set=control_set,
+            state_set=state_set,
+            initial_state=end_set("initial_state", initial_state, n),
+            terminal_state=end_set("terminal_state", terminal_state, n),
+            control_spectrum=control_spectrum,
+            state_spectrum=state_spectrum,
+            stage_rows=row_families(stage_rows, n, m, T),
+            output_spectrum=output_spectrum,
+            name=name,
+        )
+        _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked and cached
+        if dynamics.mode_names:
+            dynamics.require_sets(self._stage_sets)
 
-    def with_ends(self, initial_state: Any = None, terminal_state: Any = None) -> OptimalControlProblem:
-        """Return the same problem with other ends; nothing else is looked at again.
+    def with_ends(
+        self, initial_state: ConvexSet | ArrayLike | None = None, terminal_state: ConvexSet | ArrayLike | None = None
+    ) -> OptimalControlProblem:
+        """Return the same problem with other ends; nothing else is checked again.
 
         Parameters
         ----------
@@ -148,9 +159,7 @@ class OptimalControlProblem:
         problem.__dict__.pop("state_tube", None)
         boxes = not problem.initial_state.members and not problem.terminal_state.members
         outside = any(beyond.any() for _, beyond in ends)
-        if (
-            not boxes or outside or any(term.kind == TermKind.STATE_SET for term in self.terms)
-        ):  # what else there is knows no ends
+        if not boxes or outside or any(term.kind == TermKind.STATE_SET for term in self.terms):  # other terms: no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem
@@ -191,7 +200,7 @@ class OptimalControlProblem:
         problem.__dict__["borders"] = ()  # smooth pieces meet continuously
         return problem
 
-    def with_modes(self, sequence: Any) -> OptimalControlProblem:
+    def with_modes(self, sequence: ArrayLike) -> OptimalControlProblem:
         """Return the linear problem of one mode sequence: its maps, and the rows of its regions as stage rows.
 
         Parameters
@@ -223,41 +232,6 @@ class OptimalControlProblem:
     def _stage_sets(self) -> StageSets:
         return stage_sets(self.state_boxes, self.control_tube, self.state_tube, self.terms)
 
-    @property
-    def state_dim(self) -> int:
-        """Return n."""
-        return self.dynamics.state_dim
-
-    @property
-    def control_dim(self) -> int:
-        """Return m."""
-        return self.dynamics.control_dim
-
-    @property
-    def sampling_time(self) -> float | None:
-        """Return the seconds per step, if given."""
-        return self.dynamics.sampling_time
-
-    @property
-    def times(self) -> Array:
-        """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
-        return np.arange(self.horizon + 1, dtype=np.float64) * (self.sampling_time or 1.0)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Return the names of the state components, with units."""
-        return self.dynamics.state_names
-
-    @property
-    def control_names(self) -> tuple[str, ...]:
-        """Return the names of the control components, with units."""
-        return self.dynamics.control_names
-
-    @property
-    def quadratic(self) -> QuadraticCost:
-        """Return the quadratic part of the cost."""
-        return self.cost.quadratic
-
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Everything beyond the quadratic cost, boxes and stop bands: constraints, soft ones, and nonsmooth costs."""
@@ -266,68 +240,6 @@ class OptimalControlProblem:
     def value(self, x: Array, u: Array) -> float:
         """Return J: the quadratic cost, the nonsmooth ones, and the penalties of soft constraints."""
         return float(self.quadratic.value(x, u) + sum(term.cost(x, u).sum() for term in self.terms))
-
-    @property
-    def initial_box(self) -> Box:
-        """Return the bounds of the initial set."""
-        return box_of(self.initial_state).at_dimension(self.state_dim, "initial_state")
-
-    @property
-    def terminal_box(self) -> Box:
-        """Return the bounds of the terminal set."""
-        return box_of(self.terminal_state).at_dimension(self.state_dim, "terminal_state")
-
-    @property
-    def fixed_ends(self) -> dict[int, Array]:
-        """Return the states at the ends where they are single points."""
-        times = (0, self.horizon)
-        return {t: end.lower for t, end in zip(times, self.ends, strict=True) if end.fixed.all()}
-
-    @cached_property
-    def state_boxes(self) -> Box:
-        """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
-        return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
-
-    @property
-    def ends(self) -> tuple[Box, Box]:
-        """Return the bounds of X_0 and X_T, (n,): of the initial and the terminal set, within those of their times."""
-        return self.met_ends[0][0], self.met_ends[1][0]
-
-    @cached_property
-    def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
-        """The bounds of both ends, and in which components, (n,), no point of an end is in the state set of its time.
-
-        There the bounds are those of the end, and the bounds of the state set are terms.
-        """
-        boxes = self.state_boxes
-        return end_within(self.initial_box, boxes.at(0)), end_within(self.terminal_box, boxes.at(-1))
-
-    @cached_property
-    def state_tube(self) -> Box:
-        """X_0 .. X_T, bounds of shape (T+1, n): the state set of each time, with the initial and terminal sets."""
-        lower, upper = self.state_boxes.lower.copy(), self.state_boxes.upper.copy()
-        for t, end in zip((0, -1), self.ends, strict=True):
-            lower[t], upper[t] = end.lower, end.upper
-        return Box(lower, upper)
-
-    @cached_property
-    def control_tube(self) -> Box:
-        """U_0 .. U_{T-1}, bounds of shape (T, m)."""
-        return stacked("control_set", self.control_set, self.control_dim, self.horizon)
-
-    @cached_property
-    def control_stop(self) -> Mask:
-        """Which bins are removed from which control: shape (T//2 + 1, m)."""
-        return stopped_bins(
-            "control_spectrum", self.control_spectrum, self.horizon, self.control_names, self.sampling_time
-        )
-
-    @cached_property
-    def state_stop(self) -> Mask:
-        """Which bins are removed from which state: shape ((T+1)//2 + 1, n)."""
-        return stopped_bins(
-            "state_spectrum", self.state_spectrum, self.horizon + 1, self.state_names, self.sampling_time
-        )
 
     @cached_property
     def control_band(self) -> Mask:
@@ -343,12 +255,8 @@ class OptimalControlProblem:
         """Raise ProblemError unless the trajectory has this problem's shape."""
         expected = (self.horizon + 1, self.state_dim), (self.horizon, self.control_dim)
         if (trajectory.x.shape, trajectory.u.shape) != expected:
-            raise ProblemError(
-                "trajectory",
-                f"x {trajectory.x.shape}, u {trajectory.u.shape}",
-                f"x {expected[0]}, u {expected[1]}",
-                "Time is axis 0.",
-            )
+            got = f"x {trajectory.x.shape}, u {trajectory.u.shape}"
+            raise ProblemError("trajectory", got, f"x {expected[0]}, u {expected[1]}", "Time is axis 0.")
 
     def __str__(self) -> str:
         stops = int(self.control_stop.sum()), int(self.state_stop.sum())
@@ -379,7 +287,7 @@ def _in_form(dynamics: Dynamics, kind: type[Kind], advice: str = "") -> Kind:
     raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 
-def require_problem(problem: Any) -> None:
+def require_problem(problem: object) -> None:
     """Raise ProblemError unless it is an optimal control problem."""
     if not isinstance(problem, OptimalControlProblem):
         raise ProblemError("problem", brief(problem), "an OptimalControlProblem", "Of a file: lfo.read_problem(path).")

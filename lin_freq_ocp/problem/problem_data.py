@@ -1,65 +1,132 @@
-# ruff: noqa: D102
-"""The data of a problem, as its terms and its description read them."""
+"""The fields of a problem, and what follows from them without its terms."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+
+import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of, end_within, stacked
+from lin_freq_ocp.problem.spectrum.bands import stopped_bins
+from lin_freq_ocp.problem.spectrum.base import Constraints
+from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
-class ProblemData(Protocol):
-    """What ``OptimalControlProblem`` offers to the modules below it; see there."""
+@dataclass(frozen=True, eq=False, init=False)
+class ProblemData:
+    """The fields of ``OptimalControlProblem``, with names, dimensions, bounds and stopped bins."""
+
+    dynamics: Dynamics
+    horizon: int
+    cost: Cost
+    control_set: SetOrSets
+    state_set: SetOrSets
+    initial_state: ConvexSet
+    terminal_state: ConvexSet
+    control_spectrum: Constraints
+    state_spectrum: Constraints
+    stage_rows: tuple[StageRows, ...]
+    output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
+    name: str
 
     @property
-    def horizon(self) -> int: ...
+    def state_dim(self) -> int:
+        """Return n."""
+        return self.dynamics.state_dim
+
     @property
-    def sampling_time(self) -> float | None: ...
+    def control_dim(self) -> int:
+        """Return m."""
+        return self.dynamics.control_dim
+
     @property
-    def state_dim(self) -> int: ...
+    def sampling_time(self) -> float | None:
+        """Return the seconds per step, if given."""
+        return self.dynamics.sampling_time
+
     @property
-    def control_dim(self) -> int: ...
+    def times(self) -> Array:
+        """Return the times of the states, (T+1,): in seconds with a sampling time, else in steps."""
+        return np.arange(self.horizon + 1, dtype=np.float64) * (self.sampling_time or 1.0)
+
     @property
-    def state_names(self) -> tuple[str, ...]: ...
+    def state_names(self) -> tuple[str, ...]:
+        """Return the names of the state components, with units."""
+        return self.dynamics.state_names
+
     @property
-    def control_names(self) -> tuple[str, ...]: ...
+    def control_names(self) -> tuple[str, ...]:
+        """Return the names of the control components, with units."""
+        return self.dynamics.control_names
+
     @property
-    def dynamics(self) -> Dynamics: ...
+    def quadratic(self) -> QuadraticCost:
+        """Return the quadratic part of the cost."""
+        return self.cost.quadratic
+
     @property
-    def cost(self) -> Cost: ...
+    def initial_box(self) -> Box:
+        """Return the bounds of the initial set."""
+        return box_of(self.initial_state).at_dimension(self.state_dim, "initial_state")
+
     @property
-    def quadratic(self) -> QuadraticCost: ...
+    def terminal_box(self) -> Box:
+        """Return the bounds of the terminal set."""
+        return box_of(self.terminal_state).at_dimension(self.state_dim, "terminal_state")
+
     @property
-    def state_set(self) -> Any: ...
-    @property
-    def control_set(self) -> Any: ...
-    @property
-    def initial_state(self) -> ConvexSet: ...
-    @property
-    def terminal_state(self) -> ConvexSet: ...
-    @property
-    def initial_box(self) -> Box: ...
-    @property
-    def terminal_box(self) -> Box: ...
+    def fixed_ends(self) -> dict[int, Array]:
+        """Return the states at the ends where they are single points."""
+        times = (0, self.horizon)
+        return {t: end.lower for t, end in zip(times, self.ends, strict=True) if end.fixed.all()}
+
     @cached_property
-    def state_boxes(self) -> Box: ...
+    def state_boxes(self) -> Box:
+        """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
+        return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
+
+    @property
+    def ends(self) -> tuple[Box, Box]:
+        """Return the bounds of X_0 and X_T, (n,): of the initial and the terminal set, within those of their times."""
+        return self.met_ends[0][0], self.met_ends[1][0]
+
     @cached_property
-    def control_tube(self) -> Box: ...
+    def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
+        """The bounds of both ends, and in which components, (n,), no point of an end is in the state set of its time.
+
+        There the bounds are those of the end, and the bounds of the state set are terms.
+        """
+        boxes = self.state_boxes
+        return end_within(self.initial_box, boxes.at(0)), end_within(self.terminal_box, boxes.at(-1))
+
     @cached_property
-    def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]: ...
-    @property
-    def fixed_ends(self) -> dict[int, Array]: ...
-    @property
-    def stage_rows(self) -> tuple[StageRows, ...]: ...
-    @property
-    def state_spectrum(self) -> Any: ...
-    @property
-    def control_spectrum(self) -> Any: ...
-    @property
-    def output_spectrum(self) -> Any: ...
+    def state_tube(self) -> Box:
+        """X_0 .. X_T, bounds of shape (T+1, n): the state set of each time, with the initial and terminal sets."""
+        lower, upper = self.state_boxes.lower.copy(), self.state_boxes.upper.copy()
+        for t, end in zip((0, -1), self.ends, strict=True):
+            lower[t], upper[t] = end.lower, end.upper
+        return Box(lower, upper)
+
+    @cached_property
+    def control_tube(self) -> Box:
+        """U_0 .. U_{T-1}, bounds of shape (T, m)."""
+        return stacked("control_set", self.control_set, self.control_dim, self.horizon)
+
+    @cached_property
+    def control_stop(self) -> Mask:
+        """Which bins are removed from which control: shape (T//2 + 1, m)."""
+        constraints, names = self.control_spectrum, self.control_names
+        return stopped_bins("control_spectrum", constraints, self.horizon, names, self.sampling_time)
+
+    @cached_property
+    def state_stop(self) -> Mask:
+        """Which bins are removed from which state: shape ((T+1)//2 + 1, n)."""
+        constraints, names = self.state_spectrum, self.state_names
+        return stopped_bins("state_spectrum", constraints, self.horizon + 1, names, self.sampling_time)

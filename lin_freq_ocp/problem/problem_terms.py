@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from lin_freq_ocp.arrays import Array, Indices, Mask, brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.base import Part
-from lin_freq_ocp.problem.sets.box import END_TOLERANCE
-from lin_freq_ocp.problem.spectrum.base import Signal, entries_of
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE, SetOrSets
+from lin_freq_ocp.problem.spectrum.base import Constraints, Signal, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
@@ -46,24 +45,12 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     return uniquely_named([*found, *problem.cost.terms(n, m, T)])
 
 
-def set_terms(field: str, given: Any, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
-    """Return the terms of the sets of one signal beyond their boxes.
+def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
+    """Return the terms of the sets of one signal, of one field of the problem, beyond their boxes.
 
-    Parameters
-    ----------
-    field : str
-        Field of the problem.
-    given : set, sequence of sets (one per time), or None
-    times : times that the set or sets hold at
-    fixed : mapping from time to value
-        Where the signal is fixed: there a hard set is made a constraint only if the value lies outside.
-
-    Raises
-    ------
-    ProblemError
-        If a dimension does not fit.
+    Where the signal is ``fixed`` (time to value), a hard set is made a constraint only if the value lies outside.
     """
-    per_time = isinstance(given, (list, tuple))
+    per_time = isinstance(given, Sequence)
     sets = given if per_time else [given] * len(times)
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
     parts_of: dict[int, tuple[Part, ...]] = {}
@@ -111,7 +98,7 @@ def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
     ]
 
 
-def spectrum_terms(field: str, given: Any, signal: Signal) -> Iterator[Term]:
+def spectrum_terms(field: str, given: Constraints, signal: Signal) -> Iterator[Term]:
     """Yield the terms of the frequency constraints of states or controls beyond stop bands."""
     for i, one in enumerate(entries_of(given)):
         yield from one.terms(signal, f"{field}[{i}]" if one is not given else field, (field, i))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Bound, brief, one_component, real_array
+from lin_freq_ocp.arrays import Array, Bound, brief, one_component, real_array
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.augmented import FurtherStates, extended
+from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
-NAME = "rate limit"
+NAME = "rate limit"  # of the added rows
 
 
 def rate_limited(
@@ -60,8 +59,8 @@ def rate_limited(
         np.full((2, k), [[-np.inf], [np.inf]]) if previous is None else np.tile(_previous(previous, m)[limited], (2, 1))
     )
     names = [f"{problem.control_names[j]} before" for j in limited]
-    further = FurtherStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
-    remembering = extended(problem, further)
+    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    remembering = extended(problem, added)
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -72,7 +71,7 @@ def rate_limited(
     return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
 
 
-def _limits(limit: Any, m: int) -> np.ndarray:
+def _limits(limit: Bound, m: int) -> Array:
     given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
     limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
     if limits.shape not in ((), (m,)) or (limits < 0).any():
@@ -82,7 +81,7 @@ def _limits(limit: Any, m: int) -> np.ndarray:
     return np.broadcast_to(limits, m)
 
 
-def _previous(previous: ArrayLike, m: int) -> np.ndarray:
+def _previous(previous: ArrayLike, m: int) -> Array:
     before = one_component(real_array("previous", previous), m)
     if before.shape != (m,):
         raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import one_component, real_array
 from lin_freq_ocp.errors import NumericalError, ProblemError
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
-def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) -> Trajectory:
+def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayLike | None = None) -> Trajectory:
     """Return the trajectory of the controls u from the initial state, by the dynamics alone.
 
     Parameters
@@ -49,9 +50,8 @@ def simulate(problem: OptimalControlProblem, u: Any, initial_state: Any = None) 
         raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
     if initial_state is None:
         if not problem.initial_box.fixed.all():
-            raise ProblemError(
-                "initial_state", "None, for a problem whose initial state is not one point", "a state to start from"
-            )
+            got = "None, for a problem whose initial state is not one point"
+            raise ProblemError("initial_state", got, "a state to start from")
         initial_state = problem.initial_box.lower
     start = one_component(real_array("initial_state", initial_state), n)
     if start.shape != (n,):

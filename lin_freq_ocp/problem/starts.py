@@ -1,4 +1,4 @@
-"""Where a search over modes begins: a trajectory, controls, or a mode sequence that somebody already has."""
+"""The start of a search over modes: a given trajectory, controls, or mode sequence."""
 
 from __future__ import annotations
 
@@ -19,18 +19,10 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A start of a search over modes.
+    """A start of a search over modes."""
 
-    Attributes
-    ----------
-    sequence : (T,)
-        The modes that the trajectory lies in, or those given.
-    trajectory : Trajectory or None
-        None where only modes are given.
-    """
-
-    sequence: Indices
-    trajectory: Trajectory | None
+    sequence: Indices  # (T,): the modes of the trajectory, or those given
+    trajectory: Trajectory | None  # None where only modes are given
 
     @property
     def saved(self) -> Any:
@@ -41,21 +33,10 @@ class Start:
 
 
 def start_of(problem: OptimalControlProblem, given: Any) -> Start:
-    """Return what a search begins with.
+    """Return the start of a search.
 
-    Parameters
-    ----------
-    problem : OptimalControlProblem
-    given : Trajectory, mapping with x and u, (T, m) or (T,) integers
-        A trajectory, also that of a result; controls, which are replayed from the initial state; or the mode at every
-        time.
-
-    Raises
-    ------
-    ProblemError
-        Naming ``start``, if it is none of these, or does not fit the problem.
-    UnsupportedError
-        If the dynamics are linear.
+    ``given`` is a trajectory, also that of a result or a table of x and u; controls (T, m), which are replayed from
+    the initial state; or the mode at every time, (T,) integers.
     """
     if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")

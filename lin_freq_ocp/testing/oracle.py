@@ -113,9 +113,10 @@ def _add_bounds(problem: lfo.OptimalControlProblem, equations: _Rows, limits: _R
             limits.add(i, -1.0, -lower[i])
 
 
-def _bounds(box: lfo.Box | None, times: int, count: int) -> tuple[Array, Array]:
+def _bounds(box: object, times: int, count: int) -> tuple[Array, Array]:
     if box is None:
         return np.full((times, count), -np.inf), np.full((times, count), np.inf)
+    assert isinstance(box, lfo.Box)
     return np.broadcast_to(box.lower, (times, count)).copy(), np.broadcast_to(box.upper, (times, count)).copy()
 
 

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.spectrum.bands import Band
 
 
 def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
@@ -54,7 +55,7 @@ def random_dynamics(rng: np.random.Generator, n: int, m: int, T: int) -> tuple[s
     return kind, lfo.LinearDynamics(A, B, offset=0.1 * rng.standard_normal(n), sampling_time=0.1)
 
 
-def random_bands(rng: np.random.Generator, m: int) -> list[object]:
+def random_bands(rng: np.random.Generator, m: int) -> list[Band]:
     """Return one band per control, or none for some."""
     makers = [
         lambda j: lfo.low_pass(rng.uniform(0.5, 3.0), component=j),

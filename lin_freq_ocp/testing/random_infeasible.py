@@ -50,7 +50,7 @@ def _tightened(rng: np.random.Generator, kind: str, problem: lfo.OptimalControlP
         tube = problem.control_tube
         return replace(problem, control_set=lfo.Box(0.6 * tube.lower, 0.6 * tube.upper))
     if kind == "too far":
-        away = problem.terminal_state.lower + 0.5 * rng.standard_normal(problem.state_dim)
+        away = problem.terminal_box.lower + 0.5 * rng.standard_normal(problem.state_dim)
         boxes = problem.state_boxes
         within = np.clip(away, boxes.lower[-1], boxes.upper[-1])
         return replace(problem, terminal_state=within)

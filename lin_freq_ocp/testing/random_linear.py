@@ -95,10 +95,11 @@ def in_units(problem: lfo.OptimalControlProblem, units: Units) -> lfo.OptimalCon
     )
 
 
-def _box_in(box: lfo.Box | None, units: Array) -> lfo.Box | None:
+def _box_in(box: object, units: Array) -> lfo.Box | None:
     """Return a box in other units; what stands for no bound keeps its number."""
     if box is None:
         return None
+    assert isinstance(box, lfo.Box)
     kept = np.abs(np.stack([box.lower, box.upper])) >= 1e20
     lower, upper = (np.where(one, side, side / units) for one, side in zip(kept, (box.lower, box.upper), strict=True))
     return lfo.Box(lower, upper)

@@ -56,9 +56,8 @@ class Cost(ABC):
         return CostSum([self, other])
 
     def __radd__(self, other: Any) -> Cost:
-        if type(other) is int and other == 0:  # sum() begins with 0
-            return self
-        return CostSum([other, self])
+        costs: list[Any] = [other, self]
+        return self if type(other) is int and other == 0 else CostSum(costs)  # sum() begins with 0
 
 
 class NonsmoothCost(Cost):
