@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -21,7 +22,7 @@ ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of fe
 
 def certify(
     problem: OptimalControlProblem,
-    trajectory: object,
+    trajectory: Any,
     multipliers: Multipliers | None = None,
     tolerance: float | None = None,
 ) -> Certificate:
@@ -107,7 +108,7 @@ def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded 
     return None
 
 
-def _unpacked(given: object, multipliers: Multipliers | None) -> tuple[object, Multipliers | None]:
+def _unpacked(given: Any, multipliers: Multipliers | None) -> tuple[Any, Multipliers | None]:
     """Return the trajectory of what solve or load returned, and its multipliers unless others are given."""
     if not hasattr(given, "trajectory"):
         return given, multipliers
