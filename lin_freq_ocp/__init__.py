@@ -58,7 +58,7 @@ __version__ = "0.1.0"
 
 NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "io", "results", "errors", "library")
 
-# the module of every name of everyday use
+# The module of every name of everyday use.
 _HOMES = {
     "api.compare": "compare",
     "api.solve": "solve",
@@ -100,7 +100,7 @@ def __getattr__(name: str) -> Any:
         return globals()[name]
     message = f"module {__name__!r} has no attribute {name!r}"
     if not name.startswith("_"):
-        spaces = [one for one in NAMESPACES if name in _names(import_module(f"{__name__}.{one}"))]
+        spaces = [space for space in NAMESPACES if name in _names(import_module(f"{__name__}.{space}"))]
         message += f"; it is lin_freq_ocp.{spaces[0]}.{name}" if spaces else ""
     raise AttributeError(message)
 

@@ -8,7 +8,7 @@ from enum import StrEnum
 class Status(StrEnum):
     """How a solve ended.
 
-    Every value equals its text, ``result.status == "optimal"``, which is also what files and ``--json`` hold.
+    Every value equals its text, ``result.status == "optimal"``, which files and ``--json`` hold, too.
 
     Attributes
     ----------

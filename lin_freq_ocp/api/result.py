@@ -70,7 +70,7 @@ class Result(Outcome):
 
     @property
     def uniqueness(self) -> Uniqueness:
-        """Return whether the multipliers are the only ones; SolveError if the solve ended without a trajectory."""
+        """Return whether the multipliers are unique; SolveError if the solve ended without a trajectory."""
         return uniqueness(self.problem, self._require_trajectory())
 
     def __repr__(self) -> str:

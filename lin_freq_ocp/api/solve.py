@@ -94,7 +94,7 @@ def solve(
     References
     ----------
     Kotpalliwar, Paruchuri, Chatterjee and Banavar, "Discrete time optimal control with frequency constraints for
-    non-smooth systems", 2019: Theorem 4.1 and its corollaries are what an answer is judged by.
+    non-smooth systems", 2019: Theorem 4.1 and its corollaries, by which an answer is judged.
 
     Examples
     --------

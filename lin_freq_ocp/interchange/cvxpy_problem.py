@@ -174,7 +174,7 @@ def _terms(
         v_0 >= |(v_1, ...)|, SOC  lambda_0 = -dual_value[0], (groups,); (lambda_1, ...) = -dual_value[1]
 
     Groups of radius 0 beside others stand apart, as equations labelled with the term's name and " zero". A soft term
-    or nonsmooth cost has a variable, its slacks: the objective has their prices, and what bounds them from below is
+    or nonsmooth cost has a variable, its slacks: the objective has their prices, and their lower bounds are
     labelled with the term's name and " slack".
     """
     import cvxpy as cp

@@ -51,7 +51,7 @@ def best_multipliers(
             break
         if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
             break  # no others can help
-    assert best is not None  # candidates yields one, or raises
+    assert best is not None  # candidates yields, or raises
     return best
 
 

@@ -24,7 +24,7 @@ class Cure:
     Attributes
     ----------
     block : str
-        In words, as in a Conflict.
+        As in a Conflict.
     amount : float
         By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
         relative to its size; for a stop band, how many of its bins are passed on each edge; for an energy bound, of the

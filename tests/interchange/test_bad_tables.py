@@ -120,7 +120,7 @@ BAD_MODES = {
     "modes of two sizes": (
         "modes[1]",
         {"A": [[1.0]], "B": [[1.0]]},
-        "modes[1]: got 1 states and 1 controls; expected 2 and 1, as in the first",
+        "modes[1]: got 1 state and 1 control; expected 2 and 1, as in the first",
     ),
     "A not square": ("modes[1].A", WIDE, "modes[1].A: got shape (1, 3)"),
     "A without a number": ("modes[0].A[1]", [NAN, 1.0], "modes[0].A[1][0]: got nan"),

@@ -17,9 +17,14 @@ from hypothesis.extra.numpy import arrays
 
 from helpers.problem_files import assert_same, bands, everything_at_once
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
 from lin_freq_ocp.interchange.problem_file.tables import NORM_COSTS, SETS, SPECTRUM
-from lin_freq_ocp.interchange.problem_file.toml_file import init_problem_file, read_problem, template, write_problem
+from lin_freq_ocp.interchange.problem_file.toml_file import (
+    INLINE_LIMIT,
+    init_problem_file,
+    read_problem,
+    template,
+    write_problem,
+)
 from lin_freq_ocp.interchange.results.csv_file import save_csv
 from lin_freq_ocp.interchange.results.solution_file import load_solution, save_solution
 from lin_freq_ocp.library import pendulum

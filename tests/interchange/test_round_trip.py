@@ -14,8 +14,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.formulas.definitions import EXACT
 from lin_freq_ocp.formulas.nodes import written
-from lin_freq_ocp.interchange.problem_file import array_references
-from lin_freq_ocp.interchange.problem_file.array_references import INLINE_LIMIT
+from lin_freq_ocp.interchange.problem_file import toml_file
+from lin_freq_ocp.interchange.problem_file.toml_file import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, notch
 from lin_freq_ocp.testing.random_mixed import FEATURES, problem_of, random_model
 
@@ -235,7 +235,7 @@ def test_modes_survive_the_round_trip(tmp_path, name):
 
 
 def test_large_arrays_of_modes_leave_the_text(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_references, "INLINE_LIMIT", 20)
+    monkeypatch.setattr(toml_file, "INLINE_LIMIT", 20)
     steps = 21
     edge = RNG.normal(size=(steps, 1))
     plant = np.array([[0.5]]), np.array([[1.0]])

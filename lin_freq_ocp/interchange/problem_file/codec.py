@@ -164,7 +164,7 @@ class Record:
 def _parameters(make: Callable[..., object]) -> dict[str, bool]:
     """Return the named arguments of a function, and whether each is required."""
     named = inspect.signature(make).parameters.values()
-    return {one.name: one.default is one.empty for one in named if one.kind is not one.VAR_KEYWORD}
+    return {given.name: given.default is given.empty for given in named if given.kind is not given.VAR_KEYWORD}
 
 
 class Kinds:

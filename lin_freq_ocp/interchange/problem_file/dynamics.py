@@ -82,8 +82,8 @@ def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: in
         given = getattr(mode, key)
         if isinstance(given, (str, list)):
             parsed[key] = [
-                formula_from_text(f"{location}.{key}[{i}]", one, (n, m), known) if isinstance(one, str) else one
-                for i, one in enumerate([given] if isinstance(given, str) else given)
+                formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
+                for i, text in enumerate([given] if isinstance(given, str) else given)
             ]
     return replace(mode, **parsed)
 

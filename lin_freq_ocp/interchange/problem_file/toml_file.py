@@ -1,4 +1,7 @@
-"""The problem file: a problem in TOML, with large arrays in an .npz beside it."""
+"""The problem file: a problem in TOML, with large arrays in an .npz beside it.
+
+The TOML file has ``{npz = "data.npz", key = "A"}`` in place of a large array.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,22 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
+import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
+from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_bytes, writing
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import npz_bytes, read_text
-from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
-from lin_freq_ocp.interchange.problem_file.array_references import resolved, stored
+from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text
+from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-# cart.toml keeps its large arrays in cart.problem.npz: cart.npz may be a solution that is saved beside it
-ARRAYS_SUFFIX = ".problem.npz"
-
+ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
+INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
 _ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
 
 
@@ -58,7 +61,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     tables = read_tables(path)
     with naming(path):
         try:
-            return problem_from_tables(resolved(_merged(tables, overrides or {}), path.parent))
+            return problem_from_tables(_resolved(_merged(tables, overrides or {}), path.parent))
         except ProblemError:
             raise
         except RecursionError:
@@ -68,7 +71,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
 
 
 def read_tables(path: Path) -> FileTable:
-    """Return the tables of any TOML file; ProblemError if it is not one."""
+    """Return the tables of a TOML file; ProblemError if it is no such file."""
     text = read_text(path)
     try:
         return tomllib.loads(text)
@@ -77,7 +80,7 @@ def read_tables(path: Path) -> FileTable:
 
 
 def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
-    """Write a problem to a TOML file, from which ``read_problem`` makes the same one, to the last bit.
+    """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
 
     Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz beside it (``cart.problem.npz`` for ``cart.toml``).
     Files of these names are replaced.
@@ -97,7 +100,7 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
     Raises
     ------
     ProblemError
-        If it cannot be written there.
+        If it cannot be written there, or problem files do not know the class of a set, cost or constraint.
 
     Examples
     --------
@@ -132,11 +135,66 @@ def init_problem_file(path: str | PathLike[str]) -> None:
 
 
 def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
-    """Return the contents of what ``write_problem`` writes, by their names; the arrays come first."""
+    """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
     arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
-    text = _ROW.sub(_on_one_line, tomli_w.dumps(stored(PROBLEM.write("", problem), beside, arrays)))
+    text = _ROW.sub(_on_one_line, tomli_w.dumps(_stored(PROBLEM.write("", problem), beside, arrays)))
     return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+
+
+def _resolved(value: FileValue, folder: Path, field: str = "") -> FileValue:
+    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
+    if isinstance(value, Mapping):
+        if "npz" in value:
+            return _referenced(field, value, folder)
+        return {key: _resolved(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        return [_resolved(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
+    return value
+
+
+def _stored(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
+    """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
+    if isinstance(value, Mapping):
+        return {key: _stored(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_stored(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.size <= INLINE_LIMIT:
+        return value.tolist()
+    arrays[field] = value
+    return {"npz": npz_name, "key": field}
+
+
+def _referenced(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
+    require_keys(field, reference, required=("npz", "key"))
+    path, key = _inside(f"{field}.npz", reference["npz"], folder), reference["key"]
+    with opened_npz(f"{field}.npz", path) as arrays:
+        if key not in arrays.files:
+            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
+            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
+        array = arrays[key]
+    if array.dtype.kind not in "iuf":
+        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
+    return array
+
+
+def _inside(field: str, name: FileValue, folder: Path) -> Path:
+    """Return the path of a named file, links followed, if it lies in the folder or below."""
+    expected = "the name of a file in the folder of the problem file, or below"
+    if not isinstance(name, str):
+        raise ProblemError(field, brief(name), expected)
+    as_written = PureWindowsPath(name)  # knows both separators and drives: a file means the same everywhere
+    if as_written.anchor or ".." in as_written.parts:
+        raise ProblemError(field, brief(name), expected)
+    try:
+        target = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or a character no file name can have
+        raise ProblemError(field, f"{brief(name)} ({error})", expected) from None
+    if not target.is_relative_to(folder.resolve()):
+        raise ProblemError(field, f"{brief(name)}, a link to another folder", expected)
+    return target
 
 
 def _merged(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
@@ -152,5 +210,5 @@ def _merged(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) 
 
 
 def _on_one_line(row: re.Match[str]) -> str:
-    """Put a row of numbers on one line; a line break inside a string is written as an escape, so none is hit."""
+    """Put a row of numbers on one line; strings have no line breaks, but escapes."""
     return "[" + " ".join(row[1].split()).removesuffix(",") + "]"

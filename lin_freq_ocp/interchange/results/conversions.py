@@ -145,7 +145,7 @@ def _rows(signals: ArrayLike | None, labels: Sequence[str] | None, names: Sequen
     if signals is None:
         return None
     rows = np.asarray(signals)
-    rows = rows.reshape(len(rows), -1)  # one trace may stand between signal and time
+    rows = rows.reshape(len(rows), -1)  # the axis of a single trace may be between signal and time
     if labels is not None and set(names) <= set(labels):
         return rows[[list(labels).index(name) for name in names]]
     return rows if len(rows) == len(names) else None

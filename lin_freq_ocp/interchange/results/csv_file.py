@@ -29,7 +29,7 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     """Read a trajectory from a table: a header, then one row for each time 0 .. T.
 
     Columns are found by the problem's names of states and controls, with or without their units, in any order. Other
-    columns are left out. The controls at time T act on nothing; what stands there is not read. A table that has, apart
+    columns are left out. The controls at time T have no effect, and are not read. A table that has, apart
     from the clock, controls only is replayed from the problem's initial state; it may end at time T-1.
 
     Parameters
@@ -97,7 +97,7 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
 def header(name: str) -> str:
     """Return a name as the head of a column: behind an apostrophe, if a spreadsheet would take it for a formula.
 
-    A name that begins with an apostrophe gets one more, so that no two names get the same head.
+    A name that begins with an apostrophe gets another, so that no two names get the same head.
     """
     return f"'{name}" if name.lstrip()[:1] in FORMULAS else name
 

@@ -55,7 +55,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     Parameters
     ----------
     path : path
-        Of version 5 or 7; MATLAB's ``save`` writes 7.3 only if told to.
+        Of version 5 or 7; MATLAB's ``save`` writes 7.3 only if asked to.
     problem : OptimalControlProblem
         Its horizon, dimensions and sampling time.
 

@@ -91,7 +91,7 @@ def save_json(path: str | Path, summary: Mapping[str, object]) -> None:
 
 
 def head(problem: OptimalControlProblem) -> FileTable:
-    """Return what every JSON object begins with."""
+    """Return the first entries of every JSON object."""
     return {
         "schema": SCHEMA,
         "version": version("lin-freq-ocp"),

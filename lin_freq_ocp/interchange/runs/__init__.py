@@ -1,1 +1,1 @@
-"""Runs and sweeps as files: the problem, its options, what it ended with, and where."""
+"""Runs and sweeps as files: the problem, its options, results and environment."""

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import io
 import json
+import platform
+import re
 import traceback
 import warnings
 import zipfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from threadpoolctl import threadpool_info
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.atomic import write_bytes
@@ -22,10 +27,10 @@ from lin_freq_ocp.interchange.locations import FileTable, naming, require_keys, 
 from lin_freq_ocp.interchange.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.interchange.results.summary import result_summary
-from lin_freq_ocp.interchange.runs.environment import environment
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 
+PACKAGE = "lin-freq-ocp"
 SCHEMA = 1  # version of the layout; a file with another version is refused
 # Files in the zip archive: the second if some arrays are large, the third if there is a trajectory.
 PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "solution.npz", "run.json"
@@ -130,6 +135,34 @@ def described(error: Exception) -> FileTable:
     places = [f"{frame.f_globals.get('__name__', '?')}:{line} {frame.f_code.co_name}" for frame, line in frames]
     message = error.strerror if isinstance(error, OSError) else str(error)
     return {"type": type(error).__name__, "message": message or "", "places": places}
+
+
+def environment(backend: str | None = None) -> FileTable:
+    """Return the versions of Python, of this package and of its dependencies, system, processor and BLAS, for JSON.
+
+    ``backend`` is as given to solve; the package of a solver that qpsolvers calls is found by its name.
+    """
+    required = [need for need in requires(PACKAGE) or () if "extra ==" not in need]
+    needed = [re.split(r"[^\w.-]", need, maxsplit=1)[0] for need in required]
+    solver = (backend or "").partition(":")[2]
+    names = [PACKAGE, *needed, *([solver, f"{solver}py"] if solver else [])]
+    blas = {
+        " ".join(str(pool.get(k)) for k in ("internal_api", "version", "architecture")) for pool in threadpool_info()
+    }
+    return {
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "packages": {name: found for name in names if (found := _version(name)) is not None},
+        "blas": sorted(blas),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
 
 
 def _unpack(path: Path, folder: Path) -> None:
