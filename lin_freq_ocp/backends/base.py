@@ -13,10 +13,8 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
-# Feasibility and gap asked of a solver, on a program scaled to order 1: far below the judge's 1e-6
-DEFAULT_TOLERANCE = 1e-10
-# Bounds of order 1 exclude each other, or rows without variables are violated, by this much: solvers forgive less
-EXCLUDED = 1e-6
+DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1
+EXCLUDED = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables, that excludes all points
 
 
 class Claim(Enum):

@@ -13,11 +13,11 @@ class Candidate:
     """What a method found, measured but not judged."""
 
     status: str  # "optimal", "infeasible" (claimed), "unbounded", "limit" or "numerical_error"
-    trajectory: Trajectory | None
-    multipliers: Multipliers | None
-    ray: Multipliers | None  # claimed Farkas ray
-    residuals: Residuals | None  # in scaled units
-    words: str  # the backend's own status, or why the method stopped
+    trajectory: Trajectory | None = None
+    multipliers: Multipliers | None = None
+    ray: Multipliers | None = None  # claimed Farkas ray
+    residuals: Residuals | None = None  # in scaled units
+    words: str = ""  # the backend's own status, or why the method stopped
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
     interrupted: bool = False  # by Ctrl-C
     descent: Trajectory | None = None  # if unbounded: a claimed direction (dx, du) of unlimited descent

@@ -80,7 +80,7 @@ class Convex:
         return next((other for other in map(verified, candidates) if _counts(other)), outcome)
 
     def _at_no_cost(self, outcome: Outcome, backend: str, end: float) -> Outcome | None:
-        """Return the outcome of a trajectory near this one that costs nothing more than it must, if it is optimal."""
+        """Return the outcome of a trajectory nearby without cost or without slope, if it is optimal."""
         problem, near = outcome.problem, outcome.trajectory
         if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
             return None
@@ -180,17 +180,17 @@ def _left(end: float) -> float | None:
 
 
 def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: float | None) -> Outcome | None:
-    """Return the proof that an end lies outside its set, which needs no solver, if it does."""
+    """Return the outcome with the proof that an end lies outside its set, or None."""
     ray = contradiction_at_ends(problem)
     if ray is None:
         return None
-    claim = Candidate("infeasible", None, None, ray, None, "an end lies outside the state set")
+    claim = Candidate("infeasible", ray=ray, words="an end lies outside the state set")
     outcome = judged(problem, claim, method, None, tolerance)
     return outcome if outcome.status == Status.INFEASIBLE else None
 
 
 def _final(outcome: Outcome) -> bool:
-    """Whether the Fourier-domain method's answer is proven, or the time is over: no other method is asked."""
+    """Whether no other method is tried after this outcome: it is proven, or the time is over."""
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
     excluded = outcome.status == Status.INFEASIBLE and "numerical" not in outcome.message
@@ -200,28 +200,28 @@ def _final(outcome: Outcome) -> bool:
 
 
 def _rank(outcome: Outcome) -> int:
-    """Return a rank of what is proven by an outcome."""
+    """2 for proven outcomes, 1 for local optima, 0 for others."""
     return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
 
 
 def _at_odds(outcome: Outcome) -> bool:
-    """Whether a trajectory is proven optimal while its multipliers fail a condition: better ones exist."""
+    """Whether a trajectory is proven optimal while its multipliers fail a condition: others satisfy it."""
     certificate = outcome.certificate
     return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
 
 
 def _counts(outcome: Outcome) -> bool:
-    """Whether a further candidate ends the search for one: it is worth something, or the user interrupted it."""
+    """Whether a further candidate is accepted, or was interrupted."""
     return outcome.interrupted or (_rank(outcome) > 0 and not _at_odds(outcome))
 
 
 def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
-    """Return the prover's diagnosis of a problem that another backend did not solve, if it has one."""
+    """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the candidate."""
     diagnosis = solve_convex(problem, PROVER, None, time_limit)
     return diagnosis if diagnosis.status in ("infeasible", "unbounded") else candidate
 
 
 def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
-    """Return the unbounded candidate, or a proof that there is no trajectory along which the cost could decrease."""
+    """Return the unbounded candidate, or a proof that the problem is infeasible."""
     feasibility = solve_convex(replace(problem, cost=QuadraticCost()), PROVER, None, time_limit)
     return feasibility if feasibility.status == "infeasible" else candidate

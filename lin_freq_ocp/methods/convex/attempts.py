@@ -31,9 +31,9 @@ class Attempt:
 
     candidate: Candidate
     scaling: Scaling
-    z: Array | None
-    y: Array | None
-    error: float  # its largest residual, of a point in units of its own size
+    error: float = np.inf  # its largest residual, of a point in units of its own size
+    z: Array | None = None
+    y: Array | None = None
 
     @property
     def ended(self) -> bool:
@@ -82,8 +82,42 @@ class Solves:
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
     def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
-        """Measure what was found for the program, which is in the given units."""
-        return measured(self.transcription, scaling, program, solution, self.tolerance)
+        """Return an attempt from a solver's answer to the program, which is in the given units."""
+        z, y, claim = solution.z, solution.y, solution.claim
+        if claim is Claim.INFEASIBLE:
+            ray = None if y is None else self.transcription.multipliers(scaling.dual(y), 0.0)
+            error = np.inf if y is None else program.infeasibility_residual(y)
+            return Attempt(Candidate("infeasible", ray=ray, words=solution.words), scaling, error)
+        if claim is Claim.UNBOUNDED:
+            ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
+            error = np.inf if ray is None else program.descent_ray_residual(ray)
+            if ray is None or error > UNBOUNDED_TOLERANCE:
+                return Attempt(Candidate("numerical_error", words=solution.words), scaling)
+            along = self.transcription.direction(scaling.primal(ray))
+            return Attempt(Candidate("unbounded", words=solution.words, descent=along), scaling, error)
+        if z is None or y is None:
+            failed = Candidate("numerical_error", words=solution.words, interrupted=claim is Claim.INTERRUPTED)
+            return Attempt(failed, scaling)
+        if not program.P.nnz and not program.q.any():
+            y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
+        point, duals = scaling.primal(z), scaling.dual(y)
+        residuals = _residuals(self.transcription, scaling, point, duals)
+        if claim in (Claim.LIMIT, Claim.INTERRUPTED):
+            status = "limit"
+        else:
+            status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, self.tolerance or 0.0) else "numerical_error"
+        candidate = Candidate(
+            status,
+            self.transcription.trajectory(point),
+            self.transcription.multipliers(duals, 1.0),
+            None,
+            residuals,
+            solution.words,
+            interrupted=claim is Claim.INTERRUPTED,
+        )
+        if not np.isfinite(residuals.worst):
+            point, duals = None, None
+        return Attempt(candidate, scaling, residuals.worst, point, duals)
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)
@@ -148,54 +182,6 @@ def nearest_recession(program: Program, z: Array) -> Array:
     )
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
     return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
-
-
-def measured(
-    transcription: LinearTranscription, scaling: Scaling, program: Program, solution: Solution, tolerance: float | None
-) -> Attempt:
-    """Return an attempt from a solver's answer to a program in some units."""
-    z, y, claim = solution.z, solution.y, solution.claim
-    if claim is Claim.INFEASIBLE:
-        ray = None if y is None else transcription.multipliers(scaling.dual(y), 0.0)
-        error = np.inf if y is None else program.infeasibility_residual(y)
-        return Attempt(Candidate("infeasible", None, None, ray, None, solution.words), scaling, None, None, error)
-    if claim is Claim.UNBOUNDED:
-        ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
-        error = np.inf if ray is None else program.descent_ray_residual(ray)
-        if ray is None or error > UNBOUNDED_TOLERANCE:
-            return Attempt(_failed(solution.words), scaling, None, None, np.inf)
-        along = transcription.direction(scaling.primal(ray))
-        return Attempt(
-            Candidate("unbounded", None, None, None, None, solution.words, descent=along), scaling, None, None, error
-        )
-    if z is None or y is None:
-        return Attempt(
-            replace(_failed(solution.words), interrupted=claim is Claim.INTERRUPTED), scaling, None, None, np.inf
-        )
-    if not program.P.nnz and not program.q.any():
-        y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
-    point, duals = scaling.primal(z), scaling.dual(y)
-    residuals = _residuals(transcription, scaling, point, duals)
-    if claim in (Claim.LIMIT, Claim.INTERRUPTED):
-        status = "limit"
-    else:
-        status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, tolerance or 0.0) else "numerical_error"
-    candidate = Candidate(
-        status,
-        transcription.trajectory(point),
-        transcription.multipliers(duals, 1.0),
-        None,
-        residuals,
-        solution.words,
-        interrupted=claim is Claim.INTERRUPTED,
-    )
-    if not np.isfinite(residuals.worst):
-        point, duals = None, None
-    return Attempt(candidate, scaling, point, duals, residuals.worst)
-
-
-def _failed(words: str) -> Candidate:
-    return Candidate("numerical_error", None, None, None, None, words)
 
 
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:

@@ -12,7 +12,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 
 
 def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
-    """Return a Farkas ray of one hard row on x_0 or x_T that no point of that end satisfies; None if there is none."""
+    """Return a Farkas ray of one hard row on x_0 or x_T that no point of that end satisfies, or None."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     for t, end in zip((0, T), problem.ends, strict=True):
         for name, k, C, limit in _rows_at(problem, t):
@@ -21,7 +21,7 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
             row = int(np.argmax(excess))
             if excess[row] <= 0:
                 continue
-            weights = {one.name: np.zeros(one.shape) for one in problem.terms}
+            weights = {term.name: np.zeros(term.shape) for term in problem.terms}
             weights[name][k, row] = 1.0
             mu = np.zeros((T + 1, n))
             mu[t] = -C[row]
@@ -31,7 +31,7 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
 
 
 def _rows_at(problem: OptimalControlProblem, t: int) -> Iterator[tuple[str, int, Array, Array]]:
-    """Yield every term of hard rows C x_t <= limit: its name, the place of t in it, C and limit."""
+    """Yield every term of hard rows C x_t <= limit: its name, the index of t in it, C and limit."""
     for term in problem.terms:
         rows = term.polyhedron(problem.state_dim, problem.control_dim)
         if rows is None or t not in rows.times or len(term.map.control_times):

@@ -1,4 +1,4 @@
-"""Trajectories that cost as little as the cost can be: solvers come near them only to the root of their tolerance."""
+"""Trajectories without cost or slope: solvers approach them only to the root of their tolerance."""
 
 from __future__ import annotations
 
@@ -17,15 +17,13 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.program import Program
 
-# Slope of the cost, relative to that at a trajectory of this size, below which there may be one without a slope
-FLAT = 1e-4
+FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
 
 
 def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
-    """Return the trajectory of controls at their references, with multipliers of zero; None if it leads nowhere.
+    """Return the trajectory of controls at their references, with multipliers of zero; None if it diverges.
 
-    Controls without a cost of their own, and the first state, are those of ``near``. Of a cost that is never negative,
-    a feasible trajectory that costs nothing is an optimum, which the judge is to find out.
+    Controls without a cost, and the first state, are those of ``near``.
     """
     cost, (T, m) = problem.quadratic, near.u.shape
     priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
@@ -36,13 +34,13 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
         return None
     rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)
     none = Multipliers(1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), rho_u, rho_x)
-    return Candidate("optimal", trajectory, none, None, None, "controls at their references")
+    return Candidate("optimal", trajectory, none, words="controls at their references")
 
 
 def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: float | None) -> Candidate | None:
-    """Return a trajectory at which the quadratic cost has no slope, with multipliers of zero; None if there is none.
+    """Return a trajectory that satisfies all constraints and P z + q = 0, with multipliers of zero, or None.
 
-    It is looked for where the slope at ``near`` is small, as a point with P z + q = 0 that satisfies all constraints.
+    It is computed where the slope at ``near`` is small.
     """
     if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT:
         return None
@@ -64,11 +62,11 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
     better = None if program.cones else polished(flat, solution.z, np.zeros_like(solution.y))
     z: Array = scaling.primal(solution.z if better is None else better[0])
     none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
-    return Candidate("optimal", transcription.trajectory(z), none, None, None, "a point where the cost has no slope")
+    return Candidate("optimal", transcription.trajectory(z), none, words="a point where the cost has no slope")
 
 
 def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
-    """Return the largest slope of the cost in the sizes of the data, relative to what terms of that size have."""
+    """Return the largest slope of the cost, relative to that of terms of the stated sizes."""
     steady = [
         np.broadcast_to(size, signal.shape) for size, signal in zip(stated_sizes(problem), (at.x, at.u), strict=True)
     ]

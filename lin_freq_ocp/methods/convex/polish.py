@@ -1,4 +1,4 @@
-"""A solver's point made accurate: the equations of the rows that it holds with force, solved directly."""
+"""A solver's point made accurate: the equations of its active rows, solved directly."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from scipy.sparse.linalg import splu
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.transcription.program import Program
 
-# Added to the Hessian and subtracted below the rows: dependent rows and flat directions keep what they have
-PROXIMAL = 1e-8
-STEPS = 8  # Of the proximal method of multipliers; each makes what is not flat or dependent exact to rounding
-ROUNDS = 4  # How often rows that turn out to be violated are added, and those that pull inwards left out
-ROUNDING = 1e-12  # Violations and multipliers below this, in a program scaled to order 1, are zero
+PROXIMAL = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
+STEPS = 8  # of the proximal method of multipliers
+ROUNDS = 4  # of adding violated rows, and of dropping rows whose multiplier has the wrong sign
+ROUNDING = 1e-12  # violations and multipliers, in a program scaled to order 1, that are zero
 
 
 def polished(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return z and y with the rows that y holds at their bounds, or None if they could not be found.
+    """Return z and y with the active rows at their bounds, or None if that fails; the program has no cones.
 
-    A row is taken to be at its bound if its multiplier is larger than its distance from it. The program has no cones.
+    A row is active if its multiplier is larger than its distance from the bound.
     """
     values = program.A @ z
     equal = program.equality
@@ -42,7 +41,7 @@ def polished(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None
 
 
 def without_rounding(values: Array, units: Array, level: float) -> Array:
-    """Return values with exact zeros for those that are below this part of their units."""
+    """Return values with exact zeros where they are below this part of their units."""
     return np.where(np.abs(values) <= level * units, 0.0, values)
 
 

@@ -25,8 +25,8 @@ from lin_freq_ocp.transcription.linear.units import (
 )
 from lin_freq_ocp.transcription.program import Program, Scaling
 
-GRACE = 0.25  # Seconds beyond a time limit that a solver may take to return a point, however inaccurate
-REVISIONS = 2  # How often the units may follow the answer
+GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
+REVISIONS = 2  # of the units by the answer
 
 
 def solve_convex(
@@ -53,7 +53,7 @@ def convex_candidates(
     rows = dense_rows(problem)
     if time_limit is not None and rows.seconds > time_limit + GRACE:
         words = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
-        yield Candidate("limit", None, None, None, None, words, {"setup": 0.0, "solve": 0.0})
+        yield Candidate("limit", words=words, seconds={"setup": 0.0, "solve": 0.0})
         return
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
@@ -61,7 +61,7 @@ def convex_candidates(
     end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
-        yield Candidate("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0})
+        yield Candidate("limit", words=words, seconds={"setup": ready - started, "solve": 0.0})
         return
     interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
     target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import positive_number
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
@@ -27,6 +28,7 @@ from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, nat
 from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.transcription.program import Residuals
 
 
@@ -109,20 +111,20 @@ class SpectralSolver:
         self._turn = threading.Lock()
         self._set_up(natural_units(problem))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return what another process needs; not the lock."""
         return {name: value for name, value in self.__dict__.items() if name != "_turn"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state, with a new lock."""
         self.__dict__.update(state, _turn=threading.Lock())
 
     def solve(
         self,
-        initial_state: Any = None,
-        terminal_state: Any = None,
-        references: Mapping[str, Any] | None = None,
-        bounds: Mapping[str, Any] | None = None,
+        initial_state: ArrayLike | ConvexSet | None = None,
+        terminal_state: ArrayLike | ConvexSet | None = None,
+        references: Mapping[str, ArrayLike] | None = None,
+        bounds: Mapping[str, object] | None = None,
         warm_start: SpectralSolution | None = None,
         tolerance: float | None = None,
         time_limit: float | None = None,
@@ -153,24 +155,32 @@ class SpectralSolver:
             if value is not None:
                 positive_number(field, value)
         with self._turn:
-            return self._solved((initial_state, terminal_state, references, bounds), warm_start, tolerance, time_limit)
+            started = time.perf_counter()
+            problem, lti = self._with(initial_state, terminal_state, references, bounds)
+            ray = contradiction_at_ends(problem)
+            if ray is not None:
+                words, both = (
+                    "an end lies outside the state set",
+                    {"setup": 0.0, "solve": time.perf_counter() - started},
+                )
+                return SpectralSolution("infeasible", ray=ray, words=words, seconds=both, problem=problem)
+            if warm_start is not None:
+                self._require_own(warm_start)
+            first = None if warm_start is None else warm_start.active
+            return self._solved(problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started)
 
     def _solved(
-        self, data: tuple[Any, ...], warm_start: SpectralSolution | None, tolerance: float | None, limit: float | None
+        self,
+        problem: OptimalControlProblem,
+        lti: Lti,
+        first: Rows | None,
+        allowed: float,
+        limit: float | None,
+        started: float,
     ) -> SpectralSolution:
-        """Solve with the ends, references and bounds in ``data``; the caller holds the lock."""
-        started = time.perf_counter()
-        problem, lti = self._with(*data)
-        ray = contradiction_at_ends(problem)
-        if ray is not None:
-            words, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": time.perf_counter() - started}
-            return SpectralSolution("infeasible", None, None, ray, None, words, seconds, problem=problem)
-        if warm_start is not None:
-            self._require_own(warm_start)
-        allowed = tolerance or tol.VIOLATION_TOLERANCE
+        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
         with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
             stop = deadline(limit, interrupt.is_set)
-            first = None if warm_start is None else warm_start.active
             answer = self._exchange(lti, first, allowed, stop)
             y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
             units = revised_units(self._units, y) if optimal else None
@@ -233,16 +243,15 @@ class SpectralSolver:
 
     def _with(
         self,
-        initial_state: Any,
-        terminal_state: Any,
-        references: Mapping[str, Any] | None,
-        bounds: Mapping[str, Any] | None,
+        initial_state: ArrayLike | ConvexSet | None,
+        terminal_state: ArrayLike | ConvexSet | None,
+        references: Mapping[str, ArrayLike] | None,
+        bounds: Mapping[str, object] | None,
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
-        changes: dict[str, Any] = dict(_known("bounds", bounds, ("state_set", "control_set")))
+        changes = _known("bounds", bounds, ("state_set", "control_set"))
         if references:
-            known: dict[str, Any] = dict(_known("references", references, ("x_ref", "u_ref")))
-            changes["cost"] = replace(self.problem.quadratic, **known)
+            changes["cost"] = replace(self.problem.quadratic, **_known("references", references, ("x_ref", "u_ref")))
         problem = replace(self.problem, **changes) if changes else self.problem
         moved = initial_state is not None or terminal_state is not None
         if moved:
@@ -290,10 +299,10 @@ class SpectralSolver:
         )
 
 
-def _known(field: str, given: Mapping[str, Any] | None, keys: tuple[str, ...]) -> Mapping[str, Any]:
+def _known(field: str, given: Mapping[str, Any] | None, keys: tuple[str, ...]) -> dict[str, Any]:
     if given is not None and not isinstance(given, Mapping):
         raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
     for key in given or {}:
         if key not in keys:
             raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
-    return given or {}
+    return dict(given or {})

@@ -44,21 +44,21 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     working = WorkingSet(structure.border)
     acting = np.flatnonzero((whole.t < T) | np.isnan(lti.end[np.where(whole.t < T, 0, whole.f)]))
     working.add(whole.t[acting], whole.f[acting], np.ones(len(acting)))
-    np.testing.assert_array_equal(whole.places(working.t, working.f), acting)
+    np.testing.assert_array_equal(whole.flat_indices(working.t, working.f), acting)
     return structure, whole, working
 
 
 def test_the_model_says_what_working_rows_say(model):
     structure, whole, working = model
-    places = whole.places(working.t, working.f)
-    np.testing.assert_allclose(whole.coupling[:, places], working.coupling, rtol=0, atol=1e-12)
+    indices = whole.flat_indices(working.t, working.f)
+    np.testing.assert_allclose(whole.coupling[:, indices], working.coupling, rtol=0, atol=1e-12)
     expected = working.gram + working.coupling.T @ structure.border.inverse @ working.coupling
     size = np.abs(expected).max()
-    np.testing.assert_allclose(whole.gram(places), expected, rtol=0, atol=1e-11 * size)
-    some = np.random.default_rng(0).choice(len(places), 7, replace=False)
+    np.testing.assert_allclose(whole.gram(indices), expected, rtol=0, atol=1e-11 * size)
+    some = np.random.default_rng(0).choice(len(indices), 7, replace=False)
     mu = np.random.default_rng(1).standard_normal(7)
     np.testing.assert_allclose(
-        whole.response(places[some], mu)[places], expected[:, some] @ mu, rtol=0, atol=1e-11 * size
+        whole.response(indices[some], mu)[indices], expected[:, some] @ mu, rtol=0, atol=1e-11 * size
     )
 
 
@@ -67,7 +67,7 @@ def test_rows_named_twice_count_once(model):
     t, f, sign = working.rows()
     twice = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]))
     duals = whole.duals(twice)
-    np.testing.assert_array_equal(np.sort(duals.places), np.sort(whole.places(t, f)))
+    np.testing.assert_array_equal(np.sort(duals.indices), np.sort(whole.flat_indices(t, f)))
     np.testing.assert_array_equal(duals.weights, 0.0)
 
 

@@ -73,8 +73,7 @@ class Exchange:
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
-        self.unconstrained = structure.unconstrained
-        self.soft = self.border.soft
+        self.unconstrained, self.soft = structure.unconstrained, self.border.soft
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         self._evaluate()
@@ -157,19 +156,19 @@ class Exchange:
         working, step = self.working, self.border.inverse @ right
         base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
         if len(working):
-            places, mu = whole.places(working.t, working.f), working.sign * working.weights
-            base += whole.response(places, mu)
-            step += whole.through[:, places] @ mu
+            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+            base += whole.response(indices, mu)
+            step += whole.through[:, indices] @ mu
         start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
         found = exchanged(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
-        rows = Rows(whole.t[found.places], whole.f[found.places], found.sign, found.weights)
+        rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
         if not found.accurate:
             working.add(rows.t, rows.f, rows.sign)
             self.values = working.values(self.signals.y, self.signals.last)
             return None
-        working.replace(rows, whole.coupling[:, found.places] * found.sign)
-        return step - whole.through[:, found.places] @ (found.sign * found.weights), found.weights, None
+        working.replace(rows, whole.coupling[:, found.indices] * found.sign)
+        return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         """Return the step of the border, weights and perhaps a ray, with the border eliminated.
@@ -196,9 +195,7 @@ class Exchange:
         step = inverse @ right
         if not len(working):
             return step, working.weights, None
-        Z = inverse @ working.coupling
-        through_border = working.coupling.T @ Z
-        S = working.gram + (through_border + through_border.T) / 2  # exactly symmetric: else the QP stalls at rounding
+        Z, S = working.eliminated(inverse)
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
         new, accurate = nonnegative_qp(S, d, guess, unconstrained, self.stop)
@@ -227,10 +224,8 @@ class Exchange:
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
         border, working = self.border, self.working
-        terms = (
-            np.abs(self.data.h) + np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
-        )
-        terms += np.abs(working.coupling[: border.size]) @ working.weights
+        terms = np.abs(self.data.h) + np.abs(working.coupling[: border.size]) @ working.weights
+        terms += np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
@@ -272,17 +267,8 @@ class Exchange:
         return added
 
     def _outcome(self, status: str, words: str = "") -> Outcome:
-        return Outcome(
-            status,
-            words,
-            self.signals,
-            self.multipliers,
-            self.working,
-            self.rounds,
-            self.violations.worst,
-            self._cost(),
-            self.ray,
-        )
+        point, cost = (self.signals, self.multipliers, self.working), self._cost()
+        return Outcome(status, words, *point, self.rounds, self.violations.worst, cost, self.ray)
 
 
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:

@@ -74,13 +74,9 @@ def regularised_ray(
     structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
 ) -> Ray | None:
     """Return a ray of working rows from a unit Hessian of the border: feasibility does not depend on the cost."""
-    border, nothing = structure.border, WorkingSet(structure.border)
-    theta = np.zeros(border.size)
-    c = signals(structure, data, theta, np.zeros(len(data.e)), nothing)
-    step = border.regularised @ np.concatenate([theta, equation_residual(structure, data, theta, c)])
-    Z = border.regularised @ working.coupling
-    through_border = working.coupling.T @ Z
-    S = working.gram + (through_border + through_border.T) / 2
+    border, (c, residual) = structure.border, _unforced(structure, data)
+    step = border.regularised @ np.concatenate([np.zeros(border.size), residual])
+    Z, S = working.eliminated(border.regularised)
     d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
@@ -93,16 +89,16 @@ def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -
     stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
     slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
-    value, terms = _value(structure, data, working, y)
+    c, residual = _unforced(structure, data)
+    limits = working.limits(lti)
+    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
+    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
     proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y, at) if proven else None
 
 
-def _value(structure: Structure, data: Data, working: WorkingSet, y: Array) -> tuple[float, float]:
-    """Return l'(limit - F c) + y'(e - E c) at the point c without forces, and the size of its terms."""
-    nothing, theta = WorkingSet(structure.border), np.zeros(structure.border.size)
-    c = signals(structure, data, theta, np.zeros(len(y)), nothing)
-    limits = working.limits(data.lti)
-    residual = equation_residual(structure, data, theta, c)
-    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
-    return value, float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
+def _unforced(structure: Structure, data: Data) -> tuple[Signals, Array]:
+    """Return the point c without forces, and the residual of the equations there."""
+    theta = np.zeros(structure.border.size)
+    c = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    return c, equation_residual(structure, data, theta, c)

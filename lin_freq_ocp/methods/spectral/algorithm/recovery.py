@@ -77,12 +77,12 @@ def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) ->
     with np.errstate(all="ignore"):
         eta = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
     eta[:, spaces.near.k] = -spaces.near.adjoint(gradient[:, spaces.near.k])
-    place = len(border.point_t)
+    row = len(border.point_t)
     for scale, singular in zip(border.singular_scale, spaces.singular, strict=True):
         weight = spaces.weight[singular.k]
-        value = y[place] if weight == 1 else y[place] + 1j * y[place + 1]
+        value = y[row] if weight == 1 else y[row] + 1j * y[row + 1]
         eta[:, singular.k] += singular.left * (scale * border.lti.horizon / weight * value)
-        place += int(weight)
+        row += int(weight)
     return eta
 
 

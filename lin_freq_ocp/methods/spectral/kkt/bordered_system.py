@@ -48,18 +48,12 @@ class BorderedSystem:
     def _require_size(self) -> None:
         """Raise UnsupportedError before anything of the border's size is made, if it is too large."""
         lti, fixed = self.lti, len(self.lti.fixed_points[0])
-        if lti.state_dim + fixed > LARGEST_BORDER:
-            raise UnsupportedError(
-                f"method 'spectral': bounds fix {fixed} values within the horizon; it takes "
-                f"{LARGEST_BORDER - lti.state_dim}. Use method 'convex'."
-            )
-        bands = 2 * int(lti.state_stop.sum())
         singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
-        equations = lti.state_dim + fixed + singular + bands
+        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
         if self.size + equations > LARGEST_BORDER:
             raise UnsupportedError(
-                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points or bins "
-                f"of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
+                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
             )
 
     def _set_variables(self) -> None:
@@ -67,12 +61,12 @@ class BorderedSystem:
         self.free_start, self.free_end = np.flatnonzero(np.isnan(lti.start)), np.flatnonzero(np.isnan(lti.end))
         ends = len(self.free_start) + len(self.free_end)
         self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
-        identity = np.eye(n)
-        self.ends = np.hstack([identity[:, self.free_start], -identity[:, self.free_end]])
+        self.ends = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
         self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
+        self.end_signals = np.zeros((len(lti.M), 0, T))
         if ends:
             self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
-        self.end_signals = fft.irfft(self.end_responses, T) if ends else np.zeros((len(lti.M), 0, T))
+            self.end_signals = fft.irfft(self.end_responses, T)
         k, v = self.spaces.border_bin, self.spaces.border_vector
         twice = np.flatnonzero(self.spaces.weight[k] == 2)
         order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
@@ -147,10 +141,10 @@ class BorderedSystem:
         for j, singular in enumerate(spaces.singular):
             row = np.zeros(self.size, dtype=np.complex128)
             row[: self.ends_count] = -spaces.z[singular.k] * (singular.left.conj() @ self.ends)
-            place, amplitude = self.first[singular.direction], self.lti.horizon / spaces.weight[singular.k]
-            row[place] = singular.sigma * amplitude
+            column, amplitude = self.first[singular.direction], self.lti.horizon / spaces.weight[singular.k]
+            row[column] = singular.sigma * amplitude
             if spaces.weight[singular.k] == 2:
-                row[place + 1] = 1j * singular.sigma * amplitude
+                row[column + 1] = 1j * singular.sigma * amplitude
             self.singular_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
             rows.append(self.singular_scale[j] * self._parts(singular.k, row))
         self.singular_rows = np.vstack([*rows, np.zeros((0, self.size))])
@@ -161,10 +155,8 @@ class BorderedSystem:
 
     def _set_band_rows(self) -> None:
         """State bands: rows of the DFT of length T+1, whose last entry acts on x_T."""
-        lti, T = self.lti, self.lti.horizon
-        parts = [
-            (i, real_rows(T + 1, lti.state_stop[:, i])) for i in range(lti.state_dim) if lti.state_stop[:, i].any()
-        ]
+        stop, T = self.lti.state_stop, self.lti.horizon
+        parts = [(int(i), real_rows(T + 1, stop[:, i])) for i in np.flatnonzero(stop.any(0))]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
@@ -181,16 +173,15 @@ class BorderedSystem:
 
     def _band_responses(self) -> Array:
         """Return what every row F_f y_t loses by a unit force on each band row, shape (n+m, rows, T)."""
-        force = np.zeros((len(self.lti.M), len(self.bands), len(self.spaces.z)), dtype=np.complex128)
-        force[self.band_component, np.arange(len(self.bands))] = self.band_hat
         if not len(self.bands):
             return np.zeros((len(self.lti.M), 0, self.lti.horizon))
+        force = np.zeros((len(self.lti.M), len(self.bands), len(self.spaces.z)), dtype=np.complex128)
+        force[self.band_component, np.arange(len(self.bands))] = self.band_hat
         return fft.irfft(self.spaces.project(force), self.lti.horizon)
 
     def _direction_signals(self) -> Array:
-        phase = np.exp(
-            (2j * np.pi / self.lti.horizon) * (np.outer(self.bins, np.arange(self.lti.horizon)) % self.lti.horizon)
-        )
+        T = self.lti.horizon
+        phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
         return (self.vectors[:, :, None] * phase).real
 
     def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:

@@ -78,29 +78,29 @@ class NearBins:
         self.right = np.zeros((len(k), n + m, n), dtype=np.complex128)
         self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
         self.cost = np.full((len(k), m), np.inf)
-        for places, passed, real in _equal_groups(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
-            self._decompose(lti, places, passed, z[k[places]].real if real else z[k[places]])
+        for which, passed, real in _equal_groups(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
+            self._decompose(lti, which, passed, z[k[which]].real if real else z[k[which]])
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
         self.good = self.sigma > np.where(resolved, tol.LEAST_DIVISOR, tol.SMALL_SINGULAR_VALUE) * largest
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
-    def _decompose(self, lti: Lti, places: Indices, passed: Mask, z: Array | ComplexArray) -> None:
+    def _decompose(self, lti: Lti, which: Indices, passed: Mask, z: Array | ComplexArray) -> None:
         """Fill in bins that share a passed mask, in real arithmetic where z is real."""
         n = lti.state_dim
         allowed = np.concatenate([np.ones(n, dtype=bool), passed])
         F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
-        self.left[places], self.sigma[places], right = np.linalg.svd(F[:, :, allowed])
+        self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
         V = np.zeros((len(z), len(lti.M), right.shape[1]), dtype=z.dtype)
         V[:, allowed] = right.conj().swapaxes(1, 2)
-        self.right[places], null = V[:, :, :n], V[:, :, n:]
+        self.right[which], null = V[:, :, :n], V[:, :, n:]
         columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
         if columns == 1:
-            self.null[places, :, :1], self.cost[places, :1] = null, cost.real[:, 0]
+            self.null[which, :, :1], self.cost[which, :1] = null, cost.real[:, 0]
         else:
             h, vectors = np.linalg.eigh(cost)
-            self.null[places, :, :columns], self.cost[places, :columns] = null @ vectors, h
+            self.null[which, :, :columns], self.cost[which, :columns] = null @ vectors, h
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return the pseudo-inverse applied to rhs (n, columns, count), shape (n+m, columns, count)."""
@@ -197,8 +197,8 @@ class BinSpaces:
         self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
         small, column = np.nonzero(~regular)
         bad, which = np.nonzero(~near.good)
-        for place, (i, j) in enumerate(zip(bad, which, strict=True), start=len(small)):
-            self.singular.append(Singular(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), place))
+        for direction, (i, j) in enumerate(zip(bad, which, strict=True), start=len(small)):
+            self.singular.append(Singular(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), direction))
         self.border_bin = near.k[np.concatenate([small, bad])]
         border = np.vstack([near.null[small, :, column], near.right[bad, :, which]]).T
         at = self.N[:, :, self.border_bin]

@@ -1,1 +1,1 @@
-"""Pointwise rows: those of the working set, those that a point violates, and responses of all or nearby ones."""
+"""Pointwise rows: the working set, violated rows, and responses of all or of nearby rows."""

@@ -36,10 +36,10 @@ class Violations:
         t, f = lti.fixed_points
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
         t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
-        place = np.full(len(lti.F), -1)
-        place[self.rows] = np.arange(len(self.rows))
-        bounded = place[f] >= 0
-        self.fixed = place[f[bounded]], t[bounded]
+        index = np.full(len(lti.F), -1)
+        index[self.rows] = np.arange(len(self.rows))
+        bounded = index[f] >= 0
+        self.fixed = index[f[bounded]], t[bounded]
         self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
 
@@ -67,7 +67,7 @@ class Violations:
 
     def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
-        i, t = self._places(tolerance)
+        i, t = self._chosen_entries(tolerance)
         ends = np.flatnonzero(self.last > tolerance / 2)
         sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
         times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
@@ -75,7 +75,7 @@ class Violations:
 
     def chosen(self, tolerance: float) -> tuple[Indices, Array]:
         """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        i, t = self._places(tolerance)
+        i, t = self._chosen_entries(tolerance)
         index, above = i * self.lti.horizon + t, self.above[i, t]
         if self.free_end.any():
             ends = np.flatnonzero(self.last > tolerance / 2)
@@ -88,7 +88,7 @@ class Violations:
         lti = self.lti
         return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
 
-    def _places(self, tolerance: float) -> tuple[Indices, Indices]:
+    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
         """Return (i, t) of the entries of ``excess`` that enter."""
         threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
         i, t = np.nonzero(self.excess > threshold[:, None])

@@ -33,23 +33,23 @@ class WholeHorizon:
         self._border, self.rows, self._inner = border, rows, len(rows) * T
         self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
         self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
-        self._place = np.zeros(len(lti.F), dtype=np.intp)
-        self._place[rows] = np.arange(len(rows))
+        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
+        self._row_index[rows] = np.arange(len(rows))
         self.coupling = np.zeros((len(border.matrix), len(self.t)))
         self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
         self.coupling[border.at_end, self._inner + border.free_end] = 1.0
         self.through = border.inverse @ self.coupling
 
-    def places(self, t: Indices, f: Indices) -> Indices:
+    def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
         T = self._border.lti.horizon
-        return np.where(t < T, self._place[f] * T + t, self._inner + f)
+        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
     def duals(self, rows: Rows) -> ActiveSetDuals:
         """Return the same rows by flat indices."""
-        places, once = np.unique(self.places(rows.t, rows.f), return_index=True)
-        weights = np.zeros(len(places)) if rows.weights is None else rows.weights[once]
-        return ActiveSetDuals(places, rows.sign[once], weights)
+        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
+        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
+        return ActiveSetDuals(indices, rows.sign[once], weights)
 
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
@@ -57,8 +57,6 @@ class WholeHorizon:
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
         inner = np.flatnonzero(index < self._inner)
-        if len(inner) == len(index):
-            return S + self._border.kernels.gram(t, f, t, f)
         S[np.ix_(inner, inner)] += self._border.kernels.gram(t[inner], f[inner], t[inner], f[inner])
         return S
 
@@ -68,7 +66,7 @@ class WholeHorizon:
         pulses[index] = mu
         forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
         spectrum = np.zeros((len(lti.M), forces.shape[1]), dtype=np.complex128)
-        self._border.spaces.respond(lti.F[self.rows].T @ forces, lti.F[self.rows].any(0), spectrum)
+        self._border.spaces.respond(lti.F[self.rows].T @ forces, np.asarray(lti.F[self.rows].any(0)), spectrum)
         y = fft.irfft(spectrum, lti.horizon)
         values = (self.through[:, index] @ mu) @ self.coupling
         values[: self._inner] -= (y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y).ravel()
@@ -78,7 +76,7 @@ class WholeHorizon:
 class ActiveSetDuals(NamedTuple):
     """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
 
-    places: Indices
+    indices: Indices
     sign: Array
     weights: Array
     rounds: int = 0
@@ -98,7 +96,7 @@ def exchanged(
 
     ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``nonnegative_qp``.
     """
-    index, sign, weights = start.places, start.sign, start.weights
+    index, sign, weights = start.indices, start.sign, start.weights
     found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
     lower, upper = violations.flat_bounds()
     for count in range(1, MODEL_ROUNDS + 1):

@@ -63,8 +63,22 @@ class WorkingSet:
     def gram(self) -> Array:
         """S_W without the border's part, (count, count)."""
         if self._known_gram is None:
-            self._known_gram = self._gram()
+            require_memory(
+                f"method 'spectral' with {len(self)} working rows (samples at a bound)",
+                8.0 * COPIES * len(self) ** 2,
+                "Choose a coarser grid or a shorter horizon.",
+            )
+            inner, gram = self.inner, np.zeros((len(self), len(self)))
+            t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
+            gram[np.ix_(inner, inner)] = self._border.kernels.gram(t, f, t, f) * sign[:, None] * sign
+            self._known_gram = gram
         return self._known_gram
+
+    def eliminated(self, inverse: Array) -> tuple[Array, Array]:
+        """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
+        Z = inverse @ self.coupling
+        through_border = self.coupling.T @ Z
+        return Z, self.gram + (through_border + through_border.T) / 2
 
     @property
     def inner(self) -> Mask:
@@ -129,17 +143,6 @@ class WorkingSet:
 
     def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
         self._present[(sign > 0).astype(np.intp), f, t] = present
-
-    def _gram(self) -> Array:
-        require_memory(
-            f"method 'spectral' with {len(self)} working rows (samples at a bound)",
-            8.0 * COPIES * len(self) ** 2,
-            "Choose a coarser grid or a shorter horizon.",
-        )
-        inner, gram = self.inner, np.zeros((len(self), len(self)))
-        t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
-        gram[np.ix_(inner, inner)] = self._border.kernels.gram(t, f, t, f) * sign[:, None] * sign
-        return gram
 
     def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
         border, inner = self._border, t < self._border.lti.horizon
