@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,23 +14,24 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+Entry = TypeVar("Entry", bound=np.generic)
 Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
 NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
 
 
-def assign(instance: object, **fields: Any) -> None:
+def assign(instance: object, **fields: object) -> None:
     """Set the fields of a frozen dataclass from within its own ``__init__``."""
     for name, value in fields.items():
         object.__setattr__(instance, name, value)
 
 
-def extended(array: Any) -> Any:
+def extended(given: ArrayLike) -> NDArray[Any]:
     """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
-    array = np.asarray(array)
+    array = np.asarray(given)
     return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
     """Return the array itself if nobody can write to it any more, else a read-only copy."""
     if array.flags.writeable:
         array = array.copy()
@@ -38,7 +39,7 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def real_array(field: str, value: Any, allow_infinite: bool = False) -> Array:
+def real_array(field: str, value: object, allow_infinite: bool = False) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
     try:
         array = np.asarray(value)
@@ -57,7 +58,7 @@ def real_array(field: str, value: Any, allow_infinite: bool = False) -> Array:
     return array
 
 
-def shaped(field: str, value: Any, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:
+def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:
     """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
     array = real_array(field, value)
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
@@ -73,7 +74,7 @@ def one_component(array: Array, size: int) -> Array:
     return array.reshape(1) if array.ndim == 0 and size == 1 else array
 
 
-def times_vectors(matrix: Any, vectors: Array) -> Array:
+def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
     """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
     matrix = np.asarray(matrix)
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
@@ -92,14 +93,14 @@ def with_rows(matrices: Array, rows: Array) -> Array:
 LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
 
 
-def positive_integer(field: str, value: Any) -> int:
+def positive_integer(field: str, value: object) -> int:
     """Require a whole number of at least 1."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= LARGEST_HORIZON:
         raise ProblemError(field, brief(value), f"a whole number from 1 to {LARGEST_HORIZON}")
     return int(value)
 
 
-def positive_number(field: str, value: Any) -> float:
+def positive_number(field: str, value: object) -> float:
     """Require a finite number above zero."""
     number = real_array(field, value)
     if number.ndim or number <= 0:
@@ -127,7 +128,7 @@ def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> t
     return tuple(given)
 
 
-def brief(value: Any, length: int = 80) -> str:
+def brief(value: object, length: int = 80) -> str:
     """Return a value as an error message shows it."""
     try:
         text = repr(value).replace("\n", " ")

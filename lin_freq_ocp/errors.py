@@ -52,7 +52,7 @@ class ProblemError(LinFreqOCPError, ValueError):
         self.field, self.got, self.expected, self.advice = field, got, expected, advice
         super().__init__(f"{field}: got {got}; expected {expected}." + (f" {advice}" if advice else ""))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Return the arguments of an equal error: pickle would call the class with the message alone."""
         return type(self), (self.field, self.got, self.expected, self.advice), self.__dict__
 
@@ -184,7 +184,7 @@ def first_line(error: Exception) -> str:
     return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
 
 
-def suggestion(given: Any, known: Iterable[str]) -> str:
+def suggestion(given: object, known: Iterable[str]) -> str:
     """Return the question whether the nearest known word was meant, or nothing if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
     return f"Did you mean {nearest[0]!r}?" if nearest else ""

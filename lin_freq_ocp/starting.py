@@ -7,12 +7,12 @@ import signal
 import sys
 import threading
 from pathlib import PurePath
-from typing import Any
+from types import FrameType
 
 INTERRUPTED = 130  # exit status after Ctrl-C, as of shells
 
 
-def leave(number: int, frame: Any) -> None:
+def leave(number: int, frame: FrameType | None) -> None:
     """Leave now: nothing is open, and KeyboardInterrupt in the midst of an import becomes other errors on its way."""
     os._exit(INTERRUPTED)
 

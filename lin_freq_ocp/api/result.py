@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import Field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, final
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
 from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.arrays import Array
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Record(Protocol):
     """A dataclass."""
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
 
 Shown = TypeVar("Shown", bound=Record)

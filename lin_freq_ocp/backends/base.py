@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from types import ModuleType
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
@@ -124,7 +124,7 @@ def _expected(binaries: bool) -> str:
     return f"{', '.join(listed[:-1])} or {listed[-1]}{purpose}"
 
 
-def _module(name: str) -> Any:
+def _module(name: str) -> ModuleType:
     return import_module(f"lin_freq_ocp.backends.{name}")
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import qpsolvers
@@ -16,7 +16,7 @@ from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
 # How each solver spells its tolerance; one that is not here runs with its own
-SETTINGS: dict[str, Any] = {
+SETTINGS: dict[str, Callable[[float], dict[str, object]]] = {
     "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
     "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
     "proxqp": lambda tolerance: {
@@ -64,7 +64,7 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
         warnings.simplefilter("ignore")  # qpsolvers warns of conversions; residuals tell what matters
         start = time.perf_counter()
         try:
-            answer = qpsolvers.solve_problem(problem, solver=member, **settings)
+            answer = qpsolvers.solve_problem(problem, member, None, False, **settings)
         except qpsolvers.exceptions.QPError as error:
             return Solution(Claim.FAILED, None, None, str(error))
     late = time_limit is not None and time.perf_counter() - start >= time_limit
@@ -77,5 +77,5 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
     return Solution(claim, x, form.dual(len(program.lower), np.append(y, z)), f"found: {answer.found}")
 
 
-def _dense(matrix: Any) -> np.ndarray:
+def _dense(matrix: sp.csr_array | sp.csc_array) -> np.ndarray:
     return np.asarray(matrix.todense())

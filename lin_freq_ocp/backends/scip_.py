@@ -11,12 +11,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from pyscipopt import Eventhdlr, Model, quicksum
-from pyscipopt.scip import PY_SCIP_EVENTTYPE
+from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.arrays import Array, Indices
@@ -29,7 +28,7 @@ NEGLIGIBLE = 1e-14  # eigenvalue of a block of P, relative to its largest, that 
 LEAST_TIME = 1e-3  # seconds given to SCIP when building its model has used them all
 INFINITE = 1e20  # as SCIP has it
 
-SETTINGS: dict[str, Any] = {
+SETTINGS: dict[str, bool | float | str] = {
     "numerics/feastol": FEASIBILITY,
     "lp/threads": 1,
     "parallel/maxnthreads": 1,
@@ -70,7 +69,7 @@ def remaining(time_limit: float | None, started: float) -> float | None:
     return None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
 
 
-def optimised(model: Any, variables: list[Any], time_limit: float | None, gap: float) -> Solution | None:
+def optimised(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
     """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
@@ -111,12 +110,12 @@ class _Watch(Eventhdlr):
         for event in WATCHED:
             self.model.dropEvent(event, self)
 
-    def eventexec(self, event: Any) -> None:
+    def eventexec(self, event: Event) -> None:
         if self.noted.is_set():
             self.model.interruptSolve()
 
 
-def convex_model(program: Program, rows: SingleBounds) -> tuple[Any, list[Any]]:
+def convex_model(program: Program, rows: SingleBounds) -> tuple[Model, list[Variable]]:
     """Return a model with all rows of a program and no objective, and its variables."""
     model, integer = Model(), np.isin(np.arange(len(program.q)), program.binaries)
     model.hideOutput()
@@ -138,15 +137,15 @@ def convex_model(program: Program, rows: SingleBounds) -> tuple[Any, list[Any]]:
     return model, z
 
 
-def _linear(values: Array, places: Iterable[int], z: list[Any]) -> Any:
+def _linear(values: Array, places: Iterable[int], z: list[Variable]) -> Expr:
     return quicksum(float(value) * z[j] for value, j in zip(values, places, strict=True))
 
 
-def _add_cones(model: Any, program: Program, z: list[Any]) -> None:
+def _add_cones(model: Model, program: Program, z: list[Variable]) -> None:
     """Add s = A z - lower, s_0 >= 0, and s_1^2 + ... <= s_0^2; a constant s_0 makes it a ball."""
     A = sp.csr_array(program.A)
     for cone in program.cones:
-        squares: list[Any] = []
+        squares = list[Expr | float]()
         for i in range(cone.start, cone.stop):
             places = slice(A.indptr[i], A.indptr[i + 1])
             row, first = _linear(A.data[places], A.indices[places], z) - float(program.lower[i]), i == cone.start
@@ -159,10 +158,10 @@ def _add_cones(model: Any, program: Program, z: list[Any]) -> None:
         model.addCons(quicksum(squares[1:]) - squares[0] <= 0)
 
 
-def set_objective(model: Any, program: Program, z: list[Any]) -> None:
+def set_objective(model: Model, program: Program, z: list[Variable]) -> None:
     """Minimise the cost of a program in the variables of its model."""
     linear = _linear(program.q, np.arange(len(z)), z) + program.constant
-    squares: list[Any] = []
+    squares = list[Expr]()
     for places, values in _factor(program):
         y = model.addVar(lb=None)
         model.addCons(y == _linear(values, places, z))

@@ -8,7 +8,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import import_module
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 
+if TYPE_CHECKING:
+    from casadi import Function
+
 # Operations of CasADi whose derivatives say nothing of their kinks or jumps.
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
 # Operations of CasADi that formulas have; constants among them are folded by CasADi.
-OPERATIONS: dict[str, Callable[..., Any]] = {
+OPERATIONS: dict[str, Callable[..., Formula]] = {
     "ASSIGN": lambda a: a,
     "ADD": lambda a, b: a + b,
     "SUB": lambda a, b: a - b,
@@ -41,7 +45,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "ATAN": np.arctan,
     "POW": lambda a, b: _power(a, b),
     "CONSTPOW": lambda a, b: _power(a, b),
-    "FABS": abs,
+    "FABS": Formula.__abs__,
     "HYPOT": lambda a, b: norm([a, b]),
     "FMAX": lambda a, b: extreme(MAXIMUM, (a, b), None),
     "FMIN": lambda a, b: extreme(MINIMUM, (a, b), None),
@@ -49,7 +53,11 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 def from_casadi(
-    function: Any, states: int | None = None, controls: int | None = None, name: str = "", smooth: bool = False
+    function: Function | Callable[..., object],
+    states: int | None = None,
+    controls: int | None = None,
+    name: str = "",
+    smooth: bool = False,
 ) -> DifferentiableFunction:
     """Return a function of CasADi as one that makes formulas, with exact derivatives.
 
@@ -91,7 +99,8 @@ def from_casadi(
     casadi = _casadi()
     if not isinstance(smooth, bool):
         raise ProblemError("from_casadi.smooth", brief(smooth), "true or false")
-    if isinstance(function, casadi.Function):
+    native: type[Function] = casadi.Function
+    if isinstance(function, native):
         made = function
     elif callable(function):
         n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
@@ -109,7 +118,7 @@ def from_casadi(
     return found
 
 
-def _translate(casadi: Any, made: Any, found: DifferentiableFunction, smooth: bool) -> None:
+def _translate(casadi: ModuleType, made: Function, found: DifferentiableFunction, smooth: bool) -> None:
     """Let a function make formulas where these have all its operations; else it must not have kinks."""
     program = made
     if not made.is_a("SXFunction"):
@@ -130,12 +139,12 @@ def _translate(casadi: Any, made: Any, found: DifferentiableFunction, smooth: bo
         raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
 
 
-def _operations(casadi: Any) -> dict[int, Callable[..., Any]]:
+def _operations(casadi: ModuleType) -> dict[int, Callable[..., Formula]]:
     """Return ``OPERATIONS`` by the codes of CasADi."""
     return {getattr(casadi, f"OP_{name}"): operation for name, operation in OPERATIONS.items()}
 
 
-def _casadi() -> Any:
+def _casadi() -> ModuleType:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the types that its binding makes
@@ -146,7 +155,7 @@ def _casadi() -> Any:
         ) from None
 
 
-def _compiled(casadi: Any, function: Callable[..., Any], n: int, m: int) -> Any:
+def _compiled(casadi: ModuleType, function: Callable[..., object], n: int, m: int) -> Function:
     x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
     try:
         given = function(x, u)
@@ -157,7 +166,7 @@ def _compiled(casadi: Any, function: Callable[..., Any], n: int, m: int) -> Any:
     return casadi.Function("f", [x, u], [column])
 
 
-def _require_columns(made: Any, states: int | None, controls: int | None) -> None:
+def _require_columns(made: Function, states: int | None, controls: int | None) -> None:
     if (made.n_in(), made.n_out()) != (2, 1):
         got = f"{made.n_in()} inputs and {made.n_out()} outputs"
         raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
@@ -169,7 +178,7 @@ def _require_columns(made: Any, states: int | None, controls: int | None) -> Non
             raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
 
 
-def _serialized(made: Any) -> str:
+def _serialized(made: Function) -> str:
     try:
         return str(made.serialize())
     except RuntimeError:  # it calls what has no text
@@ -180,7 +189,7 @@ def _serialized(made: Any) -> str:
 class _Compiled:
     """Values and derivatives of a function at points, x (points, n) and u (points, m)."""
 
-    function: Any = field(compare=False)
+    function: Function = field(compare=False)
     text: str  # by which functions differ, also in other processes
 
     def __call__(self, what: str, x: Array, u: Array) -> Array:
@@ -193,7 +202,7 @@ class _Compiled:
         return rows if what == "jacobian" else rows.reshape(points, -1, count, count)
 
     @cached_property
-    def _functions(self) -> dict[str, Any]:
+    def _functions(self) -> dict[str, Function]:
         """Functions of (x, u): values (k, 1), Jacobian (k, n + m), Hessians (k (n + m), n + m)."""
         casadi, made = _casadi(), self.function
         kind = casadi.SX if made.is_a("SXFunction") else casadi.MX
@@ -209,7 +218,7 @@ class _Compiled:
 class _Translation:
     """A function in scalar operations that formulas have."""
 
-    function: Any = field(compare=False)
+    function: Function = field(compare=False)
     text: str
 
     def __call__(self, arguments: Sequence[Formula], states: int) -> list[Formula]:

@@ -16,6 +16,7 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
 
 _UNDEFINED = float("nan")  # stands for values where the function is not defined
+Arguments = ArrayLike | Formula | Sequence[Formula | float]  # formulas or numbers in place of x, or of u
 # Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
 # the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian.
 STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
@@ -131,7 +132,7 @@ class DifferentiableFunction:
         own = str(getattr(self.call, "__name__", "function"))
         return self.name or (own if own.isidentifier() else "function")
 
-    def __call__(self, x: Any, u: Any = ()) -> NDArray[Any]:
+    def __call__(self, x: Arguments, u: Arguments = ()) -> NDArray[Any]:
         """Return the outputs, (outputs,): formulas if there is a formula among x and u, else numbers.
 
         Parameters
@@ -297,7 +298,7 @@ class DifferentiableFunction:
         return array.astype(np.float64).reshape(shape)
 
 
-def _listed(label: str, given: Any) -> list[Any]:
+def _listed(label: str, given: Any) -> list[Formula | float]:
     listed = [given] if isinstance(given, Formula) or np.ndim(given) == 0 else list(given)
     for one in listed:
         if not isinstance(one, Formula):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Points:
     """Points y = (x, u), (points, n + m), at which formulas are evaluated."""
 
     y: Array
-    selections: Mapping[Any, Array]  # of norms: their derivatives by the arguments, (points, components), where numbers
+    selections: Mapping[Node, Array]  # of norms: derivatives by the arguments, (points, components), where numbers
     # What external functions returned: each is evaluated once for all its outputs.
     calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
 

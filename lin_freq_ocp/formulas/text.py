@@ -7,7 +7,6 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from lin_freq_ocp.phrases import plural
 
 LONGEST = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
-Formulas = Formula | str | Sequence[Formula | str | float] | Callable[[Any, Any], Any]
+Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
 # Of numbers alone.
 ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
@@ -185,7 +184,7 @@ def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     return written(one, shown(labels), LONGEST_SHOWN)
 
 
-def listed_formulas(field: str, given: Formulas, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(given):
         given = _traced(field, given, dimensions)
@@ -205,7 +204,7 @@ def listed_formulas(field: str, given: Formulas, dimensions: tuple[int, int]) ->
     return tuple(made)
 
 
-def _traced(field: str, function: Callable[..., Any], dimensions: tuple[int, int]) -> Any:
+def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
     """Return the value of a function for signals."""
     x, u = signals(*dimensions)
     try:

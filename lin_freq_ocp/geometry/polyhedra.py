@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -143,12 +142,19 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
 
     d = rows.shape[1] - 1
     bounds = [(None, None)] * d + [(None, LARGEST_BALL)]
-    equal: Any = {} if plane is None else {"A_eq": np.append(plane[0], 0.0)[None], "b_eq": np.array([plane[1]])}
-    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
-    answer: Any = linprog(-np.eye(d + 1)[-1], rows, right, bounds=bounds, method="highs-ds", options=options, **equal)
+    equal = (None, None) if plane is None else (np.append(plane[0], 0.0)[None], np.array([plane[1]]))
+    answer = linprog(
+        -np.eye(d + 1)[-1],
+        rows,
+        right,
+        *equal,
+        bounds,
+        method="highs-ds",
+        options={"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE},
+    )
     if answer.status not in (OPTIMAL, INFEASIBLE):
         raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")
-    return np.asarray(answer.x[:-1]) if answer.status == OPTIMAL else None
+    return None if answer.x is None or answer.status == INFEASIBLE else np.asarray(answer.x[:-1])
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:

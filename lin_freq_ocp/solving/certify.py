@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
+from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -22,7 +22,7 @@ ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of fe
 
 def certify(
     problem: OptimalControlProblem,
-    trajectory: Any,
+    trajectory: object,
     multipliers: Multipliers | None = None,
     tolerance: float | None = None,
 ) -> Certificate:
@@ -78,7 +78,7 @@ def certify(
     tree = getattr(trajectory, "tree", None)
     trajectory, multipliers = _unpacked(trajectory, multipliers)
     if not isinstance(trajectory, Trajectory):
-        trajectory = simulate(problem, trajectory)
+        trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
@@ -108,7 +108,7 @@ def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded 
     return None
 
 
-def _unpacked(given: Any, multipliers: Multipliers | None) -> tuple[Any, Multipliers | None]:
+def _unpacked(given: object, multipliers: Multipliers | None) -> tuple[object, Multipliers | None]:
     """Return the trajectory of what solve or load returned, and its multipliers unless others are given."""
     if not hasattr(given, "trajectory"):
         return given, multipliers

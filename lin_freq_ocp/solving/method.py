@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from dataclasses import Field, dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class Request:
 class Method(Protocol):
     """A method of solution, with its options as fields."""
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
     shorthand: ClassVar[str]  # the text that stands for the method in ``solve(problem, method)``
     takes_start: ClassVar[bool]  # whether it begins with a given trajectory, control or mode sequence
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -136,7 +135,7 @@ def _with_trajectory(
     """Return dynamics with bands, and a trajectory of order 1."""
     for damped in (False, True):
         dynamics = _dynamics(rng, n, m, T, damped)
-        bare = lfo.OptimalControlProblem(dynamics, T, lfo.QuadraticCost(R=1.0), **_bands(rng, n, m, T))
+        bare = _with_bands(lfo.OptimalControlProblem(dynamics, T, lfo.QuadraticCost(R=1.0)), rng)
         liked = lfo.QuadraticCost(
             Q=0.1, R=1.0, P=0.1, x_ref=rng.standard_normal((T + 1, n)), u_ref=rng.standard_normal((T, m))
         )
@@ -191,19 +190,20 @@ def _block(rng: np.random.Generator, room: int, T: int, damped: bool) -> Array:
     return np.kron(np.eye(count), radius * turn) + np.kron(np.eye(count, k=1), np.eye(2))
 
 
-def _bands(rng: np.random.Generator, n: int, m: int, T: int) -> dict[str, Any]:
-    """Return stop bands of some controls, and now and then of a state."""
+def _with_bands(problem: lfo.OptimalControlProblem, rng: np.random.Generator) -> lfo.OptimalControlProblem:
+    """Return a problem with stop bands of some controls, and now and then of a state."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     makers = [
         lambda j: lfo.low_pass(rng.uniform(0.8, 3.0), component=j),
         lambda j: lfo.stop_band(bins=rng.integers(0, T // 2 + 1, size=rng.integers(1, 4)), component=j),
         lambda j: lfo.stop_band(bins=[0], component=j),
     ]
-    bands: dict[str, Any] = {}
+    bands = dict[str, object]()
     if rng.random() < 0.4:
         bands["control_spectrum"] = [makers[rng.integers(3)](j) for j in range(m) if rng.random() < 0.7] or None
     if rng.random() < 0.1 and T > 10:
         bands["state_spectrum"] = lfo.stop_band(bins=[int(rng.integers(0, T // 3))], component=int(rng.integers(n)))
-    return bands
+    return replace(problem, **bands)
 
 
 def _cost(rng: np.random.Generator, n: int, m: int, T: int, near: lfo.Trajectory) -> lfo.QuadraticCost:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cvxpy as cp
@@ -14,6 +14,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.arrays import ComplexArray
+from lin_freq_ocp.problem.costs.quadratic import Cost
 
 LONGEST = 40
 
@@ -28,10 +29,10 @@ class Model:
     u_near: np.ndarray
     x: cp.Variable
     u: cp.Variable
-    ours: dict[str, Any] = field(default_factory=dict)
-    cost: Any = 0.0
-    costs: list[Any] = field(default_factory=list)
-    constraints: list[Any] = field(default_factory=list)
+    ours: dict[str, Any] = field(default_factory=dict[str, Any])
+    cost: float | cp.Expression = 0.0
+    costs: list[Cost] = field(default_factory=list[Cost])
+    constraints: list[cp.Constraint] = field(default_factory=list[cp.Constraint])
     features: list[str] = field(default_factory=list)
 
     @property
@@ -50,7 +51,7 @@ class Model:
             problem = cp.Problem(cp.Minimize(self.cost), self.constraints)
             return float(str(problem.solve(solver=cp.CLARABEL)))
 
-    def add(self, key: str, value: Any) -> None:
+    def add(self, key: str, value: object) -> None:
         """Add one entry to a list of ours."""
         self.ours.setdefault(key, []).append(value)
 
@@ -84,13 +85,12 @@ def random_model(seed: int) -> Model:
     return model
 
 
-def problem_of(model: Model, **changed: Any) -> lfo.OptimalControlProblem:
+def problem_of(model: Model, **changed: object) -> lfo.OptimalControlProblem:
     """Return our problem; ``changed`` replace its fields."""
     cost = model.costs[0]
     for other in model.costs[1:]:
         cost = cost + other
-    fields: dict[str, Any] = {**model.ours, "cost": cost, "name": "mixed", **changed}
-    return lfo.OptimalControlProblem(**fields)
+    return replace(lfo.OptimalControlProblem(cost=cost, name="mixed", **model.ours), **changed)
 
 
 def _quadratic_cost(model: Model) -> None:

@@ -16,7 +16,7 @@ INSTANCES: dict[str, dict[str, Any]] = {
 }
 # Those that boxes and stop bands can state; dint200_soft has a mask, and is known to 1e-6 only
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]
-PENDULUM: dict[str, tuple[dict[str, Any], float]] = {  # keyword arguments, optimal cost
+PENDULUM: dict[str, tuple[dict[str, object], float]] = {  # keyword arguments, optimal cost
     "paper, constrained": ({}, 3199.18631986),
     "paper, classical": ({"cutoff": None}, 2852.70530277),
     "to rest, constrained": ({"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0)}, 359.660659090),
@@ -27,9 +27,9 @@ PENDULUM: dict[str, tuple[dict[str, Any], float]] = {  # keyword arguments, opti
     "slow sampling, constrained": ({"sampling_time": 0.1}, 135.081414040),
     "slow sampling, classical": ({"sampling_time": 0.1, "cutoff": None}, 127.758711896),
 }
-NEAR: dict[str, Any] = {"initial_state": (1, 1), "terminal_cost": False}
+NEAR: dict[str, object] = {"initial_state": (1, 1), "terminal_cost": False}
 # System, arguments, and the known optimal cost, if there is one (reference: docs/hybrid_systems.md)
-PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, Any], float | None]] = {
+PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, object], float | None]] = {
     "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
     "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
     "rotation, T = 10": ("switched_rotation", {"horizon": 10, **NEAR}, 2.8378768),
@@ -43,8 +43,8 @@ PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, Any], float | None]] = {
 }
 # Examples 2 and 3 of the paper, by dynamic programming, enumeration with a local solver, and a global solver; those of
 # T = 20 by this project alone
-FREE_END: dict[str, Any] = {"terminal_state": None}
-PIECEWISE_SMOOTH: dict[str, tuple[str, dict[str, Any], float]] = {
+FREE_END: dict[str, object] = {"terminal_state": None}
+PIECEWISE_SMOOTH: dict[str, tuple[str, dict[str, object], float]] = {
     "norm from (0, 1), T = 3": ("norm_dynamics", {"initial_state": (0.0, 1.0), "horizon": 3}, 1.0),
     "norm from (1, 0), T = 3": ("norm_dynamics", {"initial_state": (1.0, 0.0), "horizon": 3}, 1.959023692803284),
     "norm from (1, 0), T = 10": ("norm_dynamics", {"initial_state": (1.0, 0.0)}, 2.382234308047054),

@@ -35,7 +35,7 @@ class SweepHead:
     problem: str
     fingerprint: str
     names: tuple[str, ...]
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class SweepOutcome:
     problem: str
     grid: Mapping[str, tuple[object, ...]]
     rows: tuple[Row, ...] = field(repr=False)
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
     interrupted: bool = False
 
     @property
@@ -84,11 +84,11 @@ class SweepOutcome:
         """Whether every point is finished and its status is proven: optimal, infeasible or unbounded."""
         return self.complete and all(row["proven"] for row in self.rows)
 
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[dict[str, object]]:
         """Return a flat dict per row, parameters first; ``pandas.DataFrame`` takes it as it is."""
         return [row["parameters"] | {name: row[name] for name in MEASURED} for row in self.rows]
 
-    def column(self, name: str) -> list[Any]:
+    def column(self, name: str) -> list[object]:
         """Return one parameter or one key of the rows, an entry per row.
 
         Raises

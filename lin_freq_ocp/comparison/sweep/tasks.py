@@ -9,13 +9,15 @@ from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
 from queue import SimpleQueue
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.comparison.sweep.grid import Parameters
 from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
 
 RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason
+P = ParamSpec("P")
+R = TypeVar("R")
 Task = Callable[[Parameters, int], Row]  # solves one point, given how often it was lost before
 Finished = Generator[tuple[str, Row]]  # keys and rows, in the order in which they finish
 
@@ -50,7 +52,7 @@ def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | 
 class WorkerPool(ProcessPoolExecutor):
     """Worker processes that ignore Ctrl-C, which a terminal sends to all processes: this one handles it."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         """Submit a task; Ctrl-C while processes start is acted on after they have."""
         with interrupts_noted() as interrupt:
             try:

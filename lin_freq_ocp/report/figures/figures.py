@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import product
 from math import ceil
 from string import ascii_lowercase
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -255,8 +254,8 @@ def _draw_prices(ax: Axes, component: Signal, frequency: np.ndarray, price: np.n
     color = COMPONENTS[i % len(COMPONENTS)]
     x, y = thinned(frequency[component.stop], price[component.stop])
     ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
-    style: dict[str, Any] = {"marker": MARKERS[i % len(MARKERS)], "linestyle": "none", "color": color, "markersize": 5}
-    ax.plot(x, y, label=short_name(component.name), **style)
+    marker = MARKERS[i % len(MARKERS)]
+    ax.plot(x, y, label=short_name(component.name), marker=marker, linestyle="none", color=color, markersize=5)
 
 
 def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:
@@ -272,8 +271,9 @@ def _legend_handles(
 ) -> list[Artist]:
     handles = list[Artist]()
 
-    def add(label: str, linewidth: float = 1.2, **style: Any) -> None:
-        handles.append(Line2D([], [], linewidth=linewidth, label=label, **style))
+    def add(label: str, **style: object) -> None:
+        handles.append(Line2D([], [], linewidth=1.2, label=label))
+        handles[-1].set(**style)
 
     for trace in data.traces:
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label

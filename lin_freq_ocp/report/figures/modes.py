@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -52,7 +51,7 @@ LONGEST_NAME = 32  # characters of a mode's name in a picture
 STRIP_HEIGHT = 0.3  # inches: height of a strip, and the room between strips
 BAR = 0.02  # width of the bar of an interval, relative to the time axis
 # The marker of what the adjoint equation requires.
-REQUIRED: dict[str, Any] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+REQUIRED: dict[str, object] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
 MARKED = 60  # up to so many values are points on their line
 
 
@@ -61,7 +60,7 @@ def shade_modes(ax: Axes, data: PlotData) -> None:
     for span in data.modes:
         if span.mode != NO_MODE:
             start, end = data.time.factor * span.start, data.time.factor * span.end
-            ax.axvspan(start, end, **_look(span.mode), zorder=0)
+            _paint(ax.axvspan(start, end, zorder=0), span.mode)
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class ModeLegend:
             return
         columns, in_one_row = self._layout()
         legend = figure.legend(
-            handles=[Patch(**_look(mode)) for mode in self.modes],
+            handles=[_paint(Patch(), mode) for mode in self.modes],
             labels=["mode"] * len(self.modes),
             title=None if in_one_row else plain(self.whose),
             title_fontsize=LABEL_SIZE + 0.5,
@@ -166,8 +165,8 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
         ax = figure.add_subplot(rows, columns, i + 1)
         shade_modes(ax, data)
         times = data.time.factor * np.arange(len(eta))
-        marker: dict[str, Any] = {"marker": "o", "markersize": 3.2} if len(eta) <= MARKED else {}
-        ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, **marker)
+        marker = "o" if len(eta) <= MARKED else ""
+        ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2)
         for kink in found:
             _draw_kink(ax, data, kink, i)
         end = data.time.factor * data.problem.horizon
@@ -208,25 +207,29 @@ def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
     bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
     ax.add_patch(bar)
     ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
-    ax.plot(at, kink.required[i], "D", **REQUIRED, zorder=8)
+    (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
+    point.set(**REQUIRED)
 
 
 def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
-    look: dict[str, Any] = {"color": COMPONENTS[0], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
-    handles: list[Artist] = [Line2D([], [], **look, label=f"adjoint {ETA}")]
+    adjoint = Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {ETA}")
+    handles: list[Artist] = [adjoint]
     if with_kinks:
         handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
         required = "what the adjoint equation requires of it"
-        handles.append(Line2D([], [], linestyle="none", marker="D", **REQUIRED, label=required))
+        handles.append(Line2D([], [], linestyle="none", marker="D", label=required))
+        handles[-1].set(**REQUIRED)
     legend_above(figure, handles)
 
 
 def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:
     """Draw a span as a box, with its mode's name where there is room."""
     outside = span.mode == NO_MODE
-    look = {"facecolor": PAPER, "edgecolor": GRID, "linestyle": (0, (3, 2))} if outside else _look(span.mode)
     box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
-    box.set(**look)
+    if outside:
+        box.set(facecolor=PAPER, edgecolor=GRID, linestyle=(0, (3, 2)))
+    else:
+        _paint(box, span.mode)
     ax.add_patch(box)
     ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
     name = "outside" if outside else names[span.mode]
@@ -242,10 +245,11 @@ def _write(ax: Axes, x: float, row: int, text: str, color: str) -> None:
     ax.text(x, row, text, ha="center", va="center_baseline", fontsize=TICK_SIZE, color=color)
 
 
-def _look(mode: int) -> dict[str, Any]:
-    """Return facecolor, hatch and edge of a mode."""
+def _paint(patch: Patch, mode: int) -> Patch:
+    """Give a patch the colour and hatch of a mode."""
     hatch = HATCHES[mode // len(TINTS) % len(HATCHES)]
-    return {"facecolor": TINTS[mode % len(TINTS)], "hatch": hatch, "edgecolor": PAPER, "linewidth": 0}
+    patch.set(facecolor=TINTS[mode % len(TINTS)], hatch=hatch, edgecolor=PAPER, linewidth=0)
+    return patch
 
 
 def _short_names(names: Sequence[str]) -> list[str]:

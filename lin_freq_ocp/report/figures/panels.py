@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import shorten
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 from lin_freq_ocp.arrays import Array, Mask
@@ -166,9 +166,9 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
             times = data.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
     for line in component.row_bounds:
-        _draw_line(ax, data, line, held, {"color": BOUND, "linestyle": SOFT if line.soft else "-"})
+        _draw_line(ax, data, line, held, BOUND, SOFT if line.soft else "-")
     for line in component.references:
-        _draw_line(ax, data, line, held, {"color": REFERENCE, "linestyle": REFERENCE_LINE})
+        _draw_line(ax, data, line, held, REFERENCE, REFERENCE_LINE)
     for trace in data.showing(component):
         values, style = _held(trace.of(component), held), trace.style
         ax.plot(
@@ -184,15 +184,17 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
     ax.margins(x=0.015)
 
 
-def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, look: dict[str, Any]) -> None:
+def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, color: str, style: LineStyleType) -> None:
     """Draw a bound or reference over time; at a single time, as a point."""
     values, step = line.values, 1 if held else 0
     values = np.append(values, [values[-1]] * step)
     times = data.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
-    if np.isfinite(values).sum() <= 1 + step:
-        look = look | {"marker": "D", "markersize": 4.5}
+    marker = "D" if np.isfinite(values).sum() <= 1 + step else ""
     drawing = "steps-post" if held else "default"
-    ax.plot(*thinned(times, values), linewidth=1.2, drawstyle=drawing, zorder=2, **look)
+    (drawn,) = ax.plot(
+        *thinned(times, values), color=color, linestyle=style, linewidth=1.2, marker=marker, markersize=4.5
+    )
+    drawn.set(drawstyle=drawing, zorder=2)
 
 
 def _held(values: Array, held: bool) -> Array:
@@ -228,12 +230,14 @@ def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor
     """Draw the bins as points, and those too small for the axis as hollow triangles at its lower edge."""
     low, style = magnitude < floor, trace.style
     edge = np.full(int(low.sum()), floor)
-    looks: Sequence[tuple[Array, Array, dict[str, Any]]] = (
+    looks: Sequence[tuple[Array, Array, dict[str, object]]] = (
         (frequency[~low], magnitude[~low], {"marker": style.marker, "markersize": 2.6, "markeredgewidth": 0}),
         (frequency[low], edge, {"marker": "v", "markersize": 4, "markeredgewidth": 0.8, "markerfacecolor": "none"}),
     )
     for x, y, look in looks:
-        ax.add_line(Line2D(*thinned(x, y), linestyle="none", color=style.color, zorder=style.order + 1, **look))
+        points = Line2D(*thinned(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
+        points.set(**look)
+        ax.add_line(points)
 
 
 def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:

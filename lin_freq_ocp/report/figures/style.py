@@ -24,7 +24,7 @@ from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-Numbers = NDArray[np.floating[Any]]
+Numbers = NDArray[np.floating]
 
 INK, MUTED, GRID, PAPER, BAND, BOUND = "#1f2328", "#59636e", "#d6dbe1", "#ffffff", "#f4e8c9", "#8c959f"
 REFERENCE = "#8250df"
