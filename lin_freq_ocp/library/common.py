@@ -13,7 +13,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, notch, stop_band
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
+from lin_freq_ocp.problem.spectrum.base import Constraints, FrequencyConstraint
 
 
 def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> Box:
@@ -37,7 +37,7 @@ def notch_at(frequency: float, width_hz: float | None, component: str | None = N
 Spectrum = FrequencyConstraint | str | Sequence[FrequencyConstraint | int] | None
 
 
-def control_band(given: Spectrum, horizon: int) -> Spectrum:
+def control_band(given: Spectrum, horizon: int) -> Constraints:
     """Return what the parameter ``control_spectrum`` of a problem stands for.
 
     Whole numbers are the bins to remove, "freq" the bins max(2, ceil(T/3)) <= k <= T//2 of every control; None and
@@ -51,10 +51,13 @@ def control_band(given: Spectrum, horizon: int) -> Spectrum:
         if horizon < 4:
             raise ProblemError("control_spectrum", f"'freq' at a horizon of {horizon}", "a horizon of at least 4")
         return stop_band(bins=range(max(2, ceil(horizon / 3)), horizon // 2 + 1))
-    if isinstance(given, Sequence) and given:
-        bins = [k for k in given if isinstance(k, (int, np.integer))]
-        return stop_band(bins=bins) if len(bins) == len(given) else given
-    return given
+    if not isinstance(given, Sequence):
+        return given
+    bands = [one for one in given if not isinstance(one, (int, np.integer))]
+    bins = [one for one in given if isinstance(one, (int, np.integer))]
+    if bands and bins:
+        raise ProblemError("control_spectrum", "bands and bins in one list", "either bands or bins")
+    return stop_band(bins=bins) if bins else bands
 
 
 def flag(parameter: str, given: object) -> bool:

@@ -46,8 +46,8 @@ class Convex:
 
     Examples
     --------
-    >>> lfo.solve(lfo.library.double_integrator(), lfo.solvers.Convex(backend="osqp")).solver
-    'convex, osqp'
+    >>> lfo.solve(lfo.library.double_integrator(), lfo.solvers.Convex(backend="clarabel")).solver
+    'convex, clarabel'
     """
 
     backend: str = "auto"

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.testing.reference import STATED, reference_problem
-from lin_freq_ocp.transcription.linear import transcription as linear
+from lin_freq_ocp.transcription.linear import real_rows
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
 
@@ -171,9 +171,9 @@ class TestEachConditionFails:
 
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
         problem = solved(name).problem
-        honest = linear.real_rows
-        monkeypatch.setattr(linear, "real_rows", lambda N, stopped: honest(N, np.roll(stopped, -1)))
-        monkeypatch.setattr(linear, "bin_multipliers", lambda N, stopped, rho: np.zeros(len(stopped), complex))
+        honest = real_rows.real_rows
+        monkeypatch.setattr(real_rows, "real_rows", lambda N, stopped: honest(N, np.roll(stopped, -1)))
+        monkeypatch.setattr(real_rows, "bin_multipliers", lambda N, stopped, rho: np.zeros(len(stopped), complex))
         candidate = solve_convex(problem, "clarabel", None, None)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
         assert failures(certificate, "C-vii")[0].time == problem.horizon // 2

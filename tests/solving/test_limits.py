@@ -142,7 +142,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.real_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.spectrum_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):

@@ -39,6 +39,19 @@ class LinearDynamics(StandardDynamics):
     ProblemError
         If shapes do not match, entries are not finite, or names are repeated.
 
+    Methods
+    -------
+    from_continuous(A, B, sampling_time)
+        Sample a continuous model.
+    from_statespace(plant)
+        Take a model of python-control.
+    linearised(system, x, u)
+        Linearise a nonlinear model at a point or along a trajectory.
+    at(t)
+        A_t, B_t and d_t.
+    successors(x, u)
+        The next state of every time.
+
     Examples
     --------
     >>> lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]], sampling_time=0.1).state_dim

@@ -46,6 +46,17 @@ class PiecewiseAffineDynamics(StandardDynamics):
     ProblemError
         If there is no mode, or their dimensions differ.
 
+    Methods
+    -------
+    from_guards(...)
+        Modes by the signs of guards.
+    from_formulas(...)
+        Modes of maxima and minima of affine functions.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
+    along(sequence)
+        The linear dynamics of one mode sequence.
+
     Examples
     --------
     >>> right, left = (lfo.AffineMode([[a]], [[1.0]], G=[[g]], h=[0.0]) for a, g in ((0.5, -1.0), (-0.5, 1.0)))

@@ -115,6 +115,13 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     ProblemError
         Saying which field, what was got and what was expected.
 
+    Methods
+    -------
+    from_formulas(...)
+        Modes of formulas with maxima, minima and absolute values.
+    sequence_of(x, u)
+        The mode of every time along a trajectory.
+
     Examples
     --------
     >>> dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["abs(x_0) + x_0*u_0"], 1, 1)
