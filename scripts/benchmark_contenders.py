@@ -69,9 +69,9 @@ def direct(solver: str) -> Contender:
         solution = backend(solver)(program, DEFAULT_TOLERANCE, None if solver.endswith(UNLIMITED) else limit)
         status = CLAIMS.get(solution.claim, "failed")
         if solution.z is None or solution.y is None or status == "infeasible":
-            return Answer(status, solution.words)
+            return Answer(status, solution.message)
         multipliers = transcription.multipliers(scaling.dual(solution.y), 1.0)
-        return Answer(status, solution.words, transcription.trajectory(scaling.primal(solution.z)), multipliers)
+        return Answer(status, solution.message, transcription.trajectory(scaling.primal(solution.z)), multipliers)
 
     return solve
 
@@ -202,7 +202,7 @@ def stop_multipliers(length: int, stopped: np.ndarray, duals: np.ndarray) -> np.
 
 def _our_answer(solution: Any) -> Answer:
     trajectory, multipliers = solution.trajectory, solution.multipliers
-    return Answer(solution.status, solution.words, trajectory, multipliers, getattr(solution, "rounds", None))
+    return Answer(solution.status, solution.message, trajectory, multipliers, getattr(solution, "rounds", None))
 
 
 class OurResolver:

@@ -210,7 +210,7 @@ def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: floa
     outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, "")
     again = resolved(problem, outcome)
     if again.cost is None:
-        return Row(case, name, seconds, None, None, answer.bound, answer.status, again.words)
+        return Row(case, name, seconds, None, None, answer.bound, answer.status, again.message)
     claimed = None if answer.claimed is None else (answer.claimed - again.cost) / max(1.0, abs(again.cost))
     return Row(case, name, seconds, again.cost, claimed, answer.bound, answer.status)
 
@@ -259,7 +259,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
             everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
             reach = relaxation.reach.from_start(everything)
             outcome = BranchAndBound(problem, SearchLimits(gap, limit), relaxation=kind).run()
-            nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.words else "")
+            nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.message else "")
             root = None if reach is None or best is None else relaxed(relaxation, reach).bound
             cells.append("" if root is None else f"{100 * (best - root) / abs(best):.3g} %, {nodes}")
         table.add_row(name, *cells)

@@ -20,6 +20,6 @@ def verify(console: Console) -> bool:
     for one in outcomes:
         cost = one.costs["branch_and_bound"]
         shown = "none" if cost is None else f"{cost:.9g}"
-        table.add_row(one.name, shown, f"{one.difference:.1e}", f"{one.gap:.1e}", one.words)
+        table.add_row(one.name, shown, f"{one.difference:.1e}", f"{one.gap:.1e}", one.message)
     console.print(table)
     return all(one.passed for one in outcomes)

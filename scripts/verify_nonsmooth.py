@@ -81,7 +81,7 @@ def second_opinion(console: Console) -> bool:
             f"{optimum:.10g}",
             "" if claim.cost is None else f"{claim.cost:.10g}",
             "" if claim.bound is None else f"{claim.bound:.10g}",
-            claim.words,
+            claim.message,
             f"{sum(claim.seconds.values()):.1f}",
             "" if error is None else f"{error:.0e}",
         )

@@ -35,7 +35,7 @@ class Solution:
     claim: Claim
     z: Array | None  # a point, with binaries the best found; with UNBOUNDED, a direction of descent
     y: Array | None  # duals; with INFEASIBLE, a Farkas ray (A'y = 0, support < 0 for the bounds); None with binaries
-    words: str  # the solver's own status
+    message: str  # the solver's own status
     bound: float | None = None  # with binaries: claimed lower bound on the objective, constant included
 
 

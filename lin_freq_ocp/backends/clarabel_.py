@@ -39,13 +39,13 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     with interrupts_noted() as noted:
         run.set_termination_callback(lambda info: noted.is_set() or time.perf_counter() > end)
         answer = run.solve()
-    claim, words = CLAIMS.get(str(answer.status), Claim.FAILED), str(answer.status)
+    claim, message = CLAIMS.get(str(answer.status), Claim.FAILED), str(answer.status)
     if claim is Claim.INTERRUPTED and not noted.is_set():  # its own clock begins after its set-up
-        claim, words = Claim.LIMIT, "MaxTime"
+        claim, message = Claim.LIMIT, "MaxTime"
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
-        return Solution(claim if claim is Claim.LIMIT else Claim.FAILED, None, None, words)
-    return Solution(claim, z, form.dual(len(program.lower), dual / COST_FACTOR), words)
+        return Solution(claim if claim is Claim.LIMIT else Claim.FAILED, None, None, message)
+    return Solution(claim, z, form.dual(len(program.lower), dual / COST_FACTOR), message)
 
 
 def _settings(tolerance: float, time_limit: float | None) -> clarabel.DefaultSettings:

@@ -61,7 +61,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
             break
     answers = [solution for solution in found if solution.claim is not Claim.FAILED]
     last = answers[-1] if answers else found[-1]
-    return replace(last, words="; then ".join(solution.words for solution in found))
+    return replace(last, message="; then ".join(solution.message for solution in found))
 
 
 def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
@@ -72,19 +72,19 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
         return NO_POINT
     with interrupts_noted() as noted:
         x, flag, nodes = _called(dense, time_limit, gap)
-    claim, words = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
-    words = f"{words}, {nodes} nodes"
+    claim, message = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
+    message = f"{message}, {nodes} nodes"
     if noted.is_set():
-        claim, words = Claim.INTERRUPTED, f"interrupted ({words})"
+        claim, message = Claim.INTERRUPTED, f"interrupted ({message})"
     if flag < 0 or not np.isfinite(x).all():
-        return Solution(claim, None, None, words)
+        return Solution(claim, None, None, message)
     z = dense.fixed.copy()
     z[dense.free] = x
     if claim is not Claim.SOLVED:
-        return Solution(claim, z, None, words)
+        return Solution(claim, z, None, message)
     bound, unsure = _bound(program, rows, dense, z, gap)
     unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
-    return Solution(claim, z, None, words + unknown, bound)
+    return Solution(claim, z, None, message + unknown, bound)
 
 
 @dataclass(frozen=True, eq=False)

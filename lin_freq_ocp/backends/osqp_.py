@@ -48,14 +48,14 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     )
     with redirect_stdout(StringIO()):  # it remarks on polishing even when told to be silent
         answer = run.solve(raise_error=False)
-    words = str(answer.info.status)
-    claim = CLAIMS.get(words, Claim.FAILED)
+    message = str(answer.info.status)
+    claim = CLAIMS.get(message, Claim.FAILED)
     z, y = answer.x, answer.y
     if claim is Claim.INFEASIBLE:
         z, y = None, answer.prim_inf_cert
     elif claim is Claim.UNBOUNDED:
         z, y = answer.dual_inf_cert, None
-    return Solution(claim, _finite(z), _finite(y), words)
+    return Solution(claim, _finite(z), _finite(y), message)
 
 
 def _finite(values: object) -> np.ndarray | None:

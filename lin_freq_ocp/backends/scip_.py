@@ -85,15 +85,15 @@ def optimised(model: Model, variables: list[Variable], time_limit: float | None,
         return None
     bound = float(model.getDualbound())
     z = np.array([model.getVal(variable) for variable in variables]) if model.getNSols() else None
-    words, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < INFINITE else None
-    return Solution(CLAIMS.get(status, Claim.FAILED), z, None, words, claimed)
+    message, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < INFINITE else None
+    return Solution(CLAIMS.get(status, Claim.FAILED), z, None, message, claimed)
 
 
 def undecided(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
     """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
     found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
     claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
-    return Solution(claim, None, None, f"infeasible or unbounded; without its cost: {found.words}")
+    return Solution(claim, None, None, f"infeasible or unbounded; without its cost: {found.message}")
 
 
 class _Watch(Eventhdlr):

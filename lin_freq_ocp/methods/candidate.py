@@ -17,7 +17,7 @@ class Candidate:
     multipliers: Multipliers | None = None
     ray: Multipliers | None = None  # claimed Farkas ray
     residuals: Residuals | None = None  # in scaled units
-    words: str = ""  # the backend's own status, or why the method stopped
+    message: str = ""  # the backend's own status, or why the method stopped
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
     interrupted: bool = False  # by Ctrl-C
     descent: Trajectory | None = None  # if unbounded: a claimed direction (dx, du) of unlimited descent

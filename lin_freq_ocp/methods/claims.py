@@ -30,12 +30,12 @@ class SolverClaim:
     trajectory: Trajectory | None  # that point, as accurate as the solver's tolerances
     cost: float | None
     bound: float | None  # claimed lower bound on the cost
-    words: str  # the solver's own status, and what is wrong with its claim
+    message: str  # the solver's own status, and what is wrong with its claim
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
 
 
 def status_of(solution: Solution) -> tuple[str, str]:
     """Return the status of a solver's answer and its words; without a point, nothing is optimal."""
     if solution.claim is Claim.SOLVED and solution.z is None:
-        return "failed", f"{solution.words}, without a point"
-    return STATUS[solution.claim], solution.words
+        return "failed", f"{solution.message}, without a point"
+    return STATUS[solution.claim], solution.message

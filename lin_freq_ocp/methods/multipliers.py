@@ -66,7 +66,7 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     cone = _normal_cone(program, z, near)
     solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
     if solution.z is None:
-        raise NumericalError(f"No multipliers could be fitted to the trajectory ({solution.words}); pass multipliers=.")
+        raise NumericalError(f"No multipliers fit the trajectory ({solution.message}); pass multipliers=.")
     w, s = np.split(solution.z, [len(cone.lower)])
     return cone.basis @ w, s
 

@@ -25,7 +25,7 @@ def judged(
 ) -> Outcome:
     """Judge the point, ray or direction of a candidate, from which its status follows."""
     clock = time.perf_counter()
-    status, message, certificate = Status(candidate.status), candidate.words, None
+    status, message, certificate = Status(candidate.status), candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)

@@ -184,7 +184,7 @@ def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: fl
     ray = contradiction_at_ends(problem)
     if ray is None:
         return None
-    claim = Candidate("infeasible", ray=ray, words="an end lies outside the state set")
+    claim = Candidate("infeasible", ray=ray, message="an end lies outside the state set")
     outcome = judged(problem, claim, method, None, tolerance)
     return outcome if outcome.status == Status.INFEASIBLE else None
 

@@ -142,8 +142,8 @@ class MixedInteger:
         clock = time.perf_counter()
         outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
         late = time.perf_counter() > end  # the search's own limit was what was left
-        if late and outcome.words and not outcome.interrupted:
-            outcome = replace(outcome, words=f"time limit of {limits.seconds:g} s")
+        if late and outcome.message and not outcome.interrupted:
+            outcome = replace(outcome, message=f"time limit of {limits.seconds:g} s")
         seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
         result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
         found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
@@ -151,7 +151,7 @@ class MixedInteger:
         if claim.cost is not None and certificate is not None:
             agreed = abs(claim.cost - certificate.cost) <= max(limits.gap, AGREEMENT) * certificate.cost_scale
         if result.status == Status.OPTIMAL and not agreed:
-            return replace(result, message=f"{backend} ended with {found} ('{claim.words}'), the optimum is {proven}")
+            return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
         return result
 
 
@@ -182,8 +182,8 @@ def _judged(
     unproven = time.perf_counter() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
     if unproven and not outcome.interrupted:
-        outcome = replace(outcome, words=f"{outcome.words or 'time limit'}; not all leaves were proven in time")
-    if not outcome.words and not proof.value >= needed:
+        outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
+    if not outcome.message and not proof.value >= needed:
         outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed), end))
         proof = tree_bound(problem, outcome.tree)
     if certificate is not None:
@@ -211,8 +211,8 @@ def _status(
 ) -> tuple[Status, str]:
     """Return the status of the result, and why it is not optimal."""
     if certificate is None:
-        if outcome.words:
-            return Status.LIMIT, outcome.words
+        if outcome.message:
+            return Status.LIMIT, outcome.message
         if outcome.sequence is None and proof.value == np.inf:
             message = f"proven by a search tree of {proof.leaves} leaves, none of which has a trajectory"
             return Status.INFEASIBLE, message
@@ -220,8 +220,8 @@ def _status(
     status = certificate.status_within(gap)
     if status == Status.OPTIMAL and not outcome.interrupted:
         return status, ""
-    if outcome.words:
-        return Status.LIMIT, outcome.words
+    if outcome.message:
+        return Status.LIMIT, outcome.message
     if not certificate.feasible:
         message = f"the best mode sequence, solved alone, does not satisfy: {certificate.worst.name}"
         return Status.NUMERICAL_ERROR, message

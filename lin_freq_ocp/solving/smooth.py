@@ -110,7 +110,7 @@ class Nonsmooth:
             bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, time.perf_counter() + left)
             message = bounding.run() if left > 0 else UNBOUNDED
             return bounding.found, bounding.found[2].status_within(bounding.gap), message
-        if found is None and not search.words and left > 0 and _excluded(search.problem, left):
+        if found is None and not search.message and left > 0 and _excluded(search.problem, left):
             return None, Status.INFEASIBLE, EXCLUDED
         return found, status, message
 
@@ -241,8 +241,8 @@ def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
 
 def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
     """Return the status of the result without a bound, and the message."""
-    if search.words and (found is None or search.interrupted):
-        return Status.LIMIT, search.words
+    if search.message and (found is None or search.interrupted):
+        return Status.LIMIT, search.message
     if found is None:
         nearest = "" if search.best is None else f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"

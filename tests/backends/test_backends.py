@@ -307,7 +307,7 @@ def test_answers_are_numbers_or_absent(name):
         solution = ask(name, asked)
         for part, size in ((solution.z, len(asked.q)), (solution.y, len(asked.lower))):
             assert part is None or (part.shape == (size,) and np.isfinite(part).all())
-        assert isinstance(solution.words, str)
+        assert isinstance(solution.message, str)
         if solution.claim is Claim.SOLVED:
             assert solution.z is not None
             assert solution.y is not None

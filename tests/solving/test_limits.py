@@ -75,7 +75,7 @@ def test_a_program_whose_set_up_takes_longer_is_not_begun() -> None:
     candidate = solve_convex(problem, "clarabel", None, 1.0)
     assert candidate.status == "limit"
     assert candidate.trajectory is None
-    assert f"{dense_rows(problem).count} dense rows" in candidate.words
+    assert f"{dense_rows(problem).count} dense rows" in candidate.message
 
 
 def test_clarabel_stops_when_its_set_up_took_the_time() -> None:

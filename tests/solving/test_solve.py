@@ -220,7 +220,7 @@ def infeasible_with(ray):
 
 
 def ended_with(status):
-    return lambda answer: replace(answer, status=status, words="gave up")
+    return lambda answer: replace(answer, status=status, message="gave up")
 
 
 class TestChoiceOfMethod:

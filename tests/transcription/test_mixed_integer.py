@@ -48,7 +48,7 @@ def test_the_reference_values_are_found(backend, name, given, cost):
     outcome = solve_miqp(problem, backend)
     again = resolved(problem, outcome)
     assert outcome.status == "optimal"
-    assert again.words == ""
+    assert again.message == ""
     assert again.cost == pytest.approx(cost, rel=1e-6)
     assert outcome.cost == pytest.approx(cost, rel=1e-6)
     assert cost * (1 - 2e-5) < outcome.bound < cost * (1 + 1e-7)
@@ -61,7 +61,7 @@ def test_problems_with_four_modes_agree_with_branch_and_bound(backend, seed):
     problem = random_problem(seed, horizon=3, kinks=2, control_spectrum=lfo.stop_band(bins=[1]))
     best = lfo.solve(problem).cost
     again = resolved(problem, solve_miqp(problem, backend))
-    assert again.words == ""
+    assert again.message == ""
     assert again.cost == pytest.approx(best, rel=1e-6)
 
 
@@ -195,7 +195,7 @@ def test_units_do_not_matter(backend, name, given, cost):
     problem = micrometres(library.by_name(name)(**given))
     outcome = solve_miqp(problem, backend)
     again = resolved(problem, outcome)
-    assert again.words == ""
+    assert again.message == ""
     assert again.cost == pytest.approx(cost, rel=1e-6)
 
 
@@ -214,7 +214,7 @@ def balled():
 def test_cones_go_to_scip_and_daqp_refuses_them(problem):
     best, _ = brute_force(problem)
     again = resolved(problem, solve_miqp(problem, "scip"))
-    assert again.words == ""
+    assert again.message == ""
     assert again.cost == pytest.approx(best, rel=1e-6)
     with pytest.raises(lfo.errors.UnsupportedError, match="'daqp' solves quadratic programs only"):
         solve_miqp(problem, "daqp")
@@ -243,7 +243,7 @@ def test_slacks_and_states_without_curvature(backend, fields):
     problem = random_problem(4, horizon=4, **fields)
     best = lfo.solve(problem).cost
     again = resolved(problem, solve_miqp(problem, backend))
-    assert again.words == ""
+    assert again.message == ""
     assert again.cost == pytest.approx(best, rel=2e-6)
 
 
@@ -263,7 +263,7 @@ def test_a_time_limit_is_kept_and_said(backend):
     outcome = solve_miqp(problem, backend, time_limit=0.5)
     assert outcome.status == "limit"
     assert time.perf_counter() - started < 10
-    assert "limit" in outcome.words or "stopped early" in outcome.words
+    assert "limit" in outcome.message or "stopped early" in outcome.message
     if outcome.sequence is not None:
         assert resolved(problem, outcome).candidate.status in ("optimal", "infeasible")
 
@@ -297,7 +297,7 @@ def test_solvers_are_silent_and_repeat_themselves(backend, capfd):
     problem = library.buck_affine(horizon=4)
     first, second = solve_miqp(problem, backend), solve_miqp(problem, backend)
     assert capfd.readouterr() == ("", "")
-    assert (first.cost, first.bound, first.words) == (second.cost, second.bound, second.words)
+    assert (first.cost, first.bound, first.message) == (second.cost, second.bound, second.message)
 
 
 @pytest.mark.parametrize(("backend", "package"), [("scip", "pyscipopt"), ("daqp", "daqp")])
@@ -334,7 +334,7 @@ def test_a_point_that_is_none_is_no_answer(monkeypatch):
     claiming(monkeypatch, shifted)
     outcome = solve_miqp(problem)
     assert outcome.status == "failed"
-    assert "violates a row of order 1 by" in outcome.words
+    assert "violates a row of order 1 by" in outcome.message
     claiming(monkeypatch, lambda answer: Solution(Claim.SOLVED, None, None, "done"))
     assert solve_miqp(problem).status == "failed"
 
@@ -342,11 +342,11 @@ def test_a_point_that_is_none_is_no_answer(monkeypatch):
 def test_wrong_claims_are_told():
     problem = library.pendulum_with_wall(horizon=6)
     outcome = solve_miqp(problem, "daqp")
-    assert "claimed cost 34 is below" in resolved(problem, replace(outcome, cost=34.0)).words
-    assert "claimed cost 36 is above" in resolved(problem, replace(outcome, cost=36.0)).words
-    assert "claimed bound 36 is above the cost" in resolved(problem, replace(outcome, bound=36.0)).words
+    assert "claimed cost 34 is below" in resolved(problem, replace(outcome, cost=34.0)).message
+    assert "claimed cost 36 is above" in resolved(problem, replace(outcome, cost=36.0)).message
+    assert "claimed bound 36 is above the cost" in resolved(problem, replace(outcome, bound=36.0)).message
     free = np.zeros(6, dtype=int)
-    assert "ended as infeasible" in resolved(problem, replace(outcome, sequence=free)).words
+    assert "ended as infeasible" in resolved(problem, replace(outcome, sequence=free)).message
 
 
 def test_bounds_of_single_variables_are_told_from_rows():

@@ -39,7 +39,7 @@ class Attempt:
     def ended(self) -> bool:
         """Whether nothing more is to be tried."""
         return self.candidate.interrupted or (
-            self.candidate.status == "limit" and "time" in self.candidate.words.lower()
+            self.candidate.status == "limit" and "time" in self.candidate.message.lower()
         )
 
 
@@ -87,16 +87,16 @@ class Solves:
         if claim is Claim.INFEASIBLE:
             ray = None if y is None else self.transcription.multipliers(scaling.dual(y), 0.0)
             error = np.inf if y is None else program.infeasibility_residual(y)
-            return Attempt(Candidate("infeasible", ray=ray, words=solution.words), scaling, error)
+            return Attempt(Candidate("infeasible", ray=ray, message=solution.message), scaling, error)
         if claim is Claim.UNBOUNDED:
             ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
             error = np.inf if ray is None else program.descent_ray_residual(ray)
             if ray is None or error > UNBOUNDED_TOLERANCE:
-                return Attempt(Candidate("numerical_error", words=solution.words), scaling)
+                return Attempt(Candidate("numerical_error", message=solution.message), scaling)
             along = self.transcription.direction(scaling.primal(ray))
-            return Attempt(Candidate("unbounded", words=solution.words, descent=along), scaling, error)
+            return Attempt(Candidate("unbounded", message=solution.message, descent=along), scaling, error)
         if z is None or y is None:
-            failed = Candidate("numerical_error", words=solution.words, interrupted=claim is Claim.INTERRUPTED)
+            failed = Candidate("numerical_error", message=solution.message, interrupted=claim is Claim.INTERRUPTED)
             return Attempt(failed, scaling)
         if not program.P.nnz and not program.q.any():
             y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
@@ -112,7 +112,7 @@ class Solves:
             self.transcription.multipliers(duals, 1.0),
             None,
             residuals,
-            solution.words,
+            solution.message,
             interrupted=claim is Claim.INTERRUPTED,
         )
         if not np.isfinite(residuals.worst):

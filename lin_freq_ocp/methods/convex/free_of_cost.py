@@ -34,7 +34,7 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
         return None
     rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)
     none = Multipliers(1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), rho_u, rho_x)
-    return Candidate("optimal", trajectory, none, words="controls at their references")
+    return Candidate("optimal", trajectory, none, message="controls at their references")
 
 
 def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: float | None) -> Candidate | None:
@@ -62,7 +62,7 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
     better = None if program.cones else polished(flat, solution.z, np.zeros_like(solution.y))
     z: Array = scaling.primal(solution.z if better is None else better[0])
     none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
-    return Candidate("optimal", transcription.trajectory(z), none, words="a point where the cost has no slope")
+    return Candidate("optimal", transcription.trajectory(z), none, message="a point where the cost has no slope")
 
 
 def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:

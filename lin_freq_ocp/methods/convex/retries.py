@@ -92,4 +92,4 @@ def _rounded(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Can
             continue
         before = z, y
         scaled = natural.scaled_primal(z), natural.scaled_dual(y)
-        yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.words)).candidate
+        yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate

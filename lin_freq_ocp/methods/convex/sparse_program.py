@@ -52,16 +52,16 @@ def convex_candidates(
     started = time.perf_counter()
     rows = dense_rows(problem)
     if time_limit is not None and rows.seconds > time_limit + GRACE:
-        words = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
-        yield Candidate("limit", words=words, seconds={"setup": 0.0, "solve": 0.0})
+        message = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
+        yield Candidate("limit", message=message, seconds={"setup": 0.0, "solve": 0.0})
         return
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
     ready = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
-        words = f"time limit of {time_limit:.3g} s, over before the solver began"
-        yield Candidate("limit", words=words, seconds={"setup": ready - started, "solve": 0.0})
+        message = f"time limit of {time_limit:.3g} s, over before the solver began"
+        yield Candidate("limit", message=message, seconds={"setup": ready - started, "solve": 0.0})
         return
     interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
     target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)

@@ -55,24 +55,24 @@ class BranchAndBound:
         self, start: Indices | None = None, within: Reach | None = None, until_open: float = np.inf
     ) -> SearchOutcome:
         """Search from a sequence (T,), within a reach; stop when ``until_open`` nodes are open (see ``open_nodes``)."""
-        words, interrupted = "", False
+        message, interrupted = "", False
         self._until_open = until_open
         try:
             if start is not None:
                 self._try(start)
             self._open(self._root(within), -1, -1, -np.inf)
-            words = self._loop()
+            message = self._loop()
         except KeyboardInterrupt:
-            words, interrupted = "interrupted", True
+            message, interrupted = "interrupted", True
         tree = proven_tree(self._relaxation, self._nodes, self._duals)
-        return SearchOutcome(self._best, self._cost, tree, words, interrupted, self._solved, self._setup)
+        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
 
     def _loop(self) -> str:
         """Split nodes until none is open; return which limit stopped the search, or an empty string."""
         while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
-            words = self.limits.reached(time.perf_counter() - self._started, self._solved)
-            if words:
-                return words
+            message = self.limits.reached(time.perf_counter() - self._started, self._solved)
+            if message:
+                return message
             self._report(self._heap[0][0])
             self._split(*self._next())
         return ""

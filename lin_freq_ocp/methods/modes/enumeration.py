@@ -32,12 +32,12 @@ def enumerate_sequences(
     nodes, duals, leaves = _all_sequences(relaxation, started + limits.search_seconds)
     setup = time.perf_counter() - started
     best, cost, interrupted, solved = None, np.inf, False, 0
-    words = limits.reached(setup, solved)
+    message = limits.reached(setup, solved)
     try:
         for index, reach in leaves:
             seconds = time.perf_counter() - started
-            words = limits.reached(seconds, solved)
-            if words:
+            message = limits.reached(seconds, solved)
+            if message:
                 break
             if progress is not None:
                 progress(SearchProgress(cost, -np.inf, solved, len(leaves) - solved, seconds))
@@ -47,8 +47,8 @@ def enumerate_sequences(
             if answer.trajectory is not None and answer.bound < cost:
                 best, cost = answer.sequence, answer.bound
     except KeyboardInterrupt:
-        words, interrupted = "interrupted", True
-    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), words, interrupted, solved, setup)
+        message, interrupted = "interrupted", True
+    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), message, interrupted, solved, setup)
 
 
 def _all_sequences(

@@ -42,16 +42,16 @@ def solve_miqp(
 
 def _outcome(mixed: MixedInteger, solution: Solution, seconds: dict[str, float]) -> SolverClaim:
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, words = status_of(solution)
+    status, message = status_of(solution)
     if status == "unbounded":  # with bounds on all states and controls, nothing is
         status = "failed"
     if solution.z is None:
-        return SolverClaim(status, None, None, None, bound, words, seconds)
+        return SolverClaim(status, None, None, None, bound, message, seconds)
     z, sequence = solution.z.copy(), mixed.sequence(solution.z)
     z[mixed.program.binaries] = mixed.deltas(sequence)
     violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
     if violation > POINT_TOLERANCE:
         status = "failed"
-        words = f"{words}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
+        message = f"{message}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
     cost = mixed.cost(mixed.program.objective(z))
-    return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, words, seconds)
+    return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, message, seconds)

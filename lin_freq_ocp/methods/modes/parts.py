@@ -36,7 +36,7 @@ def search_in_parts(
     started = time.perf_counter()
     first = BranchAndBound(problem, limits, progress=progress)
     outcome = first.run(start, until_open=PARTS)
-    if outcome.words or not first.open_nodes:
+    if outcome.message or not first.open_nodes:
         return outcome
     left = replace(limits, seconds=limits.seconds - (time.perf_counter() - started))
     futures = {
@@ -44,7 +44,7 @@ def search_in_parts(
         for root, reach in first.open_nodes
     }
     found: dict[int, SearchOutcome] = {}
-    words, interrupted = "", False
+    message, interrupted = "", False
     try:
         for future in as_completed(futures):
             root, reach = futures[future]
@@ -55,10 +55,10 @@ def search_in_parts(
             if progress is not None:
                 progress(_progress(outcome, found, len(futures), time.perf_counter() - started))
     except KeyboardInterrupt:
-        words, interrupted = "interrupted", True
+        message, interrupted = "interrupted", True
         for future in futures:
             future.cancel()
-    return _joined(outcome, found, words, interrupted)
+    return _joined(outcome, found, message, interrupted)
 
 
 def search_part(
@@ -75,7 +75,7 @@ def _progress(outcome: SearchOutcome, found: dict[int, SearchOutcome], parts: in
     return SearchProgress(cost, min(bound, cost), nodes, parts - len(found), seconds)
 
 
-def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], words: str, interrupted: bool) -> SearchOutcome:
+def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], message: str, interrupted: bool) -> SearchOutcome:
     """Return the first search with the trees of the parts in place of their roots, in the order of these."""
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
@@ -85,7 +85,7 @@ def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], words: str,
         nodes[root] = replace(nodes[root], proof=own[0].proof or (nodes[root].proof if len(own) == 1 else None))
         nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in own[1:]]
         best = part if part.cost < best.cost else best
-        words = words or part.words
+        message = message or part.message
     solved = outcome.nodes + sum(part.nodes for part in found.values())
     interrupted = interrupted or any(part.interrupted for part in found.values())
-    return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), words, interrupted, solved, outcome.setup)
+    return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), message, interrupted, solved, outcome.setup)

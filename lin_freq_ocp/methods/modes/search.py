@@ -78,7 +78,7 @@ class SearchOutcome:
     sequence: Indices | None
     cost: float
     tree: ModeTree
-    words: str
+    message: str
     interrupted: bool
     nodes: int
     setup: float = 0.0

@@ -46,10 +46,10 @@ class SmoothProgress:
     share: float = 0.0
 
     def __str__(self) -> str:
-        words = [f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet", f"{self.tried} starts"]
+        message = [f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet", f"{self.tried} starts"]
         if self.level:
-            words.append(f"bound {self.lower_bound:.6g}, {self.share:.0%} of level {self.level}")
-        return ", ".join(words)
+            message.append(f"bound {self.lower_bound:.6g}, {self.share:.0%} of level {self.level}")
+        return ", ".join(message)
 
 
 @dataclass
@@ -66,7 +66,7 @@ class LocalSearch:
     start: Start | None = None
     best: LocalOptimum | None = None
     tried: int = 0
-    words: str = ""
+    message: str = ""
     interrupted: bool = False
 
     def __post_init__(self):
@@ -87,7 +87,7 @@ class LocalSearch:
             while not self._late() and (self._on_grid(self.best) or self._improved()):
                 pass
         except KeyboardInterrupt:
-            self.interrupted, self.words = True, "interrupted"
+            self.interrupted, self.message = True, "interrupted"
         return self
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
@@ -138,7 +138,7 @@ class LocalSearch:
     def _late(self) -> bool:
         if time.perf_counter() <= self._end:
             return False
-        self.words = f"time limit of {self.seconds:g} s"
+        self.message = f"time limit of {self.seconds:g} s"
         return True
 
     def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:

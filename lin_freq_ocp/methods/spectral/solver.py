@@ -159,11 +159,11 @@ class SpectralSolver:
             problem, lti = self._with(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
-                words, both = (
+                message, both = (
                     "an end lies outside the state set",
                     {"setup": 0.0, "solve": time.perf_counter() - started},
                 )
-                return SpectralSolution("infeasible", ray=ray, words=words, seconds=both, problem=problem)
+                return SpectralSolution("infeasible", ray=ray, message=message, seconds=both, problem=problem)
             if warm_start is not None:
                 self._require_own(warm_start)
             first = None if warm_start is None else warm_start.active
@@ -275,14 +275,14 @@ class SpectralSolver:
 
     def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
         outcome, measured = answer.outcome, answer.measured
-        status, words = outcome.status, outcome.words
+        status, message = outcome.status, outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
         multipliers = in_units(problem, self._structure, self._units, answer.found) if finite else None
         if multipliers is None:
-            status, words = "numerical_error", f"{words}, with numbers that are not finite"
+            status, message = "numerical_error", f"{message}, with numbers that are not finite"
         infeasible = status == "infeasible"
         if status == "optimal" and measured is not None and not answer.accurate:
-            status, words = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
+            status, message = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
         active = outcome.working.weights > 0
         t, f, sign = outcome.working.rows()
         return SpectralSolution(
@@ -291,7 +291,7 @@ class SpectralSolver:
             multipliers=None if infeasible else multipliers,
             ray=multipliers if infeasible else None,
             residuals=measured,
-            words=words,
+            message=message,
             seconds={"setup": self.setup_seconds, "solve": time.perf_counter() - started},
             problem=problem,
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),

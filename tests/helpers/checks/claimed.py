@@ -19,7 +19,7 @@ class Resolved:
 
     candidate: Candidate
     cost: float | None
-    words: str
+    message: str
 
 
 def resolved(problem: OptimalControlProblem, claim: SolverClaim, backend: str = "clarabel") -> Resolved:
@@ -27,8 +27,8 @@ def resolved(problem: OptimalControlProblem, claim: SolverClaim, backend: str = 
     assert claim.sequence is not None
     candidate = solve_convex(problem.with_modes(claim.sequence), backend, None, None)
     if candidate.status != "optimal" or candidate.trajectory is None:
-        words = f"the program of the claimed sequence ended as {candidate.status} ({candidate.words})"
-        return Resolved(candidate, None, words)
+        message = f"the program of the claimed sequence ended as {candidate.status} ({candidate.message})"
+        return Resolved(candidate, None, message)
     cost = problem.value(candidate.trajectory.x, candidate.trajectory.u)
     allowed = CLAIMED * max(1.0, abs(cost))
     return Resolved(candidate, cost, "; ".join(differences(claim, cost, allowed, "its sequence")))

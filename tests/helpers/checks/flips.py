@@ -82,12 +82,12 @@ def check(seed: int) -> Outcome:
         wrong.append("joint and regular, but not flip-stationary")
     if facts.joint != (certificate.pmp == "satisfied"):
         wrong.append("the facts and the verdict differ")
-    for what, words in tried(problem, sequence, result, facts):
+    for what, message in tried(problem, sequence, result, facts):
         counts[what] += 1
-        wrong += [words] if words else []
-    for what, words in followed(problem, sequence, result):
+        wrong += [message] if message else []
+    for what, message in followed(problem, sequence, result):
         counts[what] += 1
-        wrong += [words] if words else []
+        wrong += [message] if message else []
     return Outcome(seed, kind, len(facts.times), counts, tuple(wrong))
 
 
@@ -157,5 +157,5 @@ def tried(
             unique = unique or uniqueness(problem.with_modes(sequence), trajectory)
             both = unique.unique and uniqueness(problem.with_modes(flipped), trajectory).unique
             rate = said[t, j]
-            words = f"a flip at t = {t} to mode {j}, rate {rate:.1e}, that gains {-change:.1e}" if both else ""
-            yield "wrong flip" if both else "degenerate", words
+            message = f"a flip at t = {t} to mode {j}, rate {rate:.1e}, that gains {-change:.1e}" if both else ""
+            yield "wrong flip" if both else "degenerate", message

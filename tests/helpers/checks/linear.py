@@ -29,7 +29,7 @@ class Outcome:
     method: str
     theirs: str
     difference: float | None
-    words: str = ""
+    message: str = ""
 
     @property
     def unanswered(self) -> bool:
@@ -67,7 +67,7 @@ def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: fl
     program, z = reference.program, np.concatenate([x.ravel(), u.ravel()])
     y, error = fitted(program, z)
     ours, theirs = worth(program, reference.y, z), worth(program, y, reference.z)
-    words = (
+    message = (
         f"{'dearer' if excess > 0 else 'cheaper'} by {abs(excess):.1e}; violations here are worth {ours:.1e}, "
         f"Clarabel's {theirs:.1e}; multipliers fit here to {error:.1e}, there to {reference.error:.1e}"
     )
@@ -76,5 +76,5 @@ def _arbitrated(outcome: Outcome, reference: Reference, excess: float, scale: fl
     else:
         wrong = theirs > excess / 2 and error < FIT * excess
     if not wrong and error > AGREEMENT * scale:
-        return replace(outcome, words=words)
-    return replace(outcome, theirs="not the optimum" if wrong else "another optimum", words=words)
+        return replace(outcome, message=message)
+    return replace(outcome, theirs="not the optimum" if wrong else "another optimum", message=message)

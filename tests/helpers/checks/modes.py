@@ -36,18 +36,18 @@ class Outcome:
     costs: dict[str, float | None]
     gap: float
     difference: float
-    words: str
+    message: str
 
     @property
     def passed(self) -> bool:
         """Whether all agree and the optimum is proven."""
-        return self.difference <= AGREEMENT and self.gap <= AGREEMENT and not self.words
+        return self.difference <= AGREEMENT and self.gap <= AGREEMENT and not self.message
 
 
 def check(name: str) -> Outcome:
     """Solve an instance by four methods."""
     system, arguments, known = INSTANCES[name]
-    problem, costs, gap, words = lfo.library.by_name(system)(**arguments), dict[str, float | None](), 0.0, list[str]()
+    problem, costs, gap, message = lfo.library.by_name(system)(**arguments), dict[str, float | None](), 0.0, list[str]()
     for method in ("enumerate", "branch_and_bound"):
         result = lfo.solve(problem, method=method, throw=False)
         costs[method], gap = result.cost, max(gap, float("inf") if result.gap is None else abs(result.gap))
@@ -55,10 +55,10 @@ def check(name: str) -> Outcome:
         outcome = solve_miqp(problem, backend)
         again = resolved(problem, outcome) if outcome.sequence is not None else None
         costs[backend] = None if again is None else again.cost
-        words += [] if again is None or not again.words else [f"{backend}: {again.words}"]
+        message += [] if again is None or not again.message else [f"{backend}: {again.message}"]
     found = [*costs.values(), *([] if known is None else [known])]
     difference = float("inf")
     if None not in found:
         numbers = [cost for cost in found if cost is not None]
         difference = (max(numbers) - min(numbers)) / max(1.0, abs(min(numbers)))
-    return Outcome(name, costs, gap, difference, "; ".join(words))
+    return Outcome(name, costs, gap, difference, "; ".join(message))

@@ -66,7 +66,7 @@ class Reference:
     """What the sparse program ends with: "solved", "infeasible" or "unsure", in the solvers' words, and the point."""
 
     status: str
-    words: str
+    message: str
     point: Candidate | None = None
 
 
@@ -122,14 +122,15 @@ def check(seed: int) -> Outcome:
             rounds = lfo.SpectralSolver(problem).solve().rounds if result.status in ANSWERS else None
     except Exception as error:  # whatever it is, it must not end a run over many problems
         verdict = Verdict.REFUSED if isinstance(error, lfo.errors.UnsupportedError) else Verdict.BROKEN
-        return Outcome(seed, type(error).__name__, reference.words, verdict, str(error))
+        return Outcome(seed, type(error).__name__, reference.message, verdict, str(error))
     far = reference.point is not None and is_far(problem, reference.point.trajectory)
     if result.status in ANSWERS and reference.point is not None:
         verdict, why, difference = compare_costs(problem, result, reference.point)
-        return Outcome(seed, result.status, reference.words, verdict, why, difference, result.certificate, rounds, far)
+        judged = result.certificate
+        return Outcome(seed, result.status, reference.message, verdict, why, difference, judged, rounds, far)
     verdict = compare_statuses(result.status, reference.status, feasible=witness is not None)
     certificate = result.certificate if result.status in ANSWERS else None
-    return Outcome(seed, result.status, reference.words, verdict, result.message, None, certificate, rounds, far)
+    return Outcome(seed, result.status, reference.message, verdict, result.message, None, certificate, rounds, far)
 
 
 def satisfies(problem: lfo.OptimalControlProblem, trajectory: lfo.Trajectory) -> bool:
@@ -161,25 +162,25 @@ def reference_answer(problem: lfo.OptimalControlProblem, witness: lfo.Trajectory
 
     def solved(point: Candidate) -> bool:
         """Whether it claims an optimum, and one that is not above the cost of the witness."""
-        if point.status != "optimal" or point.words not in ("Solved", "found: True"):
+        if point.status != "optimal" or point.message not in ("Solved", "found: True"):
             return False
         known = np.inf if witness is None else problem.value(witness.x, witness.u)
         return cost_of(problem, point) <= known + AGREEMENT * max(1.0, abs(known))
 
     first = solve_convex(problem, "clarabel", REFERENCE_TOLERANCE, SOLVER_SECONDS)
-    words = f"Clarabel {first.words}"
+    message = f"Clarabel {first.message}"
     if solved(first):
-        return Reference("solved", words, first)
-    proven = first.words == "PrimalInfeasible" or (first.ray is not None and prove_infeasible(problem, first.ray))
+        return Reference("solved", message, first)
+    proven = first.message == "PrimalInfeasible" or (first.ray is not None and prove_infeasible(problem, first.ray))
     if proven and witness is None:
-        return Reference("infeasible", words)
+        return Reference("infeasible", message)
     try:
         with alarm(SOLVER_SECONDS):  # PIQP takes no time limit
             second = solve_convex(problem, "qpsolvers:piqp", REFERENCE_TOLERANCE, None)
     except TimeoutError:
-        return Reference("unsure", f"{words}, PIQP not finished")
-    words += f", PIQP {second.words}"
-    return Reference("solved", words, second) if solved(second) else Reference("unsure", words)
+        return Reference("unsure", f"{message}, PIQP not finished")
+    message += f", PIQP {second.message}"
+    return Reference("solved", message, second) if solved(second) else Reference("unsure", message)
 
 
 def cost_of(problem: lfo.OptimalControlProblem, point: Candidate) -> float:

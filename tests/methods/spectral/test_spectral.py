@@ -55,7 +55,7 @@ def assert_accurate(
     problem: lfo.OptimalControlProblem, answer: lfo.solvers.SpectralSolution, gap: float = 1e-8
 ) -> float:
     """Check the figures that the method promises; return the cost."""
-    assert answer.status == "optimal", answer.words
+    assert answer.status == "optimal", answer.message
     measured = residuals(problem, answer.trajectory)
     assert relative_violation(problem, answer.trajectory) <= 1e-9
     assert measured["dynamics"] <= 1e-12
@@ -214,7 +214,7 @@ def test_a_loose_tolerance_ends_earlier_and_is_not_called_optimal():
     assert loose.rounds < tight.rounds
     assert 1e-6 < relative_violation(single.problem, loose.trajectory) < 1e-3
     assert (loose.status, tight.status) == ("numerical_error", "optimal")
-    assert "converged with residuals" in loose.words
+    assert "converged with residuals" in loose.message
 
 
 def in_other_units(

@@ -93,7 +93,7 @@ def test_statuses_are_compared(ours, reference, feasible, verdict):
 def test_a_witness_is_not_contradicted_by_the_reference(monkeypatch):
     problem, witness = with_witness(BOUNDED)
     answers = {
-        "clarabel": replace(solve_convex(problem, "clarabel", 1e-11, None), words="PrimalInfeasible"),
+        "clarabel": replace(solve_convex(problem, "clarabel", 1e-11, None), message="PrimalInfeasible"),
         "qpsolvers:piqp": solve_convex(problem, "qpsolvers:piqp", 1e-11, None),
     }
     monkeypatch.setattr(spectral, "solve_convex", lambda problem, name, *_: answers[name])

@@ -47,7 +47,7 @@ class Outcome:
     """How an exchange ended: the last point, and the multipliers of equations and rows that it comes from."""
 
     status: str  # of a Candidate
-    words: str
+    message: str
     signals: Signals
     multipliers: Array
     working: WorkingSet
@@ -266,9 +266,9 @@ class Exchange:
         self.values = self.working.values(self.signals.y, self.signals.last)
         return added
 
-    def _outcome(self, status: str, words: str = "") -> Outcome:
+    def _outcome(self, status: str, message: str = "") -> Outcome:
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
-        return Outcome(status, words, *point, self.rounds, self.violations.worst, cost, self.ray)
+        return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
 
 
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
