@@ -46,7 +46,7 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     and its curvature is 0. At zero without a selection, the derivative is 0.
     """
     points, k = y.shape
-    at, shape = Points(y, selections or {}), (points, len(formulas))
+    at, shape = Points(y, {} if selections is None else {**selections}), (points, len(formulas))
     with np.errstate(all="ignore"):
         found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
     values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.empty((*shape, k, k))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import shorten
-from typing import Any
 
 from lin_freq_ocp.phrases import interval, intervals, listed, number, plural, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
@@ -68,13 +67,13 @@ def _states(problem: ProblemData) -> list[Fact]:
     return facts
 
 
-def _bounds(boxes: Box, i: int, given: Any) -> str:
+def _bounds(boxes: Box, i: int, given: object) -> str:
     """Return the bounds over time of component i of a set."""
     text = intervals(boxes.lower[:, i], boxes.upper[:, i])
     return f"{text} of its own" if text == "no bound" and _beyond_bounds(given) else text
 
 
-def _beyond_bounds(given: Any) -> bool:
+def _beyond_bounds(given: object) -> bool:
     """Whether a set, or one of a list of them, is more than bounds on components."""
     return any(one.members for one in entries_of(given))
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.arrays import Indices, brief
+from lin_freq_ocp.arrays import Array, Indices, brief
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.affine_mode import located_at
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
@@ -25,14 +26,14 @@ class Start:
     trajectory: Trajectory | None  # None where only modes are given
 
     @property
-    def saved(self) -> Any:
+    def saved(self) -> object:
         """Return what a file can hold, and ``start_of`` takes: modes, or the table of x and u."""
         if self.trajectory is None:
             return self.sequence.tolist()
         return {"x": self.trajectory.x.tolist(), "u": self.trajectory.u.tolist()}
 
 
-def start_of(problem: OptimalControlProblem, given: Any) -> Start:
+def start_of(problem: OptimalControlProblem, given: object) -> Start:
     """Return the start of a search.
 
     ``given`` is a trajectory, also that of a result or a table of x and u; controls (T, m), which are replayed from
@@ -51,7 +52,7 @@ def start_of(problem: OptimalControlProblem, given: Any) -> Start:
     return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
 
 
-def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, Any]) -> Trajectory:
+def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, ArrayLike]) -> Trajectory:
     if isinstance(given, Mapping):
         if set(given) != {"x", "u"}:
             expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
@@ -63,7 +64,7 @@ def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str,
     return given
 
 
-def _array(problem: OptimalControlProblem, given: Any) -> Any:
+def _array(problem: OptimalControlProblem, given: object) -> NDArray[Any]:
     """Return an array of controls (T, m), or of mode numbers (T,)."""
     T, m = problem.horizon, problem.control_dim
     expected = f"a Trajectory, controls of shape {(T, m)}, or {T} mode numbers"
@@ -79,7 +80,7 @@ def _array(problem: OptimalControlProblem, given: Any) -> Any:
     return array
 
 
-def _replayed(problem: OptimalControlProblem, controls: Any) -> Trajectory:
+def _replayed(problem: OptimalControlProblem, controls: Array) -> Trajectory:
     try:
         with located_at("start"):
             return simulate(problem, controls)

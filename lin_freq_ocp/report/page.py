@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -31,9 +30,6 @@ from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
-
-# Names of shapes that do not change from run to run, and text that looks the same on every machine.
-SVG_SETTINGS: dict[Any, str] = {"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}
 
 PIXELS_PER_INCH = 150
 
@@ -185,7 +181,8 @@ def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     svg, png = BytesIO(), BytesIO()
     FigureCanvasAgg(figure).print_png(png)
     figure.set_layout_engine("none")  # keeps the layout that was found
-    with mpl.rc_context(SVG_SETTINGS):
+    # Names of shapes do not change from run to run, and text looks the same on every machine.
+    with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
 

@@ -106,7 +106,7 @@ def conformance_cases(kind: Kind | None = None) -> Iterator[Case]:
             accuracy = 1e-9 if name in STATED else MASKED
             yield Case(name, reference_problem(name), INSTANCES[name]["optimal_value"], accuracy)
         for name, (keywords, cost) in PENDULUM.items():
-            yield Case(f"pendulum, {name}", lfo.library.pendulum(**keywords), cost)
+            yield Case(f"pendulum, {name}", lfo.library.PROBLEMS["pendulum"](**keywords), cost)
         yield Case("pendulum, too weak", lfo.library.pendulum(control_bound=0.01), np.inf)
     for table, of_kind in ((PIECEWISE_AFFINE, "piecewise affine"), (PIECEWISE_SMOOTH, "piecewise smooth")):
         if kind in (None, of_kind):

@@ -29,7 +29,7 @@ class Model:
     u_near: np.ndarray
     x: cp.Variable
     u: cp.Variable
-    ours: dict[str, Any] = field(default_factory=dict[str, Any])
+    ours: dict[str, Any] = field(default_factory=dict)
     cost: float | cp.Expression = 0.0
     costs: list[Cost] = field(default_factory=list[Cost])
     constraints: list[cp.Constraint] = field(default_factory=list[cp.Constraint])

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -299,7 +299,7 @@ class SpectralSolver:
         )
 
 
-def _known(field: str, given: Mapping[str, Any] | None, keys: tuple[str, ...]) -> dict[str, Any]:
+def _known(field: str, given: Mapping[str, object] | None, keys: tuple[str, ...]) -> dict[str, object]:
     if given is not None and not isinstance(given, Mapping):
         raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
     for key in given or {}:

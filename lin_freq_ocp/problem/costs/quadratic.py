@@ -55,7 +55,7 @@ class Cost(ABC):
     def __add__(self, other: Cost) -> CostSum:
         return CostSum([self, other])
 
-    def __radd__(self, other: Any) -> Cost:
+    def __radd__(self, other: object) -> Cost:
         costs: list[Any] = [other, self]
         return self if type(other) is int and other == 0 else CostSum(costs)  # sum() begins with 0
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -157,7 +157,7 @@ def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
 
 def signal_labels(
     n: int, m: int, sampling_time: float | None, state_names: Sequence[str] | None, control_names: Sequence[str] | None
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the fields of ``Dynamics`` for n states and m controls, checked."""
     return {
         "state_dim": n,

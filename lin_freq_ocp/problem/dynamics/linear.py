@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,7 +91,7 @@ class LinearDynamics(StandardDynamics):
 
     @classmethod
     def from_continuous(
-        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Any
+        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Sequence[str]
     ) -> LinearDynamics:
         """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
 

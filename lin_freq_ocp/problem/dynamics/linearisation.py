@@ -203,7 +203,7 @@ def _over_one_period(
     start = np.concatenate([point[:n], np.eye(n, len(point)).ravel()])
     sizes = np.concatenate([size[:n], np.divide.outer(size[:n], size).ravel()])
     tolerance = INTEGRATION_TOLERANCE
-    ended: Any = solve_ivp(derivative, span, start, method=integrator, rtol=tolerance, atol=tolerance * sizes)
+    ended = solve_ivp(derivative, span, start, method=integrator, rtol=tolerance, atol=tolerance * sizes)
     if not ended.success:
         advice = "A state may become infinite within the period."
         raise ProblemError(f"system, t = {t}", f"no solution ({ended.message})", "one over the whole period", advice)

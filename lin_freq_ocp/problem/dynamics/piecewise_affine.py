@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -132,7 +131,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         G: ArrayLike | None,
         H: ArrayLike | None,
         d: ArrayLike | None,
-        modes: Mapping[str, Any],
+        modes: Mapping[str, object],
         sampling_time: float | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -288,7 +287,7 @@ def _bound(side: str, value: Bound, absent: float) -> Array:
     return bound
 
 
-def _without_none(value: Any, absent: float) -> Any:
+def _without_none(value: object, absent: float) -> object:
     if isinstance(value, (list, tuple)):
         return [_without_none(entry, absent) for entry in value]
     return absent if value is None else value
