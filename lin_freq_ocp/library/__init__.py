@@ -16,11 +16,11 @@ from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous as elli
 from lin_freq_ocp.library.flexible import crane as crane
 from lin_freq_ocp.library.flexible import flexible_joint_arm as flexible_joint_arm
 from lin_freq_ocp.library.flexible import flexible_satellite as flexible_satellite
-from lin_freq_ocp.library.flexible import mass_chain as mass_chain
-from lin_freq_ocp.library.flexible import two_mass_spring as two_mass_spring
 from lin_freq_ocp.library.kinks import absolute_value as absolute_value
 from lin_freq_ocp.library.kinks import max_min_network as max_min_network
 from lin_freq_ocp.library.kinks import switched_rotation as switched_rotation
+from lin_freq_ocp.library.masses import mass_chain as mass_chain
+from lin_freq_ocp.library.masses import two_mass_spring as two_mass_spring
 from lin_freq_ocp.library.paper import buck_converter as buck_converter
 from lin_freq_ocp.library.paper import norm_dynamics as norm_dynamics
 from lin_freq_ocp.library.paper import pendulum as pendulum

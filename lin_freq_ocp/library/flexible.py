@@ -1,4 +1,4 @@
-"""Flexible structures moved without vibration: crane, elastic joint, satellite, chain of masses, two masses."""
+"""Flexible structures moved without vibration: crane, elastic joint, satellite."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from math import pi, sqrt
 import numpy as np
 from scipy.linalg import eigh
 
-from lin_freq_ocp.arrays import Array, positive_number, shaped
+from lin_freq_ocp.arrays import Array, positive_number
 from lin_freq_ocp.library.common import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
+from lin_freq_ocp.problem.spectrum.bands import notch
 
 GRAVITY = 9.81  # m/s^2
 
@@ -277,170 +277,3 @@ def _free_frequencies() -> Array:
     """Return the two frequencies of the undamped satellite, hub free, in rad/s; its third is 0."""
     squared = np.asarray(eigh(STIFFNESS, MASS, eigvals_only=True))
     return np.sqrt(squared[1:])
-
-
-MASSES = 4  # of 1 kg each
-
-
-def mass_chain(
-    horizon: int = 400,
-    sampling_time: float = 0.05,
-    stiffness: float = 10.0,
-    damping: float = 0.1,
-    cutoffs_hz: Sequence[float] | None = (3.95, 5.95),
-    initial_state: Sequence[float] = (1.0, -0.5, 0.7, 0.3, 0.0, 0.0, 0.0, 0.0),
-    terminal_state: Sequence[float] | None = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    state_bound: float | None = 6.0,
-    force_bound: float | None = 0.9,
-    terminal_weight: float = 0.1,
-) -> OptimalControlProblem:
-    """Bring a vibrating chain of four masses to rest with two forces, each with a low pass of its own.
-
-    Minimise sum of 0.05 |x_t|^2 + 0.05 |u_t|^2, and terminal_weight/2 |x_T|^2. The forces act on the first and the
-    last mass; their stop bands differ, so that no single filter would do.
-
-    Parameters
-    ----------
-    horizon : int
-        T.
-    sampling_time : float
-        Seconds.
-    stiffness, damping : float
-        Of each of the five springs [N/m] and dampers [N s/m]; the outer ones hold the chain to the walls.
-    cutoffs_hz : (2,) or None
-        Low-pass cut-offs of the two forces in Hz; None: no frequency constraint.
-    initial_state, terminal_state : (8,)
-        Four positions [m] and four speeds [m/s]. A terminal_state of None is free.
-    state_bound, force_bound : float or None
-        Symmetric bounds on all states [m, m/s] and on both forces [N].
-    terminal_weight : float
-        P; it matters when the end is free.
-
-    Returns
-    -------
-    OptimalControlProblem
-
-    Raises
-    ------
-    ProblemError
-        If a parameter does not fit its description.
-
-    References
-    ----------
-    Of the family of oscillating masses in Wang and Boyd, "Fast model predictive control using online optimization",
-    IEEE Transactions on Control Systems Technology 18(2), 2010. Masses of 1 kg; the other numbers are chosen here.
-
-    Examples
-    --------
-    >>> lfo.library.mass_chain().horizon
-    400
-    """
-    return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            *_chain_model(stiffness, damping),
-            sampling_time,
-            state_names=[
-                f"{what} {i} [{unit}]"
-                for what, unit in (("position", "m"), ("speed", "m/s"))
-                for i in range(1, MASSES + 1)
-            ],
-            control_names=["first force [N]", "last force [N]"],
-        ),
-        horizon=horizon,
-        cost=QuadraticCost(Q=0.1, R=0.1, P=terminal_weight),
-        control_set=symmetric("force_bound", force_bound),
-        state_set=symmetric("state_bound", state_bound),
-        initial_state=initial_state,
-        terminal_state=terminal_state,
-        control_spectrum=None
-        if cutoffs_hz is None
-        else [
-            low_pass(cutoff_hz=cutoff, component=j) for j, cutoff in enumerate(shaped("cutoffs_hz", cutoffs_hz, (2,)))
-        ],
-        name="mass_chain",
-    )
-
-
-def _chain_model(stiffness: float, damping: float) -> tuple[Array, Array]:
-    coupling = 2 * np.eye(MASSES) - np.eye(MASSES, k=1) - np.eye(MASSES, k=-1)
-    A, B = np.zeros((2 * MASSES, 2 * MASSES)), np.zeros((2 * MASSES, 2))
-    A[:MASSES, MASSES:] = np.eye(MASSES)
-    A[MASSES:, :MASSES] = -positive_number("stiffness", stiffness) * coupling
-    A[MASSES:, MASSES:] = -shaped("damping", damping, ()) * coupling
-    B[MASSES, 0] = B[-1, 1] = 1
-    return A, B
-
-
-MASS_1, MASS_2 = 1.0, 1.0  # kg
-
-
-def two_mass_spring(
-    horizon: int = 200,
-    sampling_time: float = 0.05,
-    stiffness: float = 1.0,
-    notch_width_hz: float | None = 0.2,
-    initial_state: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    terminal_state: Sequence[float] | None = (9.0, 0.0, 0.0, 0.0),
-    deflection_bound: float | None = 1.0,
-    force_bound: float | None = 1.0,
-) -> OptimalControlProblem:
-    """Push one of two masses joined by a spring, and keep the spring's own frequency still.
-
-    Minimise 1/2 sum of u_t^2. The stop band lies on a *state*, the deflection of the spring, around the frequency
-    sqrt(k (1/m1 + 1/m2)) at which the masses swing against each other; for k = 1 N/m it is sqrt(2) rad/s. The
-    deflection is 0 at both ends, so that its DFT shows the vibration and not a ramp.
-
-    Parameters
-    ----------
-    horizon : int
-        T.
-    sampling_time : float
-        Seconds.
-    stiffness : float
-        Of the spring [N/m]; the benchmark's nominal value is 1, its uncertainty 0.5 to 2.
-    notch_width_hz : float or None
-        Width in Hz of the band removed from the deflection; None: no frequency constraint.
-    initial_state, terminal_state : (4,)
-        Position of body 1 [m], deflection x2 - x1 [m], speed of body 1 [m/s], rate of the deflection [m/s]. A
-        terminal_state of None is free.
-    deflection_bound, force_bound : float or None
-        Symmetric bounds on the deflection [m] and the force [N].
-
-    Returns
-    -------
-    OptimalControlProblem
-
-    Raises
-    ------
-    ProblemError
-        If a parameter does not fit its description.
-
-    References
-    ----------
-    Wie and Bernstein, "Benchmark problems for robust control design", J. Guidance, Control, and Dynamics 15(5), 1992:
-    m1 = m2 = 1 kg, k = 1 N/m, force on body 1. The move, its time and the bounds are chosen here.
-
-    Examples
-    --------
-    >>> lfo.library.two_mass_spring().horizon
-    200
-    """
-    k = positive_number("stiffness", stiffness)
-    flexible = sqrt(k * (1 / MASS_1 + 1 / MASS_2))  # rad/s
-    return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 0, 1, 0], [0, 0, 0, 1], [0, k / MASS_1, 0, 0], [0, -(flexible**2), 0, 0]],
-            [[0], [0], [1 / MASS_1], [-1 / MASS_1]],
-            sampling_time,
-            state_names=["position [m]", "deflection [m]", "speed [m/s]", "deflection rate [m/s]"],
-            control_names=["force [N]"],
-        ),
-        horizon=horizon,
-        cost=QuadraticCost(R=1.0),
-        control_set=symmetric("force_bound", force_bound),
-        state_set=symmetric("deflection_bound", [None, deflection_bound, None, None]),
-        initial_state=initial_state,
-        terminal_state=terminal_state,
-        state_spectrum=notch_at(flexible, notch_width_hz, "deflection"),
-        name="two_mass_spring",
-    )
