@@ -32,7 +32,7 @@ def extended(given: ArrayLike) -> NDArray[Any]:
 
 
 def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
-    """Return the array itself if nobody can write to it any more, else a read-only copy."""
+    """Return the array itself if it is read-only, else a read-only copy."""
     if array.flags.writeable:
         array = array.copy()
         array.flags.writeable = False

@@ -18,7 +18,7 @@ def leave(number: int, frame: FrameType | None) -> None:
 
 
 def leave_silently() -> None:
-    """Let Ctrl-C end this process without a word, if it is the command line and nobody ignores Ctrl-C for it."""
+    """Let Ctrl-C end this process silently, if it is the command line and Ctrl-C is not ignored."""
     main = threading.current_thread() is threading.main_thread()
     if main and _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)

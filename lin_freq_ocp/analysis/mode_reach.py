@@ -13,8 +13,8 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
-ENDLESS = 1e100  # stands for infinity, so that its product with zero is zero
-UNBOUNDED = 1e90  # larger bounds stem from ENDLESS
+INFINITE = 1e100  # stands for infinity, so that its product with zero is zero
+UNBOUNDED = 1e90  # larger bounds stem from INFINITE
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +50,13 @@ class ModeReach:
         arrays = self.arrays
         maps, self._rows = np.concatenate([arrays.A, arrays.B], axis=-1), np.concatenate([arrays.G, arrays.H], axis=-1)
         self._increasing, self._decreasing = np.maximum(maps, 0.0), np.minimum(maps, 0.0)
-        self._limits = np.minimum(arrays.h, ENDLESS)
+        self._limits = np.minimum(arrays.h, INFINITE)
         finite = np.isfinite(arrays.h)
         self._limit_sizes = np.where(finite, np.abs(arrays.h), 0.0)
         usable = (self._rows != 0) & finite[..., None]
         inverses = 1 / np.where(usable, self._rows, 1.0)
-        self._inverses = np.where(usable, inverses, np.sign(self._rows) * ENDLESS)  # no coefficient, or no limit
-        lower, upper = np.maximum(tube.lower, -ENDLESS), np.minimum(tube.upper, ENDLESS)
+        self._inverses = np.where(usable, inverses, np.sign(self._rows) * INFINITE)  # no coefficient, or no limit
+        lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
         # what the centres of the controls add to the next state, and the generators that the controls add
         self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
         self._pushes = arrays.B * ((upper - lower) / 2)[:, None, None]
@@ -64,9 +64,9 @@ class ModeReach:
     def from_start(self, allowed: Mask) -> Reach | None:
         """Return the reach of a mask (T, modes), or None if no sequence within it has a trajectory."""
         tube, controls = self.problem.state_tube, self.problem.control_tube
-        lower, upper = np.maximum(tube.lower, -ENDLESS), np.minimum(tube.upper, ENDLESS)
+        lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
         y_lower, y_upper = (
-            np.concatenate([x[:-1], np.clip(u, -ENDLESS, ENDLESS)], axis=1)[:, None].repeat(allowed.shape[1], axis=1)
+            np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(allowed.shape[1], axis=1)
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
         centre, spread = _ball(lower[0], upper[0])

@@ -139,9 +139,9 @@ def _regularisation(program: Program) -> Array:
     block[program.binaries] = -1
     largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
     for b in np.unique(block[block >= 0]):
-        places = np.flatnonzero(block == b)
-        if np.linalg.eigvalsh(program.P[places][:, places].toarray())[0] < SINGULAR * largest:
-            added[places] = REGULARISATION * largest
+        columns = np.flatnonzero(block == b)
+        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR * largest:
+            added[columns] = REGULARISATION * largest
     return added
 
 

@@ -137,8 +137,8 @@ def convex_model(program: Program, rows: SingleBounds) -> tuple[Model, list[Vari
     return model, z
 
 
-def _linear(values: Array, places: Iterable[int], z: list[Variable]) -> Expr:
-    return quicksum(float(value) * z[j] for value, j in zip(values, places, strict=True))
+def _linear(values: Array, columns: Iterable[int], z: list[Variable]) -> Expr:
+    return quicksum(float(value) * z[j] for value, j in zip(values, columns, strict=True))
 
 
 def _add_cones(model: Model, program: Program, z: list[Variable]) -> None:
@@ -147,9 +147,9 @@ def _add_cones(model: Model, program: Program, z: list[Variable]) -> None:
     for cone in program.cones:
         squares = list[Expr | float]()
         for i in range(cone.start, cone.stop):
-            places = slice(A.indptr[i], A.indptr[i + 1])
-            row, first = _linear(A.data[places], A.indices[places], z) - float(program.lower[i]), i == cone.start
-            if not len(A.data[places]):
+            entries = slice(A.indptr[i], A.indptr[i + 1])
+            row, first = _linear(A.data[entries], A.indices[entries], z) - float(program.lower[i]), i == cone.start
+            if not len(A.data[entries]):
                 squares.append(float(program.lower[i]) ** 2)
                 continue
             s = model.addVar(lb=0.0 if first else None)
@@ -162,9 +162,9 @@ def set_objective(model: Model, program: Program, z: list[Variable]) -> None:
     """Minimise the cost of a program in the variables of its model."""
     linear = _linear(program.q, np.arange(len(z)), z) + program.constant
     squares = list[Expr]()
-    for places, values in _factor(program):
+    for columns, values in _factor(program):
         y = model.addVar(lb=None)
-        model.addCons(y == _linear(values, places, z))
+        model.addCons(y == _linear(values, columns, z))
         squares.append(y * y)
     if not squares:
         model.setObjective(linear)
@@ -177,15 +177,15 @@ def set_objective(model: Model, program: Program, z: list[Variable]) -> None:
 
 
 def _factor(program: Program) -> Iterator[tuple[Indices, Array]]:
-    """Yield places and values of the columns of L, P = L L', block by block."""
+    """Yield rows and values of the columns of L, P = L L', block by block."""
     _, labels = connected_components(program.P, directed=False)
     block = np.where(abs(program.P).sum(axis=0) > 0, labels, -1)
     for b in np.unique(block[block >= 0]):
-        places = np.flatnonzero(block == b)
-        eigenvalues, vectors = np.linalg.eigh(program.P[places][:, places].toarray())
+        columns = np.flatnonzero(block == b)
+        eigenvalues, vectors = np.linalg.eigh(program.P[columns][:, columns].toarray())
         for value, vector in zip(eigenvalues, vectors.T, strict=True):
             if value > NEGLIGIBLE * eigenvalues[-1]:
-                yield places, np.sqrt(value) * vector
+                yield columns, np.sqrt(value) * vector
 
 
 def _finite(bound: float) -> float | None:

@@ -263,8 +263,8 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
 
 def _located(term: Term, condition: Condition) -> Condition:
     """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
-    places = term.map.places
-    time = None if condition.time is None or len(places) != term.shape[0] else int(places[condition.time])
+    positions = term.map.positions
+    time = None if condition.time is None or len(positions) != term.shape[0] else int(positions[condition.time])
     return replace(condition, time=time, component=condition.component if term.kind == "stage rows" else None)
 
 

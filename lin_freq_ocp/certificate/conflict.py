@@ -150,9 +150,9 @@ def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflic
             continue
         rest = {name: one for name, one in ray.stage.items() if name != term.name}
         if _bound(problem, replace(ray, stage=rest)).value <= 0:
-            places = term.map.places
-            acting = _important(np.abs(weights).sum(1)) if len(weights) == len(places) else range(len(places))
-            yield Conflict(term.name, 1.0, tuple(sorted({int(places[i]) for i in acting})))
+            positions = term.map.positions
+            acting = _important(np.abs(weights).sum(1)) if len(weights) == len(positions) else range(len(positions))
+            yield Conflict(term.name, 1.0, tuple(sorted({int(positions[i]) for i in acting})))
 
 
 def _important(weights: Array) -> tuple[int, ...]:

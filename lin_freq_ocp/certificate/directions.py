@@ -2,7 +2,8 @@
 
 A direction that keeps every active constraint to first order and along which the cost falls leaves no room for normal
 multipliers: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so that g + v is not 0. A
-direction along which every constraint holds for ever and the cost falls for ever shows that the problem is unbounded.
+direction that is feasible at every length and along which the cost has no lower bound shows that the problem is
+unbounded.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
 
 
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
-    """Return the direction if every constraint holds along it for ever while the cost falls for ever; else None."""
+    """Return the direction if every multiple of it is feasible and the cost decreases without bound, else None."""
     along, sizes = _normalised(problem, along, stated_sizes(problem))
     residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))

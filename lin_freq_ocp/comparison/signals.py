@@ -193,4 +193,4 @@ def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
         used = slopes[:, row] != 0
         values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
         if np.isfinite(values).any():
-            yield Line(term.map.places.astype(np.float64), values, not term.hard)
+            yield Line(term.map.positions.astype(np.float64), values, not term.hard)

@@ -31,7 +31,7 @@ class AffineMap(ABC):
 
     @property
     @abstractmethod
-    def places(self) -> Indices:
+    def positions(self) -> Indices:
         """Return the time of every group, or its nearest bin of the plain DFT."""
 
     @property
@@ -133,7 +133,7 @@ class StageMap(MatrixMap):
         return len(self.times), self.constant.shape[-1]
 
     @property
-    def places(self) -> Indices:
+    def positions(self) -> Indices:
         return self.times
 
     @property
@@ -196,7 +196,7 @@ class SumMap(MatrixMap):
         return 1, len(self.constant)
 
     @property
-    def places(self) -> Indices:
+    def positions(self) -> Indices:
         return np.arange(len(next(part for part in (self.Phi, self.Psi) if part is not None)))
 
     @property

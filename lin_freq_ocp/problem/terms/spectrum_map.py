@@ -52,7 +52,7 @@ class SpectrumMap(AffineMap):
         return np.rint(self.bins * len(self.window) / self.points).astype(int)
 
     @property
-    def places(self) -> Indices:
+    def positions(self) -> Indices:
         return self.nearest_bins
 
     @property

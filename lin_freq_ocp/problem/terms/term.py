@@ -83,7 +83,7 @@ class Term:
         form = self.map.stage_form(n, m) if self.hard and self.penalty.polyhedral else None
         if form is None:
             return None
-        return LinearRows(self.name, self.map.places, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
+        return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
 
     def implied_rows(self, n: int, m: int) -> LinearRows | None:
         """Return rows of (x_t, u_t) that follow from a hard term, as from a ball those around it; None without any."""
@@ -96,4 +96,4 @@ class Term:
         if not kept:
             return None
         matrices, limits = zip(*kept, strict=True)
-        return LinearRows(self.name, self.map.places, np.concatenate(matrices, 1), np.concatenate(limits, 1))
+        return LinearRows(self.name, self.map.positions, np.concatenate(matrices, 1), np.concatenate(limits, 1))

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.mode_reach import ENDLESS, UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.analysis.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
@@ -185,7 +185,7 @@ class ModeRelaxation:
     def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
         """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
         stages, n, tube = self._stages, self._n, self.problem.control_tube
-        u_lower, u_upper = np.maximum(tube.lower, -ENDLESS), np.minimum(tube.upper, ENDLESS)
+        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
         x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
         u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
         for groups, low, high, taken in (
