@@ -21,7 +21,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from lin_freq_ocp.starting import leave_silently
+from lin_freq_ocp.system.starting import leave_silently
 
 leave_silently()
 

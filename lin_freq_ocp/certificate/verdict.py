@@ -18,7 +18,6 @@ from lin_freq_ocp.certificate.modes.smooth import judge_smooth
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.html import html_table
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
@@ -26,6 +25,7 @@ from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynami
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.text.html import html_table
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
 

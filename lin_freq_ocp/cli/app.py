@@ -27,7 +27,7 @@ from lin_freq_ocp.cli.console import (
     fit_console,
 )
 from lin_freq_ocp.errors import BandWarning, SolveError
-from lin_freq_ocp.starting import INTERRUPTED, leave_silently, let_commands_decide
+from lin_freq_ocp.system.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 # The commands, in the order of the help, and their modules.
 COMMANDS = {name: name for name in ("list", "show", "solve", "compare", "sweep", "certify", "rerun", "init")}

@@ -11,7 +11,6 @@ import click
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
-from lin_freq_ocp.atomic import replacing
 from lin_freq_ocp.cli.console import (
     complain,
     exit_status,
@@ -32,6 +31,7 @@ from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.atomic import replacing
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",

@@ -25,7 +25,7 @@ from lin_freq_ocp.formulas.nodes import (
     written,
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, scalar_functions
-from lin_freq_ocp.phrases import plural
+from lin_freq_ocp.text.phrases import plural
 
 LONGEST = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.

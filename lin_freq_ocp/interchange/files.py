@@ -17,9 +17,9 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.atomic import reason
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.locations import FileValue
+from lin_freq_ocp.system.atomic import reason
 
 NPY_MAGIC = b"\x93NUMPY"  # first bytes of an .npy, and of every entry of an .npz
 MOST_ENTRIES = 10_000  # files in an archive

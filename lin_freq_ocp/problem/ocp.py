@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.html import html_table
-from lin_freq_ocp.memory import require_horizon
-from lin_freq_ocp.phrases import plural
 from lin_freq_ocp.problem.costs.quadratic import Cost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
@@ -33,6 +30,9 @@ from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.system.memory import require_horizon
+from lin_freq_ocp.text.html import html_table
+from lin_freq_ocp.text.phrases import plural
 
 Kind = TypeVar("Kind", bound=Dynamics)
 

@@ -16,10 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
-from lin_freq_ocp.phrases import number
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report import proof
 from lin_freq_ocp.report.figures import figures
@@ -30,6 +28,8 @@ from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.system.atomic import write_bytes, write_text, writing
+from lin_freq_ocp.text.phrases import number
 
 PIXELS_PER_INCH = 150
 

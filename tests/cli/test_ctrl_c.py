@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lin_freq_ocp import starting
+from lin_freq_ocp.system import starting
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 

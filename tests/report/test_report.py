@@ -26,7 +26,6 @@ from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.errors import ProblemError, SolveError
 from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.phrases import NOTHING, listed, number, runs_in_words, split_unit
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -55,6 +54,7 @@ from lin_freq_ocp.report.tables import (
     comparison_table,
 )
 from lin_freq_ocp.report.units import aligned, frequency_scale, quantity, rough, time_scale
+from lin_freq_ocp.text.phrases import NOTHING, listed, number, runs_in_words, split_unit
 
 CASES: dict[str, Callable[[], OptimalControlProblem]] = {
     "pendulum": pendulum,

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp import memory
 from lin_freq_ocp.backends.clarabel_ import solve as clarabel_solve
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -21,6 +20,7 @@ from lin_freq_ocp.methods.modes.search import SearchLimits
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
+from lin_freq_ocp.system import memory
 from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 

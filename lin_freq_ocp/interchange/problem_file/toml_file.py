@@ -17,12 +17,12 @@ import tomli_w
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.atomic import write_bytes, writing
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.atomic import write_bytes, writing
 
 ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
 INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself

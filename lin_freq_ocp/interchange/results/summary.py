@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lin_freq_ocp.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
@@ -18,6 +17,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.system.atomic import write_text
 
 if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome

@@ -18,7 +18,6 @@ from types import TracebackType
 from typing import get_type_hints
 
 from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.atomic import write_text, writing
 from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep.point import ERROR, Row
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
@@ -26,6 +25,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.files import parsed_json, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys
 from lin_freq_ocp.interchange.results.csv_file import header
+from lin_freq_ocp.system.atomic import write_text, writing
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"

@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors, with_columns, with_rows
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
+from lin_freq_ocp.text.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -15,13 +15,13 @@ from lin_freq_ocp.formulas.jets import Jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
-from lin_freq_ocp.phrases import first_few, split_unit
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.text.phrases import first_few, split_unit
 
 # The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
 ZERO_NORM = 1e-9

@@ -21,8 +21,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.text.phrases import MOST_TEXT
 
 Bounds = tuple[Array, Array]  # lower and upper, of no, one or two dimensions
 

@@ -15,7 +15,6 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, real_array
 from lin_freq_ocp.errors import BandWarning, ProblemError
-from lin_freq_ocp.phrases import number, runs_in_words, runs_of
 from lin_freq_ocp.problem.spectrum.base import (
     Constraints,
     FrequencyConstraint,
@@ -28,6 +27,7 @@ from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.text.phrases import number, runs_in_words, runs_of
 
 BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
 

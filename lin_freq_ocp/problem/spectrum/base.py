@@ -15,8 +15,8 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, brief
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.phrases import split_unit
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.text.phrases import split_unit
 
 
 @dataclass(frozen=True, eq=False)

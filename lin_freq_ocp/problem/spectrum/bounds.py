@@ -27,7 +27,6 @@ from lin_freq_ocp.arrays import (
     with_columns,
 )
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.phrases import AT_MOST, datum, first_few, number, price, short_name
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.terms.maps import SumMap
@@ -35,6 +34,7 @@ from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.text.phrases import AT_MOST, datum, first_few, number, price, short_name
 
 NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "

@@ -21,7 +21,7 @@ from lin_freq_ocp.arrays import (
     times_vectors,
 )
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.phrases import AT_MOST, inequalities, plural, price
+from lin_freq_ocp.text.phrases import AT_MOST, inequalities, plural, price
 
 
 @dataclass(frozen=True, eq=False, init=False)

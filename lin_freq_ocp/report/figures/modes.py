@@ -19,7 +19,6 @@ from lin_freq_ocp.certificate.modes.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
-from lin_freq_ocp.phrases import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.report.figures.plot_data import MARGIN, PlotData, Span, spans
 from lin_freq_ocp.report.figures.style import (
     COMPONENTS,
@@ -43,6 +42,7 @@ from lin_freq_ocp.report.figures.style import (
     thinned,
 )
 from lin_freq_ocp.report.proof import ETA
+from lin_freq_ocp.text.phrases import LARGE, SMALL, number, split_unit
 
 CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note
 # Inches: what a legend may take, and about the width of one of its characters.
