@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -155,6 +156,14 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
     if answer.status not in (OPTIMAL, INFEASIBLE):
         raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")
     return None if answer.x is None or answer.status == INFEASIBLE else np.asarray(answer.x[:-1])
+
+
+def minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
+    """Return a minimiser of cost'y over matrix y <= limits (dense or sparse) and the bounds, or None."""
+    from scipy.optimize import linprog  # slow to import
+
+    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
+    return np.asarray(answer.x) if answer.status == OPTIMAL else None
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:

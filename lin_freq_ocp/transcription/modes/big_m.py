@@ -13,7 +13,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +21,7 @@ from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.geometry.polyhedra import minimiser
 from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -176,7 +176,7 @@ def _least_excesses(domains: Sequence[Rows]) -> Array:
     upper = np.tile(np.append(np.ones(columns - 1), np.inf), len(blocks))
     lower = np.tile(np.append(-np.ones(columns - 1), 0.0), len(blocks))
     matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
-    return _required(_minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
+    return _required(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
 
 
 def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
@@ -190,19 +190,11 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
         cost, ones = -scaled[live] / sizes[live, None], np.ones(scaled[live].size)
         matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks], format="csr"))
         limits = np.concatenate([limits for _, limits in blocks])
-        v = _required(_minimiser(cost.ravel(), matrix, limits, -ones, ones))
+        v = _required(minimiser(cost.ravel(), matrix, limits, -ones, ones))
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
     middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
     terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
     return np.split(largest + OUTWARD * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
-
-
-def _minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the minimiser of a linear program, None if it has none; the matrix may be sparse."""
-    from scipy.optimize import linprog  # slow to import
-
-    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
-    return np.asarray(answer.x) if answer.status == 0 else None
 
 
 def _required(minimiser: Array | None) -> Array:
@@ -241,7 +233,7 @@ def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Arra
     for sign, side in ((1.0, high), (-1.0, low)):
         for k in np.flatnonzero(~np.isfinite(side)):
             cost = np.where(np.arange(len(units)) == k, -sign, 0.0)
-            found = _minimiser(cost, scaled, right, lower / units, upper / units)
+            found = minimiser(cost, scaled, right, lower / units, upper / units)
             if found is not None:
                 side[k] = units[k] * (found[k] + sign * OUTWARD * max(1.0, abs(float(found[k]))))
     return low, high
