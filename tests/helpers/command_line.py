@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
+import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
+from pathlib import Path
 
 import pytest
 
@@ -29,3 +33,8 @@ def parsed(text: str):
         raise ValueError(f"{constant} in JSON")
 
     return json.loads(text, parse_constant=refuse)
+
+
+COMMAND = shutil.which("lin-freq-ocp", path=str(Path(sys.executable).parent)) or "lin-freq-ocp"
+once = cache(run)
+"""Runs of the command that change nothing: each is made once."""
