@@ -1,0 +1,58 @@
+"""Comparisons, and their pages: each is made once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from helpers.pages import double_integrator, parsed
+from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.library import pendulum
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
+from lin_freq_ocp.report.figures.figures import comparison_data, price_figure
+from lin_freq_ocp.report.page import draw, render
+
+CASES: dict[str, Callable[[], OptimalControlProblem]] = {
+    "pendulum": pendulum,
+    "not replayed": lambda: pendulum(horizon=100, sampling_time=0.1),
+    "infeasible": lambda: pendulum(control_bound=4.5),
+    "state band": lambda: double_integrator(
+        sampling_time=0.01, state_spectrum=stop_band(bins=[5, 6], component=1), state_set=Box([None, -1], [None, 9])
+    ),
+    "two controls": lambda: double_integrator(
+        controls=2,
+        control_spectrum=low_pass(1.5, component=0),
+        initial_state=(1.0, 0.5),
+        terminal_state=Box(None, [0.5, 0.5]),
+        name="<b>two</b> & $more$",
+    ),
+    "no band": lambda: double_integrator(),
+}
+
+
+@cache
+def case(name: str) -> Comparison:
+    filters = None if name == "pendulum" else ["brickwall", "zero_phase"]
+    return compare(CASES[name](), filters=filters)
+
+
+@cache
+def drawings(name: str):
+    return draw(case(name))
+
+
+@cache
+def page(name: str) -> str:
+    return render(case(name), drawings(name))
+
+
+@cache
+def text(name: str) -> str:
+    return parsed(page(name)).text
+
+
+def price_axes(comparison: Comparison):
+    assert comparison.prices is not None
+    return price_figure(comparison_data(comparison), comparison.prices).axes
