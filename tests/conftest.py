@@ -4,6 +4,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.stage_rows import two_families as two_families
+from helpers.sweeps import file as file
+from helpers.sweeps import serial as serial
 from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
 

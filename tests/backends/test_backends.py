@@ -6,26 +6,19 @@ Signs: at a minimum P z + q + A'y = 0, and the dual of a row is positive at its 
 from __future__ import annotations
 
 import importlib
-import os
-import signal
-import threading
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
 import qpsolvers
-import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
+from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
 from lin_freq_ocp.backends import base
 from lin_freq_ocp.backends.base import Claim, Solution, backend, register
-from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -34,108 +27,11 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.program import Program
 
-OWN = ["clarabel", "osqp"]
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]
 EXACT = {"clarabel", "osqp", "qpsolvers:clarabel", "qpsolvers:piqp", "qpsolvers:highs"}
 """Solvers that must accept and solve every solvable case; the others may also say that they cannot."""
 
-INF = np.inf
 each_solver = pytest.mark.parametrize("name", ALL)
-
-
-def program(P: Any, q: Any, A: Any, lower: Any, upper: Any) -> Program:
-    q = np.array(q, dtype=float)
-    return Program(
-        P=sp.csc_array(np.array(P, dtype=float).reshape(len(q), len(q))),
-        q=q,
-        constant=0.0,
-        A=sp.csc_array(np.array(A, dtype=float).reshape(-1, len(q))),
-        lower=np.array(lower, dtype=float),
-        upper=np.array(upper, dtype=float),
-        rows={},
-    )
-
-
-@dataclass(frozen=True)
-class Case:
-    """A program with its only primal answer, and its only dual one or None where there are many."""
-
-    program: Program
-    z: list[float]
-    y: list[float] | None
-
-
-SOLVABLE = {
-    # one variable: min 1/2 z^2 - z, whose free minimum is z = 1, so that y = 1 - z at whatever holds it back
-    "upper": Case(program(1, [-1], [1], [-INF], [0.3]), [0.3], [0.7]),
-    "lower": Case(program(1, [-1], [1], [1.5], [INF]), [1.5], [-0.5]),
-    "equation below": Case(program(1, [-1], [1], [0.3], [0.3]), [0.3], [0.7]),
-    "equation above": Case(program(1, [-1], [1], [1.5], [1.5]), [1.5], [-0.5]),
-    "two sides, upper": Case(program(1, [-1], [1], [-0.5], [0.3]), [0.3], [0.7]),
-    "two sides, lower": Case(program(1, [-1], [1], [1.5], [4.0]), [1.5], [-0.5]),
-    "two sides, neither": Case(program(1, [-1], [1], [-5], [7]), [1], [0]),
-    "a row without bounds": Case(program(1, [-1], [[1], [1]], [-INF, -INF], [INF, 0.3]), [0.3], [0, 0.7]),
-    "negative coefficient": Case(program(1, [-1], [-2], [-0.6], [INF]), [0.3], [-0.35]),  # 0.3 - 1 - 2 y = 0
-    "negative coefficient, upper": Case(program(1, [-1], [-2], [-INF], [-3]), [1.5], [0.25]),
-    "no rows": Case(program(1, [-1], [], [], []), [1], []),
-    # min 1/2 |z|^2 on z_0 + z_1 + z_2 = 3 and z_0 - z_1 = 1: z = a (1,1,1) + b (1,-1,0)
-    "equations only": Case(
-        program(np.eye(3), [0, 0, 0], [[1, 1, 1], [1, -1, 0]], [3, 1], [3, 1]), [1.5, 0.5, 1], [-1, -0.5]
-    ),
-    # [[2, 1], [1, 2]] z = -q - A'y with z_0 = 1 held from above: 1 + 2 z_1 = 0, y = 4 - 2 - z_1
-    "off-diagonal Hessian": Case(
-        program([[2, 1], [1, 2]], [-4, 0], [[1, 0], [0, 1]], [-INF, -9], [1, INF]), [1, -0.5], [2.5, 0]
-    ),
-    "equation, bounds on both sides": Case(
-        # min 1/2 |z|^2, sum z = 3, z_0 <= 0.5, z_2 >= 1.5: z_1 = 1, y_eq = -1, y_0 = 1 - 0.5, y_2 = 1 - 1.5
-        program(np.eye(3), [0, 0, 0], [[1, 1, 1], [1, 0, 0], [0, 0, 1]], [3, -INF, 1.5], [3, 0.5, INF]),
-        [0.5, 1, 1.5],
-        [-1, 0.5, -0.5],
-    ),
-    "semidefinite Hessian": Case(  # z_1 has no curvature: its bound holds it, 0 + 1 + y = 0
-        program(np.diag([1.0, 0.0]), [-1, 1], [0, 1], [-2], [INF]), [1, -2], [-1]
-    ),
-    "linear programme": Case(  # max z_0 + 2 z_1 on the simplex
-        program(np.zeros((2, 2)), [-1, -2], [[1, 1], [1, 0], [0, 1]], [-INF, 0, 0], [1, INF, INF]), [0, 1], [2, -1, 0]
-    ),
-    "linear programme, equation": Case(
-        program(np.zeros((2, 2)), [3, 1], [[1, 1], [1, 0], [0, 1]], [1, 0, 0], [1, 0.4, 0.7]), [0.3, 0.7], [-3, 0, 2]
-    ),
-    "the same equation twice": Case(program(np.eye(2), [-2, 0], [[1, 1], [2, 2]], [1, 2], [1, 2]), [1.5, -0.5], None),
-    "the same bound twice": Case(program(1, [-1], [[1], [2]], [-INF, -INF], [0.3, 0.6]), [0.3], None),
-    "bounds that leave one point": Case(  # z_0 >= 0, z_1 >= 0, z_0 + z_1 <= 0: no interior at all
-        program(np.eye(2), [-1, -2], [[1, 0], [0, 1], [1, 1]], [0, 0, -INF], [INF, INF, 0]), [0, 0], None
-    ),
-    "large and small numbers": Case(  # min 1/2 1e4 z^2 - 1e2 z, 1e-2 z <= 5e-5: z = 5e-3, 50 - 100 + 1e-2 y = 0
-        program(1e4, [-1e2], [1e-2], [-INF], [5e-5]), [5e-3], [5e3]
-    ),
-}
-
-INFEASIBLE = {
-    "bounds": program(1, [0], [[1], [1]], [1, -INF], [INF, 0]),
-    "equations": program(np.eye(2), [0, 0], [[1, 1], [1, 1]], [1, 2], [1, 2]),
-    "equation outside bounds": program(
-        np.eye(2), [1, -1], [[1, 1], [1, 0], [0, 1]], [3, -1, -1], [3, 1, 1]
-    ),  # 1 + 1 < 3
-}
-
-UNBOUNDED = {
-    "linear": program(0, [-1], [1], [0], [INF]),
-    "without curvature": program(np.diag([1.0, 0.0]), [0, -1], [[1, 0], [0, 1]], [0, 0], [1, INF]),
-    "along an equation": program(np.zeros((2, 2)), [-1, 0], [[1, -1], [0, 1]], [0, -3], [0, INF]),
-}
-
-
-def ask(name: str, asked: Program, tolerance: float = 1e-9, time_limit: float | None = None) -> Solution:
-    return backend(name)(asked, tolerance, time_limit)
-
-
-def is_accepted(asked: Program, solution: Solution) -> bool:
-    """Whether methods.convex would call this an optimum."""
-    if solution.claim not in (Claim.SOLVED, Claim.FAILED) or solution.z is None or solution.y is None:
-        return False
-    with np.errstate(invalid="ignore", over="ignore"):
-        return asked.residuals(solution.z, solution.y).worst <= SOLVED_TOLERANCE
 
 
 def violated_conditions(asked: Program, z: np.ndarray, y: np.ndarray) -> dict[str, float]:
@@ -348,9 +244,6 @@ def test_a_control_problem_by_every_solver(name):
     np.testing.assert_allclose(candidate.multipliers.mu[:, 0], [-0.7, 0.0, 0.7], atol=1e-5)
 
 
-# ------------------------------------------------------------------------------------------ names, limits, Ctrl-C
-
-
 @pytest.mark.parametrize("name", ["gurobi", "", "clarabel:fast", "qpsolvers", "qpsolvers:", ":piqp", "Clarabel"])
 def test_unknown_names_are_refused(name):
     with pytest.raises(UnsupportedError, match="expected 'clarabel', 'osqp' or 'qpsolvers:NAME'"):
@@ -371,14 +264,6 @@ def test_the_test_dependencies_are_installed():
         importlib.import_module(module)
 
 
-def long_program(size: int) -> Program:
-    """Return a program of many dense rows, which takes every solver some time."""
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(2 * size, size))
-    root = rng.normal(size=(size, size)) / np.sqrt(size)
-    return program(root @ root.T, rng.normal(size=size), A, np.full(2 * size, -1.0), np.full(2 * size, 1.0))
-
-
 @pytest.mark.parametrize("name", [*OWN, "qpsolvers:clarabel", "qpsolvers:osqp", "qpsolvers:highs"])
 def test_a_time_limit_is_a_limit_and_no_failure(name):
     asked = long_program(150)
@@ -391,95 +276,6 @@ def test_a_time_limit_is_a_limit_and_no_failure(name):
 def test_a_generous_time_limit_changes_nothing(name):
     case = SOLVABLE["equation, bounds on both sides"]
     np.testing.assert_allclose(ask(name, case.program, 1e-9, 60.0).z, case.z, atol=1e-6)
-
-
-posix = pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
-
-
-def interrupt_when_listening(before: Any, stop: threading.Event) -> None:
-    """Send this process a Ctrl-C as soon as somebody else than ``before`` would receive it."""
-    while not stop.is_set():
-        if signal.getsignal(signal.SIGINT) is not before:
-            os.kill(os.getpid(), signal.SIGINT)
-            return
-        time.sleep(1e-4)
-
-
-@posix
-def test_ctrl_c_stops_the_solver_at_a_point_and_gives_the_handler_back():
-    asked = long_program(300)
-    before = signal.getsignal(signal.SIGINT)
-    stop = threading.Event()
-    sender = threading.Thread(target=interrupt_when_listening, args=(before, stop))
-    sender.start()
-    try:
-        solution = ask("clarabel", asked)
-    finally:
-        stop.set()
-        sender.join()
-    assert signal.getsignal(signal.SIGINT) is before
-    assert solution.claim is Claim.INTERRUPTED
-    assert solution.z.shape == asked.q.shape
-    assert np.isfinite(solution.z).all()
-    assert not is_accepted(asked, solution)
-    assert is_accepted(SOLVABLE["upper"].program, ask("clarabel", SOLVABLE["upper"].program))  # and the next one runs
-
-
-@pytest.mark.parametrize("solve", [1, 2])
-def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
-    """A solve in revised units is a second one: stopping that one is stopping, too."""
-    problem = OptimalControlProblem(
-        LinearDynamics([[1.0]], [[1.0]]), 4, QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
-    )
-    calls: list[Claim] = []
-
-    def interrupted_later(asked: Program, tolerance: float, time_limit: float | None) -> Solution:
-        answer = ask("clarabel", asked)
-        claim = Claim.INTERRUPTED if len(calls) + 1 == solve else answer.claim
-        calls.append(claim)
-        return replace(answer, claim=claim)
-
-    monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
-    monkeypatch.setattr(convex, "ACCURATE", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
-    candidate = solve_convex(problem, "clarabel", None, None)
-    assert calls[-1] is Claim.INTERRUPTED
-    assert candidate.interrupted
-    assert candidate.trajectory is not None
-
-
-@posix
-def test_interrupts_are_noted_and_not_raised():
-    before = signal.getsignal(signal.SIGINT)
-    with interrupts_noted() as noted:
-        assert not noted.is_set()
-        os.kill(os.getpid(), signal.SIGINT)
-        assert noted.wait(5)
-    assert signal.getsignal(signal.SIGINT) is before
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-def test_the_handler_is_given_back_after_an_error_too():
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(ZeroDivisionError), interrupts_noted():
-        _ = 1 / 0
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_outside_the_main_thread_nothing_is_installed():
-    before = signal.getsignal(signal.SIGINT)
-    seen: list[Any] = []
-
-    def work() -> None:
-        with interrupts_noted() as noted:
-            seen.append((signal.getsignal(signal.SIGINT), noted.is_set()))
-        seen.append(ask("clarabel", SOLVABLE["upper"].program).claim)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert seen == [(before, False), Claim.SOLVED]
 
 
 def least_squares(program, tolerance, time_limit):

@@ -1,0 +1,51 @@
+"""Certificates of trajectories from elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.conditions import Condition
+
+
+class TestCertify:
+    def test_somebody_elses_solution(self, solved):
+        result = solved("velocity bound")
+        certificate = lfo.certify(result.problem, result.trajectory)
+        assert certificate.pmp == "satisfied"
+        assert certificate.globally_optimal
+
+    def test_a_control_alone(self, solved):
+        result = solved("paper, constrained")
+        certificate = lfo.certify(result.problem, result.control)
+        assert certificate.globally_optimal
+
+    def test_a_feasible_point_that_is_not_optimal(self, solved):
+        """The optimum of another cost is feasible here, and violates only what says optimal."""
+        result = solved("paper, constrained")
+        other = lfo.solve(replace(result.problem, cost=lfo.QuadraticCost(Q=100.0, R=2.0)))
+        certificate = lfo.certify(result.problem, other.trajectory)
+        assert certificate.pmp == "violated"
+        assert certificate.feasible
+        assert not certificate.globally_optimal
+        assert certificate.lower_bound <= result.cost
+
+    def test_a_wrong_shape(self, solved):
+        result = solved("paper, constrained")
+        with pytest.raises(lfo.errors.ProblemError, match=r"trajectory: got x \(240, 4\)"):
+            lfo.certify(result.problem, lfo.Trajectory(result.trajectory.x[1:], result.control[1:]))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_overflow_proves_nothing():
+    """inf <= 1e-6 * inf: x_{t+1} = 2 x_t + u_t fails at every time here, by more than a float can say."""
+    assert not Condition("C-iii", "state equation", np.inf, np.inf, 1e-6).passed
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[2.0]], [[1.0]]), 4, lfo.QuadraticCost())
+    trajectory = lfo.Trajectory(1e308 * np.array([[1.0], [-1.0], [1.0], [-1.0], [1.0]]), np.full((4, 1), 1e308))
+    zero = lfo.results.Multipliers(
+        1.0, np.zeros((4, 1)), np.zeros((5, 1)), np.zeros((4, 1)), np.zeros((3, 1)), np.zeros((3, 1))
+    )
+    certificate = lfo.certify(problem, trajectory, zero)
+    assert certificate.pmp == "violated"
+    assert not certificate.feasible
