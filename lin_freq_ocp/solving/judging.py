@@ -19,6 +19,8 @@ from lin_freq_ocp.status import Status
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
 LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
 
+ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
+
 
 def judged(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
@@ -40,7 +42,7 @@ def judged(
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": time.perf_counter() - clock}
     if proof is not None:
-        message = f"proven by a {proof.bound.kind} ray"
+        message = "proven by a rigorous ray" if proof.bound.kind == "rigorous" else ONLY_PRACTICAL
         return Outcome(
             problem,
             Status.INFEASIBLE,

@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.judging import judged
+from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
 from lin_freq_ocp.solving.method import Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
@@ -75,9 +75,11 @@ class Convex:
             first = _diagnosed(problem, first, _left(end))
         outcome = verified(first)
         outcome = self._at_no_cost(outcome, backend, end) or outcome
-        if outcome.interrupted or not (outcome.status in UNPROVEN or (backend == PROVER and _at_odds(outcome))):
+        unproven = outcome.status in UNPROVEN or outcome.message == ONLY_PRACTICAL
+        if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
             return outcome
-        return next((other for other in map(verified, candidates) if _counts(other)), outcome)
+        further = (other for other in map(verified, candidates) if other.message != ONLY_PRACTICAL)
+        return next((other for other in further if _counts(other)), outcome)
 
     def _at_no_cost(self, outcome: Outcome, backend: str, end: float) -> Outcome | None:
         """Return the outcome of a trajectory nearby without cost or without slope, if it is optimal."""
@@ -193,7 +195,7 @@ def _final(outcome: Outcome) -> bool:
     """Whether no other method is tried after this outcome: it is proven, or the time is over."""
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
-    excluded = outcome.status == Status.INFEASIBLE and "numerical" not in outcome.message
+    excluded = outcome.status == Status.INFEASIBLE and outcome.message != ONLY_PRACTICAL
     if excluded and outcome.ray is not None:
         excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
