@@ -186,7 +186,7 @@ class BinSpaces:
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(N) ** 2).sum(0)
             if (
                 m == 1 and (np.einsum("kaa->ak", H).real <= unseen)[passed].any()
-            ):  # of several, their correlation says it
+            ):  # several are checked below
                 raise _flat()
         H[:, np.arange(m), np.arange(m)] += ~passed.T
         return _inverse_factor(H)[which.ravel()]
