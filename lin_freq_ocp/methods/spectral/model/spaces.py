@@ -184,9 +184,7 @@ class BinSpaces:
             which = np.arange(N.shape[2])
             H = np.einsum("iak,ibk->kab", N.conj(), np.tensordot(lti.M, N, 1))
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(N) ** 2).sum(0)
-            if (
-                m == 1 and (np.einsum("kaa->ak", H).real <= unseen)[passed].any()
-            ):  # several are checked below
+            if m == 1 and (np.einsum("kaa->ak", H).real <= unseen)[passed].any():  # several are checked below
                 raise _flat()
         H[:, np.arange(m), np.arange(m)] += ~passed.T
         return _inverse_factor(H)[which.ravel()]
