@@ -148,7 +148,8 @@ class Minima:
                 table = np.minimum.reduceat(table, np.arange(0, size, 2), axis=axis)
             self._tables.append(table)
         finite = np.isfinite(after.values)
-        self.steepest = float(np.abs(after.slopes[finite]).max(initial=0.0))
+        self.steepest = np.abs(after.slopes[finite]).max(axis=0, initial=0.0)  # of V along each state
+        self.spread = float(np.ptp(after.values[finite])) if finite.any() else 0.0
 
     def least(self, first: Indices, final: Indices) -> Array:
         """Return a lower bound of V over the indices first .. final: that of the blocks they lie in."""

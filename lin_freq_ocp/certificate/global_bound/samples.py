@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from lin_freq_ocp.certificate.global_bound.stages import Stages
 from lin_freq_ocp.certificate.global_bound.tolerances import (
     ARRIVAL_SAMPLES,
     ARRIVAL_SPREAD,
+    FIXED_PRICE,
     MAX_SLOPE,
     RIDGE,
     SAMPLES,
@@ -69,8 +71,8 @@ def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
     columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
     wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
     squares = np.einsum("pij,pik->pjk", columns, columns)
-    size = np.trace(squares, axis1=1, axis2=2)
-    ridge = (RIDGE * size + (size == 0))[:, None, None] * np.eye(J.shape[1])
+    sizes = np.diagonal(squares, axis1=1, axis2=2)
+    ridge = (RIDGE * sizes + (sizes == 0))[:, :, None] * np.eye(J.shape[1])
     return -np.linalg.solve(squares + ridge, np.einsum("pij,pi->pj", columns, wanted)[..., None])[..., 0]
 
 
@@ -154,13 +156,29 @@ class Samples:
         return best, at, chosen
 
     def _value_at(self, y: Array) -> Array:
-        """Return V_{t+1}, with the distance to a fixed state priced at 10 times the steepest slope of the stage."""
-        after, lattice, costs = self.after, self.after.lattice, self.stages.costs
+        """Return V_{t+1}, with the distance to fixed states priced."""
+        after, lattice = self.after, self.after.lattice
         cell, pole = lattice.numbers(lattice.indices(y)), lattice.width == 0
         inside = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
-        far = np.where(pole, np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
-        value = after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1)
-        ends = np.stack([self.stages.lower[self.t], self.stages.upper[self.t]])
-        corners = np.hstack([np.tile(self.lattice.centres[:1], (2, 1)), ends])
-        price = 10 * float(np.abs(corners @ costs.hessians[self.t] + costs.linear[self.t]).max() + 1)
-        return value + price * far
+        far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
+        return after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1) + far
+
+    @cached_property
+    def _prices(self) -> Array:
+        """Prices of distances to fixed states, (n,): some ten times what they cost at the slopes of the stage."""
+        low, high = (np.append(*pair) for pair in self._ends())
+        range_, corners = high - low, np.stack([low, high])
+        costs = np.abs(corners @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]) * range_
+        worth = float(costs.sum(axis=1).max()) or 1.0
+        moved = np.zeros(len(self.after.lattice.width))
+        for mode in self.stages.problem.smooth_pieces.modes:
+            slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
+            effect = (np.abs(slopes) * range_).sum(axis=2)
+            moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
+        with np.errstate(over="ignore", divide="ignore"):
+            return np.nan_to_num(FIXED_PRICE * worth / moved, posinf=0.0)  # 0 where nothing moves a state
+
+    def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Return the least states and controls, and the largest."""
+        stages, t = self.stages, self.t
+        return (self.lattice.lower, stages.lower[t]), (self.lattice.upper, stages.upper[t])

@@ -93,16 +93,23 @@ class Stages:
 
 
 class QuadraticForm:
-    """The quadratic 1/2 y'H y + b'y with H >= 0; ``least`` is its minimum, or -inf."""
+    """The quadratic 1/2 y'H y + b'y with H >= 0; ``least`` is its minimum, or -inf.
+
+    It is taken apart in units in which the diagonal of H is 1, so that flat directions do not depend on units.
+    """
 
     def __init__(self, hessian: Array, linear: Array):
-        values, vectors = np.linalg.eigh(hessian)
-        curved = values > FLATNESS * max(float(values[-1]), 0.0)
-        along = vectors.T @ linear
-        flat = np.abs(along[~curved]).max(initial=0.0) <= FLATNESS * float(np.abs(linear).max(initial=0.0))
+        diagonal = np.diagonal(hessian)
+        units = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        values, vectors = np.linalg.eigh(units[:, None] * hessian * units)
+        curved, slope = values > FLATNESS * max(float(values[-1]), 0.0), units * linear
+        along = vectors.T @ slope
+        flat = np.abs(along[~curved]).max(initial=0.0) <= FLATNESS * float(np.abs(slope).max(initial=0.0))
+        flat &= not linear[diagonal <= 0].any()
         self._flat_in = np.abs(vectors[:, ~curved]).max(axis=1, initial=0.0) > FLATNESS
         inverse = vectors[:, curved] / values[curved]
-        self._centre, self._inverse = -inverse @ along[curved], (inverse * vectors[:, curved]).sum(axis=1)
+        self._centre = units * (-inverse @ along[curved])
+        self._inverse = units**2 * (inverse * vectors[:, curved]).sum(axis=1)
         self.least = -0.5 * float((along[curved] ** 2 / values[curved]).sum()) if flat else -np.inf
 
     def shadow(self, above: float) -> Array:

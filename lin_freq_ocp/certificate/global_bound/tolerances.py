@@ -28,6 +28,7 @@ SAMPLES = 128  # controls at which slopes are estimated
 ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
 ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
 ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, beside a fortieth of all of them
+FIXED_PRICE = 20.0  # multiple of what a stage costs per change of a state, for the distance to where it is fixed
 SIDES = {
     1: (-0.999, 0.999),
     2: (0.0,),
