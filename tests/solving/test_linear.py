@@ -13,6 +13,7 @@ from helpers.checks import linear
 from helpers.checks.units import solved
 from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.testing.random_linear import random_linear
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
@@ -50,6 +51,12 @@ def test_problems_that_need_a_further_answer(seed):
     assert outcome.theirs == "Solved"
     assert not outcome.unanswered, outcome
     assert not outcome.wrong, outcome
+
+
+@pytest.mark.parametrize("method", ["spectral", "convex"])
+def test_a_feasible_problem_with_a_numerical_ray_is_solved(method):
+    """Its first attempt as a sparse program ends with a ray; two controls differ far in what they cost."""
+    assert lfo.solve(random_linear(3632).problem, method).status == "optimal"
 
 
 def test_rounding_becomes_zero_in_its_units():

@@ -23,6 +23,12 @@ def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
     assert outcome.passed, outcome
 
 
+def test_global_bounds_do_not_compare_states_with_controls():
+    """A fixed end priced by slopes of controls: in small units of the state, the bound takes twenty times longer."""
+    outcome = units.check(417, "units")
+    assert outcome.passed, outcome
+
+
 def test_the_sample_has_every_class():
     kinds = Counter(random_units.drawn(seed).kind for seed in range(60))
     assert set(kinds) == set(random_units.CLASSES)
