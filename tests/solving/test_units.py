@@ -25,7 +25,7 @@ def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
 
 def test_global_bounds_do_not_compare_states_with_controls():
     """A fixed end priced by slopes of controls: in small units of the state, the bound takes twenty times longer."""
-    outcome = units.check(417, "units")
+    outcome = units.check(417)
     assert outcome.passed, outcome
 
 
