@@ -1,0 +1,166 @@
+"""Rows that depend on several times: frequency constraints, fixed ends, and linear equations over all times.
+
+They depend on some entries of y_t only, the *channels*: signals Y (T+1, channels, k) are those entries, k signals side
+by side. A family of rows maps signals to values (count, k), and has the adjoint of that map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from scipy import fft
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+
+
+class Rows(Protocol):
+    """A family of linear rows on signals (T+1, channels, k)."""
+
+    @property
+    def count(self) -> int:
+        """Return the number of rows."""
+        ...
+
+    def forward(self, signals: Array) -> Array:
+        """Return the values of the rows, (count, k)."""
+        ...
+
+    def add_adjoint(self, weights: Array, signals: Array) -> None:
+        """Add the adjoint of weights (count, k) to signals."""
+        ...
+
+    def add_columns(self, chosen: Indices, signals: Array) -> None:
+        """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumRows:
+    """(Re, Im) of scale_j sum_t window_t c'Y_t exp(-2 pi i bin_j t / points), of which those ``kept`` count."""
+
+    coefficients: Array  # c, (channels,)
+    window: Array  # (samples,)
+    points: int
+    bins: Indices  # (bins,), within 0 .. points/2
+    scale: Array  # (bins,)
+    kept: Mask  # (2 bins,), Re and Im of each bin in turn
+
+    @property
+    def count(self) -> int:
+        """Return the number of rows."""
+        return int(self.kept.sum())
+
+    def forward(self, signals: Array) -> Array:
+        """Return the values of the rows, (count, k)."""
+        signal = self.window[:, None] * np.einsum("c,tck->tk", self.coefficients, signals[: len(self.window)])
+        found = fft.rfft(signal, n=self.points, axis=0)[self.bins] * self.scale[:, None]
+        pairs = np.empty((2 * len(self.bins), signals.shape[2]))
+        pairs[0::2], pairs[1::2] = found.real, found.imag
+        return pairs[self.kept]
+
+    def add_adjoint(self, weights: Array, signals: Array) -> None:
+        """Add the adjoint of weights (count, k) to signals."""
+        pairs = np.zeros((2 * len(self.bins), weights.shape[1]))
+        pairs[self.kept] = weights
+        real = (self.bins == 0) | (2 * self.bins == self.points)
+        factor = self.scale * np.where(real, self.points, self.points / 2)
+        spectrum = np.zeros((self.points // 2 + 1, weights.shape[1]), dtype=complex)
+        spectrum[self.bins] = (pairs[0::2] + 1j * pairs[1::2]) * factor[:, None]
+        signal = fft.irfft(spectrum, n=self.points, axis=0)[: len(self.window)] * self.window[:, None]
+        self._spread(signal, signals)
+
+    def add_columns(self, chosen: Indices, signals: Array) -> None:
+        """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
+        entry = np.flatnonzero(self.kept)[chosen]
+        bins, imaginary = self.bins[entry // 2], entry % 2 == 1
+        angle = 2 * np.pi * ((np.arange(len(self.window))[:, None] * bins) % self.points) / self.points
+        waves = np.where(imaginary, -np.sin(angle), np.cos(angle)) * self.scale[entry // 2]
+        self._spread(waves * self.window[:, None], signals)
+
+    def _spread(self, signal: Array, signals: Array) -> None:
+        for channel in np.flatnonzero(self.coefficients):
+            signals[: len(signal), channel] += self.coefficients[channel] * signal
+
+
+@dataclass(frozen=True, eq=False)
+class SparseRows:
+    """Rows given by a matrix (count, (T+1) channels)."""
+
+    matrix: sp.csr_array
+
+    @property
+    def count(self) -> int:
+        """Return the number of rows."""
+        return self.matrix.shape[0]
+
+    def forward(self, signals: Array) -> Array:
+        """Return the values of the rows, (count, k)."""
+        return self.matrix @ signals.reshape(-1, signals.shape[2])
+
+    def add_adjoint(self, weights: Array, signals: Array) -> None:
+        """Add the adjoint of weights (count, k) to signals."""
+        signals += (self.matrix.T @ weights).reshape(signals.shape)
+
+    def add_columns(self, chosen: Indices, signals: Array) -> None:
+        """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
+        signals += self.matrix[chosen].T.toarray().reshape(signals.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """rows(y) = right, (count,)."""
+
+    rows: Rows
+    right: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Inequalities:
+    """rows(y) <= limits, (count,)."""
+
+    rows: Rows
+    limits: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """|v_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
+
+    A soft ball has a slack, which is an entry of y that ``heads`` picks; it is not negative by a row of its stage.
+    """
+
+    rows: Rows
+    radius: Array  # (balls,), above zero
+    heads: Rows | None = None
+
+    @property
+    def dim(self) -> int:
+        """Return the size of a group."""
+        return self.rows.count // len(self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """All rows that couple times; entries ``terminal`` of x_T are fixed to ``terminal_state``."""
+
+    channels: Indices  # (channels,): entries of y_t
+    terminal: Indices
+    terminal_state: Array
+    equations: tuple[Equations, ...] = ()
+    inequalities: tuple[Inequalities, ...] = ()
+    balls: tuple[Balls, ...] = field(default=())
+
+    @property
+    def equation_count(self) -> int:
+        """Return the number of equations, of which those of x_T come first."""
+        return len(self.terminal) + sum(part.rows.count for part in self.equations)
+
+    @property
+    def count(self) -> int:
+        """Return the number of all rows, with constant heads of balls left out."""
+        unequal = sum(part.rows.count for part in self.inequalities)
+        round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
+        return self.equation_count + unequal + round_
