@@ -127,19 +127,26 @@ class Inequalities:
 
 @dataclass(frozen=True, eq=False)
 class Balls:
-    """|v_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
+    """|v_j + offset_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
 
     A soft ball has a slack, which is an entry of y that ``heads`` picks; it is not negative by a row of its stage.
     """
 
     rows: Rows
-    radius: Array  # (balls,), above zero
+    radius: Array  # (balls,), above zero; 0 or above with slacks
     heads: Rows | None = None
+    offset: Array | None = None  # (balls, dim); None: zeros
 
     @property
     def dim(self) -> int:
         """Return the size of a group."""
         return self.rows.count // len(self.radius)
+
+    @property
+    def right(self) -> Array:
+        """Return (radius, offset), (balls, 1 + dim): with (slack, v) added, a point of the cone."""
+        offset = np.zeros((len(self.radius), self.dim)) if self.offset is None else self.offset
+        return np.column_stack([self.radius, offset])
 
 
 @dataclass(frozen=True, eq=False)
