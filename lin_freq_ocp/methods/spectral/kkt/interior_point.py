@@ -1,8 +1,8 @@
 """Mehrotra's predictor-corrector for z = A lam + b >= 0, lam >= 0, lam'z = 0, and a polish on the rows with lam > z.
 
 On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
-There diag(unconstrained) - A is positive semidefinite and of low rank, the bandwidth of the stop band times the length
-of the arcs: each step is then a small system (docs/spectral.md, 6).
+There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
+with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
 
 Mehrotra (1992), On the implementation of a primal-dual interior point method.
 """
@@ -21,7 +21,8 @@ from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 
 STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
-LOW_RANK_ROWS = 200  # from which a factor of low rank saves time
+LOW_RANK_ROWS = 200  # from which a factor of low rank saves time ...
+LARGEST_SHARE = 0.45  # ... and rank over rows up to which it does
 TO_BOUNDARY = 0.995  # fraction of the step to the boundary
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 
@@ -30,11 +31,11 @@ def interior_point(
     A: Array, b: Array, unconstrained: Array | None, stop: Callable[[], str | None] = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate); ``unconstrained`` and ``stop`` as in ``nonnegative_qp``."""
-    system, ridge, count = _System(A, unconstrained), tol.INTERIOR_RIDGE, len(b)
-    lam, z = np.ones(count), np.maximum(A.sum(1) + b, 1.0)
+    system, ridge, count = _thin(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
+    lam, z = np.ones(count), np.maximum(system.times(np.ones(count)) + b, 1.0)
     best = np.inf, lam, z
     for _ in range(STEPS):
-        defect, mu = z - A @ lam - b, float(lam @ z) / count
+        defect, mu = z - system.times(lam) - b, float(lam @ z) / count
         error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
         if error < best[0]:
             best = error, lam, z
@@ -53,64 +54,95 @@ def interior_point(
     return _polished(system, b, lam, np.asarray(lam > z)), error < tol.INTERIOR_ACCURATE
 
 
-def _newton(system: _System, lam: Array, defect: Array, target: Array) -> tuple[Array, Array]:
+def _newton(system: _Dense | _Thin, lam: Array, defect: Array, target: Array) -> tuple[Array, Array]:
     """Return the steps of no other unknowns and of lam."""
     return np.zeros(0), system.solve(defect + target / lam)
 
 
-def _polished(system: _System, b: Array, lam: Array, active: Mask) -> Array:
+def _polished(system: _Dense | _Thin, b: Array, lam: Array, active: Mask) -> Array:
     """Return lam with zero slope on the active rows and zeros elsewhere, if that keeps it positive."""
     lam = np.where(active, lam, 0.0)
     if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
         return lam
     polished = lam.copy()
     for _ in range(POLISHES):
-        slope = np.where(active, system.A @ polished + b, 0.0)
+        slope = np.where(active, system.times(polished) + b, 0.0)
         polished = polished - np.where(active, system.solve(slope), 0.0)
 
     def slope_left(v: Array) -> float:
-        return float(np.abs((system.A @ v + b)[active]).max())
+        return float(np.abs((system.times(v) + b)[active]).max())
 
     better = np.maximum(polished, 0.0)
     return better if slope_left(better) < slope_left(lam) else lam
 
 
-class _System:
-    """Factors of A + diag(w): dense, or by a thin V with A = diag(unconstrained) - V V'."""
+class _Dense:
+    """A itself, and factors of A + diag(w)."""
 
-    def __init__(self, A: Array, unconstrained: Array | None):
-        self.A, self.V, self.base = A, None, unconstrained
-        if unconstrained is not None and len(A) > LOW_RANK_ROWS and (unconstrained > 0).all():
-            factor, pivots, rank, _ = dpstrf(np.diag(unconstrained) - A, tol=tol.RANK_TOLERANCE, lower=1)
-            if rank < len(A) / 2:
-                V = np.empty((len(A), rank), order="F")
-                V[pivots - 1] = np.tril(factor)[:, :rank]
-                missed = unconstrained - np.diagonal(A) - (V * V).sum(1)
-                self.V = V if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
+    def __init__(self, A: Array):
+        self.A = A
+
+    def times(self, v: Array) -> Array:
+        """Return A v."""
+        return self.A @ v
 
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""
-        self.w = w
-        if self.V is None or self.base is None:
-            matrix = np.asfortranarray(self.A + np.diag(w))
-        else:
-            scaled = self.V / np.sqrt(self.base + w)[:, None]
-            matrix = np.eye(self.V.shape[1]) - dsyrk(1.0, scaled, trans=1, lower=1)
-        self.lower, failed = dpotrf(matrix, lower=1, overwrite_a=1, clean=0)
+        matrix = np.asfortranarray(self.A + np.diag(w))
+        self._lower, failed = dpotrf(matrix, lower=1, overwrite_a=1, clean=0)
         return failed == 0
 
     def solve(self, r: Array) -> Array:
-        """Return (A + diag(w))^{-1} r, refined once where it comes from the thin factor."""
-        if self.V is None:
-            return dpotrs(self.lower, r, lower=1)[0]
-        x = self._by_low_rank(r)
-        return x + self._by_low_rank(r - self.A @ x - self.w * x)
+        """Return (A + diag(w))^{-1} r."""
+        return dpotrs(self._lower, r, lower=1)[0]
 
-    def _by_low_rank(self, r: Array) -> Array:
-        assert self.V is not None
-        assert self.base is not None
-        diagonal = self.base + self.w
-        return (r + self.V @ dpotrs(self.lower, self.V.T @ (r / diagonal), lower=1)[0]) / diagonal
+
+class _Thin:
+    """A = diag(base) + sign V V' with a thin V, and factors of A + diag(w)."""
+
+    def __init__(self, base: Array, sign: float, V: Array):
+        self._base, self._sign, self._V = base, sign, V
+
+    def times(self, v: Array) -> Array:
+        """Return A v."""
+        return self._base * v + self._sign * (self._V @ (self._V.T @ v))
+
+    def factor(self, w: Array) -> bool:
+        """Factor A + diag(w); False if it is not positive definite."""
+        self._w, self._diagonal = w, self._base + w
+        inner = dsyrk(self._sign, self._V / np.sqrt(self._diagonal)[:, None], trans=1, lower=1)
+        inner[np.diag_indices_from(inner)] += 1.0
+        self._lower, failed = dpotrf(inner, lower=1, overwrite_a=1, clean=0)
+        return failed == 0
+
+    def solve(self, r: Array) -> Array:
+        """Return (A + diag(w))^{-1} r, refined once where the diagonal may be tiny."""
+        x = self._once(r)
+        return x if self._sign < 0 else x + self._once(r - self.times(x) - self._w * x)
+
+    def _once(self, r: Array) -> Array:
+        inner = dpotrs(self._lower, self._V.T @ (r / self._diagonal), lower=1)[0]
+        return (r - self._sign * (self._V @ inner)) / self._diagonal
+
+
+def _thin(A: Array, unconstrained: Array | None) -> _Thin | None:
+    """Return A by a thin factor of itself or of diag(unconstrained) - A; None if neither is known to have a low rank.
+
+    The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
+    """
+    if unconstrained is None or len(A) <= LOW_RANK_ROWS or not (unconstrained > 0).all():
+        return None
+    share = float((np.diagonal(A) / unconstrained).mean())
+    if min(share, 1 - share) > LARGEST_SHARE:
+        return None
+    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
+    factored = sign * A
+    factored[np.diag_indices_from(A)] += base
+    factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
+    V = np.empty((len(A), rank), order="F")
+    V[pivots - 1] = np.tril(factor[:, :rank])
+    missed = base + sign * (V * V).sum(1) - np.diagonal(A)
+    return _Thin(base, sign, V) if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
 
 
 class Step(NamedTuple):
