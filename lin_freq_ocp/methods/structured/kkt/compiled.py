@@ -1,0 +1,460 @@
+"""The loops over stages, compiled by numba. What they compute: recursions.py.
+
+Riccati recursion in Joseph form, from P_{T+1} = 0, p_{T+1} = 0; nothing is subtracted from P:
+
+    S = Phi_ww + B'P B,   K = -S^-1 (Phi_wx + B'P A),   A_c = A + B K,
+    P_t = Phi_xx + K'Phi_ww K + Phi_xw K + K'Phi_wx + A_c'P_{t+1} A_c,
+    v = p_{t+1} + P_{t+1} c,   p_t = r_x + K'r_w + A_c'v,   w_t = K x_t - S^-1 (r_w + B'v),   eta_t = -(P x + p)_{t+1}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import numba
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
+
+Arguments = ParamSpec("Arguments")
+Value = TypeVar("Value")
+
+PIVOT = 1e-14
+"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+
+
+def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
+    """Compile a function when it is first called."""
+    return numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy")(function)
+
+
+@jit
+def cholesky(M: Array, size: int) -> None:
+    """Replace the leading block by its lower factor; a pivot of a zero row is set by the largest diagonal entry."""
+    largest = 0.0
+    for j in range(size):
+        largest = max(largest, M[j, j])
+    if largest == 0.0:
+        largest = 1.0
+    for j in range(size):
+        own = M[j, j] if M[j, j] > 0.0 else largest
+        pivot = M[j, j]
+        for i in range(j):
+            pivot -= M[j, i] * M[j, i]
+        pivot = np.sqrt(max(pivot, PIVOT * own))
+        M[j, j] = pivot
+        for i in range(j + 1, size):
+            value = M[i, j]
+            for m in range(j):
+                value -= M[i, m] * M[j, m]
+            M[i, j] = value / pivot
+
+
+@jit
+def cholesky_solve(L: Array, size: int, b: Array) -> None:
+    """Replace b by (L L')^-1 b."""
+    for i in range(size):
+        value = b[i]
+        for m in range(i):
+            value -= L[i, m] * b[m]
+        b[i] = value / L[i, i]
+    for i in range(size - 1, -1, -1):
+        value = b[i]
+        for m in range(i + 1, size):
+            value -= L[m, i] * b[m]
+        b[i] = value / L[i, i]
+
+
+@jit
+def gains(A: Array, B: Array, Phi: Array, P: Array, K: Array, L: Array, Ac: Array, PB: Array) -> None:
+    """One stage: fill the factor of S, K and A_c from P_{t+1}."""
+    n, k = B.shape
+    for i in range(n):
+        for j in range(k):
+            value = 0.0
+            for m in range(n):
+                value += P[i, m] * B[m, j]
+            PB[i, j] = value
+    for i in range(k):
+        for j in range(i + 1):
+            value = Phi[n + i, n + j]
+            for m in range(n):
+                value += B[m, i] * PB[m, j]
+            L[i, j] = value
+    cholesky(L, k)
+    for j in range(n):
+        for i in range(k):
+            value = Phi[n + i, j]
+            for m in range(n):
+                value += PB[m, i] * A[m, j]
+            K[i, j] = -value
+        cholesky_solve(L, k, K[:, j])
+    for i in range(n):
+        for j in range(n):
+            value = A[i, j]
+            for m in range(k):
+                value += B[i, m] * K[m, j]
+            Ac[i, j] = value
+
+
+@jit
+def cost_to_go(Phi: Array, P: Array, K: Array, Ac: Array, UK: Array, PA: Array, out: Array) -> None:
+    """One stage: fill P_t from P_{t+1}."""
+    k, n = K.shape
+    for i in range(n):
+        for j in range(n):
+            value = 0.0
+            for m in range(n):
+                value += P[i, m] * Ac[m, j]
+            PA[i, j] = value
+    for i in range(k):
+        for j in range(n):
+            value = Phi[n + i, j]
+            for m in range(k):
+                value += Phi[n + i, n + m] * K[m, j]
+            UK[i, j] = value
+    for i in range(n):
+        for j in range(i + 1):
+            value = Phi[i, j]
+            for m in range(n):
+                value += Ac[m, i] * PA[m, j]
+            for m in range(k):
+                value += K[m, i] * UK[m, j] + Phi[n + m, i] * K[m, j]
+            out[i, j] = value
+            out[j, i] = value
+
+
+@jit
+def factor(A: Array, B: Array, Phi: Array, free: Indices) -> tuple[Array, Array, Array, Array, Array]:
+    """Return K, the factors of S, A_c, P (T+2, n, n), and the factor of the free block of P_0."""
+    stages, n, k = B.shape
+    K, L, Ac = np.empty((stages, k, n)), np.zeros((stages, k, k)), np.empty((stages, n, n))
+    P, PA, PB, UK = np.zeros((stages + 1, n, n)), np.empty((n, n)), np.empty((n, k)), np.empty((k, n))
+    for t in range(stages - 1, -1, -1):
+        gains(A[t], B[t], Phi[t], P[t + 1], K[t], L[t], Ac[t], PB)
+        cost_to_go(Phi[t], P[t + 1], K[t], Ac[t], UK, PA, P[t])
+    P0 = np.zeros((len(free), len(free)))
+    for i in range(len(free)):
+        for j in range(i + 1):
+            P0[i, j] = P[0, free[i], free[j]]
+    cholesky(P0, len(free))
+    return K, L, Ac, P, P0
+
+
+@jit
+def first_state(P: Array, p: Array, P0: Array, free: Indices, x0: Array) -> tuple[Array, Array]:
+    """Return x_0 and lam0 from the cost-to-go of the first stage."""
+    n = len(x0)
+    x, lam0, v = x0.copy(), np.zeros(n), np.empty(len(free))
+    for f in range(len(free)):
+        value = p[free[f]]
+        for j in range(n):
+            value += P[free[f], j] * x0[j]
+        v[f] = -value
+    cholesky_solve(P0, len(free), v)
+    for i in range(n):
+        lam0[i] = 1.0
+    for f in range(len(free)):
+        x[free[f]] = v[f]
+        lam0[free[f]] = 0.0
+    for i in range(n):
+        value = p[i]
+        for j in range(n):
+            value += P[i, j] * x[j]
+        lam0[i] *= -value
+    return x, lam0
+
+
+@jit
+def solve(
+    A: Array, B: Array, K: Array, L: Array, Ac: Array, P: Array, P0: Array, free: Indices, r: Array, c: Array, x0: Array
+) -> tuple[Array, Array, Array]:
+    """Return y, eta and lam0."""
+    stages, n, k = B.shape
+    p, w, v = np.zeros((stages + 1, n)), np.empty((stages, k)), np.empty(n)
+    y, eta = np.empty((stages, n + k)), np.empty((stages, n))
+    for t in range(stages - 1, -1, -1):
+        for i in range(n):
+            value = p[t + 1, i]
+            for m in range(n):
+                value += P[t + 1, i, m] * c[t, m]
+            v[i] = value
+        for i in range(k):
+            value = r[t, n + i]
+            for m in range(n):
+                value += B[t, m, i] * v[m]
+            w[t, i] = -value
+        cholesky_solve(L[t], k, w[t])
+        for i in range(n):
+            value = r[t, i]
+            for m in range(n):
+                value += Ac[t, m, i] * v[m]
+            for m in range(k):
+                value += K[t, m, i] * r[t, n + m]
+            p[t, i] = value
+    x, lam0 = first_state(P[0], p[0], P0, free, x0)
+    for t in range(stages):
+        for i in range(n):
+            y[t, i] = x[i]
+        for i in range(k):
+            value = w[t, i]
+            for m in range(n):
+                value += K[t, i, m] * x[m]
+            y[t, n + i] = value
+        for i in range(n):
+            value = c[t, i]
+            for m in range(n):
+                value += A[t, i, m] * y[t, m]
+            for m in range(k):
+                value += B[t, i, m] * y[t, n + m]
+            x[i] = value
+        for i in range(n):
+            value = p[t + 1, i]
+            for m in range(n):
+                value += P[t + 1, i, m] * x[m]
+            eta[t, i] = -value
+    return y, eta, lam0
+
+
+@jit
+def add_multiple(a: float, x: Array, y: Array) -> None:
+    """Add a x to y."""
+    for j in range(len(y)):
+        y[j] += a * x[j]
+
+
+@jit
+def cholesky_solve_rows(L: Array, b: Array) -> None:
+    """Replace b (size, m) by (L L')^-1 b."""
+    size = len(L)
+    for i in range(size):
+        for m in range(i):
+            add_multiple(-L[i, m], b[m], b[i])
+        b[i] /= L[i, i]
+    for i in range(size - 1, -1, -1):
+        for m in range(i + 1, size):
+            add_multiple(-L[m, i], b[m], b[i])
+        b[i] /= L[i, i]
+
+
+@jit
+def responses(
+    A: Array, B: Array, K: Array, L: Array, Ac: Array, P0: Array, free: Indices, where: Indices, R: Array, E: Array
+) -> tuple[Array, Array]:
+    """Return the responses on the channels and x_T; where[i] is the channel that is entry i of y, or -1."""
+    stages, n, k = B.shape
+    width = R.shape[2]
+    p, q, w, Y = np.zeros((n, width)), np.empty((n, width)), np.empty((stages, k, width)), np.empty(R.shape)
+    for t in range(stages - 1, -1, -1):
+        for i in range(k):
+            w[t, i] = 0.0
+            if where[n + i] >= 0:
+                add_multiple(-1.0, R[t, where[n + i]], w[t, i])
+            for m in range(n):
+                add_multiple(-B[t, m, i], p[m], w[t, i])
+        cholesky_solve_rows(L[t], w[t])
+        for i in range(n):
+            q[i] = 0.0
+            if where[i] >= 0:
+                add_multiple(1.0, R[t, where[i]], q[i])
+            for m in range(k):
+                if where[n + m] >= 0:
+                    add_multiple(K[t, m, i], R[t, where[n + m]], q[i])
+            for m in range(n):
+                add_multiple(Ac[t, m, i], p[m], q[i])
+        if t == stages - 1:
+            q += E
+        p, q = q, p
+    x, X = np.zeros((n, width)), np.empty((n, width))
+    first = np.empty((len(free), width))
+    for f in range(len(free)):
+        first[f] = -p[free[f]]
+    cholesky_solve_rows(P0, first)
+    for f in range(len(free)):
+        x[free[f]] = first[f]
+    for t in range(stages):
+        for i in range(k):
+            for m in range(n):
+                add_multiple(K[t, i, m], x[m], w[t, i])
+        for i in range(n + k):
+            if where[i] >= 0:
+                Y[t, where[i]] = x[i] if i < n else w[t, i - n]
+        if t == stages - 1:
+            X[:] = x
+        for i in range(n):
+            q[i] = 0.0
+            for m in range(n):
+                add_multiple(A[t, i, m], x[m], q[i])
+            for m in range(k):
+                add_multiple(B[t, i, m], w[t, m], q[i])
+        x, q = q, x
+    return Y, X
+
+
+@jit
+def gram(H: Array, G: Array, weights: Array, points: Array, ends: Indices) -> Array:
+    """Return H + G'W^-2 G; cone j has the rows ends[j] .. ends[j+1] - 1, of which G'W^-2 G = (2 q q' - G'J G)/eta^2."""
+    stages, _, nz = G.shape
+    linear = ends[0]
+    out, q = H.copy(), np.empty(nz)
+    for t in range(stages):
+        for i in range(linear):
+            if weights[t, i] != 0.0:
+                for a in range(nz):
+                    scaled = weights[t, i] * G[t, i, a]
+                    if scaled != 0.0:
+                        for b in range(nz):
+                            out[t, a, b] += scaled * G[t, i, b]
+        for j in range(len(ends) - 1):
+            weight = weights[t, linear + j]
+            if weight == 0.0:
+                continue
+            head = ends[j]
+            for a in range(nz):
+                q[a] = points[t, head - linear] * G[t, head, a]
+                for i in range(head + 1, ends[j + 1]):
+                    q[a] -= points[t, i - linear] * G[t, i, a]
+            for a in range(nz):
+                for b in range(nz):
+                    value = 2 * q[a] * q[b] - G[t, head, a] * G[t, head, b]
+                    for i in range(head + 1, ends[j + 1]):
+                        value += G[t, i, a] * G[t, i, b]
+                    out[t, a, b] += weight * value
+    return out
+
+
+@jit
+def forward(A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
+    """Write the states of y, and return the ends."""
+    stages, n, k = B.shape
+    ends, done = np.empty(starts.shape), 0
+    for t in range(stages - 1):
+        for i in range(n):
+            value = c[t, i]
+            for m in range(n):
+                value += A[t, i, m] * y[t, m]
+            for m in range(k):
+                value += B[t, i, m] * y[t, n + m]
+            y[t + 1, i] = value
+        if done < len(breaks) and breaks[done] == t + 1:
+            for i in range(n):
+                ends[done, i] = y[t + 1, i]
+                y[t + 1, i] = starts[done, i]
+            done += 1
+    return ends
+
+
+@jit
+def backward(A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array) -> tuple[Array, Array, Array]:
+    """Return the costates, and the gradients in w and in the starts."""
+    stages, n, k = B.shape
+    p, gw, gstarts = np.zeros((stages + 1, n)), np.empty((stages, k)), np.empty(prices.shape)
+    left = len(breaks) - 1
+    for t in range(stages - 1, -1, -1):
+        for i in range(k):
+            value = gradient[t, n + i]
+            for m in range(n):
+                value += B[t, m, i] * p[t + 1, m]
+            gw[t, i] = value
+        for i in range(n):
+            value = gradient[t, i]
+            for m in range(n):
+                value += A[t, m, i] * p[t + 1, m]
+            p[t, i] = value
+        if left >= 0 and breaks[left] == t:
+            for i in range(n):
+                gstarts[left, i] = p[t, i]
+                p[t, i] = -prices[left, i]
+            left -= 1
+    return p[:stages].copy(), gw, gstarts
+
+
+@jit
+def columns(
+    A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return the gradients in w and in the starts, the ends, and x_T."""
+    stages, n, k = B.shape
+    width = W.shape[2]
+    X, GW = np.zeros((stages, n, width)), np.zeros(W.shape)
+    gstarts, ends = np.empty(starts.shape), np.empty(starts.shape)
+    done = 0
+    for t in range(stages - 1):
+        for i in range(n):
+            for m in range(n):
+                if A[t, i, m] != 0.0:
+                    add_multiple(A[t, i, m], X[t, m], X[t + 1, i])
+            for m in range(k):
+                if B[t, i, m] != 0.0:
+                    add_multiple(B[t, i, m], W[t, m], X[t + 1, i])
+        if done < len(breaks) and breaks[done] == t + 1:
+            ends[done] = X[t + 1]
+            X[t + 1] = starts[done]
+            done += 1
+    p, q = np.zeros((n, width)), np.empty((n, width))
+    for t in range(stages - 1, -1, -1):
+        q[:] = 0.0
+        for i in range(n + k):
+            out = q[i] if i < n else GW[t, i - n]
+            for m in range(n + k):
+                if Phi[t, i, m] != 0.0:
+                    add_multiple(Phi[t, i, m], X[t, m] if m < n else W[t, m - n], out)
+            for m in range(n):
+                entry = A[t, m, i] if i < n else B[t, m, i - n]
+                if entry != 0.0:
+                    add_multiple(entry, p[m], out)
+        p, q = q, p
+        if done > 0 and breaks[done - 1] == t:
+            done -= 1
+            gstarts[done] = p
+            p[:] = 0.0
+    return GW, gstarts, ends, X[stages - 1].copy()
+
+
+class CompiledRegulator:
+    """The factors of the Riccati recursion."""
+
+    def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
+        """Factor the stages."""
+        self._A, self._B, self._free = A, B, np.flatnonzero(~fixed)
+        self._K, self._L, self._Ac, self._P, self._P0 = factor(A, B, Phi, self._free)
+
+    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
+        """Return y, eta and lam0."""
+        return solve(self._A, self._B, self._K, self._L, self._Ac, self._P, self._P0, self._free, r, c, x0)
+
+    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return the responses on the channels, and x_T."""
+        _, n, k = self._B.shape
+        where = np.full(n + k, -1)
+        where[channels] = np.arange(len(channels))
+        return responses(self._A, self._B, self._K, self._L, self._Ac, self._P0, self._free, where, R, E)
+
+
+class CompiledLoops:
+    """All loops by numba."""
+
+    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> CompiledRegulator:
+        """Factor the stages."""
+        return CompiledRegulator(A, B, Phi, fixed)
+
+    def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
+        """Return H + G'W^-2 G."""
+        return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
+
+    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
+        """Write the states of y, and return the ends."""
+        return forward(A, B, c, breaks, starts, y)
+
+    def backward(
+        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the costates, and the gradients in w and in the starts."""
+        return backward(A, B, gradient, breaks, prices)
+
+    def columns(
+        self, A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the gradients in w and in the starts, the ends, and x_T."""
+        return columns(A, B, Phi, breaks, starts, W)

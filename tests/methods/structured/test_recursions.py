@@ -1,0 +1,222 @@
+"""Both kinds of loops against equations written down entry by entry, and against each other."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+
+NONE = np.zeros(0, dtype=np.intp)
+
+
+@pytest.fixture(params=["compiled", "arrays"])
+def chosen(request):
+    if request.param == "compiled" and find_spec("numba") is None:
+        pytest.skip("numba is not installed")
+    return loops(request.param == "compiled")
+
+
+@pytest.fixture
+def both():
+    if find_spec("numba") is None:
+        pytest.skip("numba is not installed")
+    return loops(True), loops(False)
+
+
+def stages(seed, growth=0.0, T=None):
+    """Random stages whose states grow by e^growth, with costs of very different sizes."""
+    rng = np.random.default_rng(seed)
+    n, k, T = int(rng.integers(1, 6)), int(rng.integers(1, 4)), T or int(rng.integers(1, 31))
+    A = np.exp(growth / T) * np.linalg.qr(rng.standard_normal((T + 1, n, n)))[0]
+    B = rng.standard_normal((T + 1, n, k))
+    A[-1], B[-1] = 0.0, 0.0
+    root = rng.standard_normal((T + 1, n + k, n + k))
+    root[:, :, n:] *= 10.0 ** rng.integers(-1, 3, size=(T + 1, 1, 1))
+    Phi = root @ root.swapaxes(1, 2) / (n + k) + 0.1 * np.eye(n + k)
+    fixed = rng.random(n) < 0.7
+    c = rng.standard_normal((T + 1, n))
+    c[-1] = 0.0
+    x0 = np.where(fixed, rng.standard_normal(n), 0.0)
+    return rng, A, B, Phi, fixed, rng.standard_normal((T + 1, n + k)), c, x0
+
+
+def rows_of_states(A, B, y):
+    """x_{t+1} - A x_t - B w_t, t < T."""
+    n = A.shape[1]
+    return y[1:, :n] - np.einsum("tij,tj->ti", A[:-1], y[:-1, :n]) - np.einsum("tij,tj->ti", B[:-1], y[:-1, n:])
+
+
+def stationarity(A, B, Phi, r, y, eta, lam0):
+    """Phi y + r + the adjoint of the rows of the states and of x_0."""
+    n = A.shape[1]
+    out = np.einsum("tij,tj->ti", Phi, y) + r
+    out[1:, :n] += eta[:-1]
+    out[:, :n] -= np.einsum("tji,tj->ti", A, eta)
+    out[:, n:] -= np.einsum("tji,tj->ti", B, eta)
+    out[0, :n] += lam0
+    return out
+
+
+def dense_solution(A, B, Phi, fixed, r, c, x0):
+    """The same from one dense matrix, its columns made by the two functions above."""
+    shape, n = r.shape, A.shape[1]
+    T, free = len(A) - 1, np.flatnonzero(~fixed)
+
+    def residual(v):
+        y, eta, lam0 = v[: r.size].reshape(shape), np.zeros((T + 1, n)), v[r.size + T * n :]
+        eta[:-1] = v[r.size : r.size + T * n].reshape(T, n)
+        first = np.where(fixed, y[0, :n], lam0)
+        return np.concatenate(
+            [stationarity(A, B, Phi, 0, y, eta, lam0).ravel(), rows_of_states(A, B, y).ravel(), first]
+        )
+
+    size = r.size + (T + 1) * n
+    matrix = np.stack([residual(row) for row in np.eye(size)], axis=1)
+    v = np.linalg.solve(matrix, np.concatenate([-r.ravel(), c[:-1].ravel(), x0]))
+    assert np.abs(v[r.size + T * n + free]).max(initial=0.0) < 1e-9
+    return v[: r.size].reshape(shape), v[r.size : r.size + T * n].reshape(T, n), v[r.size + T * n :]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_solution_is_that_of_the_dense_equations(chosen, seed):
+    _, A, B, Phi, fixed, r, c, x0 = stages(seed)
+    y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
+    y_dense, eta_dense, lam0_dense = dense_solution(A, B, Phi, fixed, r, c, x0)
+    assert np.abs(y - y_dense).max() < 1e-9 * np.abs(y_dense).max()
+    assert np.abs(eta[:-1] - eta_dense).max() < 1e-9 * (1 + np.abs(eta_dense).max())
+    assert np.abs(lam0 - lam0_dense).max() < 1e-9 * (1 + np.abs(eta_dense).max())
+    assert not eta[-1].any()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_equations_hold_where_the_states_grow_by_seventeen_decades(chosen, seed):
+    _, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=40.0, T=80)
+    y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
+    sizes = np.abs(A).max() * max(np.abs(y).max(), np.abs(eta).max()) + np.abs(Phi).max() * np.abs(y).max()
+    assert np.abs(rows_of_states(A, B, y) - c[:-1]).max() < 1e-12 * sizes
+    assert np.abs(stationarity(A, B, Phi, r, y, eta, lam0)).max() < 1e-12 * sizes
+    assert np.allclose(y[0, : len(fixed)][fixed], x0[fixed], rtol=0, atol=1e-12 * sizes)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_responses_are_solutions_side_by_side(chosen, seed):
+    rng, A, B, Phi, fixed, r, c, _ = stages(seed)
+    nz, n = r.shape[1], A.shape[1]
+    channels = rng.permutation(nz)[: int(rng.integers(1, nz + 1))]
+    R, E = rng.standard_normal((len(A), len(channels), 5)), rng.standard_normal((n, 5))
+    regulator = chosen.factor(A, B, Phi, fixed)
+    Y, X = regulator.responses(channels, R, E)
+    for j in range(5):
+        gradient = np.zeros_like(r)
+        gradient[:, channels] = R[:, :, j]
+        gradient[-1, :n] += E[:, j]
+        y = regulator.solve(gradient, np.zeros_like(c), np.zeros(n))[0]
+        assert np.allclose(Y[:, :, j], y[:, channels], rtol=0, atol=1e-10 * np.abs(y).max())
+        assert np.allclose(X[:, j], y[-1, :n], rtol=0, atol=1e-10 * np.abs(y).max())
+
+
+def test_an_entry_without_cost_has_a_finite_answer(chosen):
+    _, A, B, Phi, fixed, r, c, x0 = stages(3)
+    n = A.shape[1]
+    B[:, :, 0], Phi[:, n], Phi[:, :, n], r[:, n] = 0.0, 0.0, 0.0, 0.0
+    y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
+    assert np.abs(stationarity(A, B, Phi, r, y, eta, lam0)).max() < 1e-10 * np.abs(Phi).max() * np.abs(y).max()
+    R = np.ones((len(A), 1, 1))
+    assert np.isfinite(chosen.factor(A, B, Phi, fixed).responses(np.array([0]), R, np.zeros((n, 1)))[0]).all()
+
+
+def test_weights_of_rows_and_cones(chosen):
+    rng = np.random.default_rng(5)
+    T, nz, linear, cones = 6, 4, 3, (2, 3)
+    G, H = rng.standard_normal((T + 1, linear + 5, nz)), np.zeros((T + 1, nz, nz))
+    weights, points = rng.random((T + 1, linear + 2)) + 0.1, np.zeros((T + 1, 5))
+    absent = rng.random((T + 1, linear + 2)) < 0.3
+    weights[absent] = 0.0
+    found = chosen.gram(H, G, weights, points, cones)
+    for t in range(T + 1):
+        expected = G[t, :linear].T @ np.diag(weights[t, :linear]) @ G[t, :linear]
+        assert np.allclose(
+            found[t] - expected,
+            -weights[t, linear] * G[t, 3:5].T @ np.diag([1, -1]) @ G[t, 3:5]
+            - weights[t, linear + 1] * G[t, 5:].T @ np.diag([1, -1, -1]) @ G[t, 5:],
+        )
+    points[:, [1, 3, 4]] = rng.standard_normal((T + 1, 3))
+    points[:, 0], points[:, 2] = np.hypot(1, points[:, 1]), np.sqrt(1 + points[:, 3] ** 2 + points[:, 4] ** 2)
+    found = chosen.gram(H, G, weights, points, cones)
+    for t in range(T + 1):
+        expected = G[t, :linear].T @ np.diag(weights[t, :linear]) @ G[t, :linear]
+        for cone, weight in ((slice(0, 2), weights[t, linear]), (slice(2, 5), weights[t, linear + 1])):
+            w, rows = points[t, cone], G[t, linear:][cone]
+            J = np.diag([1.0] + [-1.0] * (len(w) - 1))
+            if weight:
+                squared = (2 * np.outer(w, w) - J) / weight
+                expected += rows.T @ np.linalg.inv(squared) @ rows
+        assert np.allclose(found[t], expected)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_backward_is_the_adjoint_of_forward(chosen, seed):
+    rng, A, B, _, _, gradient, c, _ = stages(seed)
+    n, k = B.shape[1:]
+    breaks = np.flatnonzero(rng.random(len(A)) < 0.2)
+    breaks = breaks[breaks > 0]
+    starts, prices = rng.standard_normal((2, len(breaks), n))
+    y = np.zeros((len(A), n + k))
+    y[:, n:] = rng.standard_normal((len(A), k))
+    ends = chosen.forward(A, B, np.zeros_like(c), breaks, starts, y)
+    # gradient'y - prices'ends as a function of w and the starts is linear
+    value = np.vdot(gradient, y) - np.vdot(prices, ends)
+    costates, gw, gstarts = chosen.backward(A, B, gradient, breaks, prices)
+    assert np.isclose(value, np.vdot(gw, y[:, n:]) + np.vdot(gstarts, starts), rtol=1e-12, atol=1e-12)
+    expected = gradient.copy()
+    expected[:-1, :n] += np.einsum("tji,tj->ti", A[:-1], costates[1:])
+    own = np.setdiff1d(np.arange(len(A)), breaks)
+    assert np.allclose(costates[own], expected[own, :n], rtol=1e-12, atol=1e-12)
+    assert np.allclose(costates[breaks], -prices)
+
+
+def test_states_follow_from_the_offsets(chosen):
+    _, A, B, _, _, y, c, _ = stages(11)
+    chosen.forward(A, B, c, NONE, np.zeros((0, A.shape[1])), y)
+    assert np.allclose(rows_of_states(A, B, y), c[:-1], rtol=0, atol=1e-12 * np.abs(y).max())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_columns_are_sweeps_side_by_side(chosen, seed):
+    rng, A, B, Phi, _, _, c, _ = stages(seed)
+    n, k = B.shape[1:]
+    breaks = np.arange(2, len(A), 4)
+    W, starts = rng.standard_normal((len(A), k, 3)), rng.standard_normal((len(breaks), n, 3))
+    GW, gstarts, ends, X = chosen.columns(A, B, Phi, breaks, starts, W)
+    for j in range(3):
+        y = np.zeros((len(A), n + k))
+        y[:, n:] = W[:, :, j]
+        ended = chosen.forward(A, B, np.zeros_like(c), breaks, starts[:, :, j].copy(), y)
+        _, gw, gs = chosen.backward(A, B, np.einsum("tij,tj->ti", Phi, y), breaks, np.zeros((len(breaks), n)))
+        size = np.abs(gw).max()
+        assert np.allclose(GW[:, :, j], gw, rtol=0, atol=1e-11 * size)
+        assert np.allclose(gstarts[:, :, j], gs, rtol=0, atol=1e-11 * size)
+        assert np.allclose(ends[:, :, j], ended)
+        assert np.allclose(X[:, j], y[-1, :n])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_both_kinds_agree(both, seed):
+    rng, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=3.0)
+    for first, second in zip(*(kind.factor(A, B, Phi, fixed).solve(r, c, x0) for kind in both), strict=True):
+        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
+    R, E = rng.standard_normal((len(A), r.shape[1], 4)), np.zeros((A.shape[1], 4))
+    channels = np.arange(r.shape[1])
+    for first, second in zip(*(kind.factor(A, B, Phi, fixed).responses(channels, R, E) for kind in both), strict=True):
+        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
+
+
+def test_numba_is_imported_only_when_compiled_loops_are_asked_for():
+    code = (
+        "import sys, lin_freq_ocp, lin_freq_ocp.methods.structured.kkt.recursions as r; r.loops(False);"
+        " sys.exit('numba' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
