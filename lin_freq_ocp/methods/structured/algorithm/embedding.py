@@ -1,0 +1,282 @@
+"""The homogeneous self-dual embedding with a quadratic cost (Goulart and Chen, 2024), for any structure of the rows.
+
+    f_y = P y + A'z + h tau,  f_z = A y + s - b tau,  f_tau = h'y + b'z + kappa + y'P y/tau      (all to zero)
+    s, z in the cone,  s o z = 0,  tau kappa = 0;  rows without a cone are equations, s = 0
+
+Newton, K = [P A'; A -W^2], xi = y/tau:
+    K (y1, z1) = (-(1 - sigma) f_y, -(1 - sigma) f_z + W (lam \\ d_s)),   K (y2, z2) = (-h, b)
+    dtau [(h + 2 P xi)'y2 + b'z2 - xi'P xi - kappa/tau] = -(1 - sigma) f_tau + d_kappa/tau - (h + 2 P xi)'y1 - b'z1
+    dy = y1 + dtau y2,  dz = z1 + dtau z2,  ds = b dtau - (1 - sigma) f_z - A dy,  dkappa = -(d_kappa + kappa dtau)/tau
+
+ds follows from the rows, and not from the scaling: rounding errors go to complementarity, never to feasibility.
+In the end y/tau is optimal, or tau -> 0: b'z < 0 is a ray that proves infeasibility, h'y < 0 a direction of descent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
+from lin_freq_ocp.methods.structured.kkt.system import System, Values
+
+FRACTION = 0.99  # of the way to the boundary
+MOST_STEPS = 80  # seldom more than 25 are taken
+STALLED = 8  # steps without progress after which no other helps
+INTERIOR = 1e-2  # distance of the first point to the boundary, relative to its size, below which it is moved
+MOVED = 0.1  # of the size, the distance to which it is moved; at least 1
+RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hides the rest
+VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
+
+
+class End(Enum):
+    """How the iteration ended."""
+
+    OPTIMAL = "optimal"
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    STALLED = "stalled"
+    TIME = "time limit"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Relative residuals and gap to reach, and when to stop, by time.perf_counter."""
+
+    residual: float = 1e-10
+    gap: float = 1e-9
+    end: float = np.inf
+
+
+class Errors(NamedTuple):
+    """Relative residuals and gap of y/tau."""
+
+    primal: float
+    dual: float
+    gap: float
+
+    def merit(self, targets: Targets) -> float:
+        """Return the largest in units of its target."""
+        return max(self.primal / targets.residual, self.dual / targets.residual, self.gap / targets.gap)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The best point (divided by tau), or a ray (scaled to b'z = -1) or direction (h'y = -1)."""
+
+    end: End
+    y: Array
+    z: Values
+    errors: Errors
+    steps: int
+
+
+@dataclass(eq=False)
+class _Point:
+    y: Array
+    z: Values
+    s: dict[int, Array]
+    tau: float = 1.0
+    kappa: float = 1.0
+
+    def moved(self, step: _Direction, length: float) -> _Point:
+        return _Point(
+            self.y + length * step.y,
+            [a + length * b for a, b in zip(self.z, step.z, strict=True)],
+            {i: s + length * step.s[i] for i, s in self.s.items()},
+            self.tau + length * step.tau,
+            self.kappa + length * step.kappa,
+        )
+
+
+class _Direction(NamedTuple):
+    y: Array
+    z: Values
+    s: dict[int, Array]
+    scaled_s: dict[int, Array]  # W^-1 ds
+    scaled_z: dict[int, Array]  # W dz
+    tau: float
+    kappa: float
+
+
+@dataclass(eq=False)
+class _Measures:
+    """The residuals of a point, and what else follows from it."""
+
+    f_y: Array
+    f_z: Values
+    f_tau: float
+    Py: Array
+    yPy: float
+    hy: float
+    bz: float
+    mu: float
+    errors: Errors
+    ray: float  # |A'z|, P y relative to -b'z; inf if that is not above zero
+    descent: float  # |A y + s|, P y relative to -h'y
+
+
+@dataclass(eq=False)
+class Embedding:
+    """One solve of a system; ``run`` it once."""
+
+    system: System
+    step: StepSystem
+    targets: Targets = field(default_factory=Targets)
+    believed: Callable[[Values], bool] = lambda z: False  # whether a ray, however rough, proves infeasibility
+
+    def __post_init__(self):
+        self._h, self._b = self.system.stages.h, self.system.b
+        self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
+        self._degree = self.system.degree + 1
+
+    @property
+    def _cones(self) -> dict[int, Cone]:
+        return self.system.cones
+
+    def run(self) -> Answer:
+        """Iterate until the targets, a ray, a stall, or the time limit."""
+        best: Answer | None = None
+        try:
+            point = self._first_point()
+            for step in range(MOST_STEPS + 1):
+                clock = time.perf_counter()
+                found = self._measured(point)
+                if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
+                    best = _answer(End.STALLED, point, found, step, point.tau)
+                ended = self._ended(point, found, step)
+                if ended is not None:
+                    return ended
+                stalled = step - best.steps > STALLED and not self._vanishing(point)
+                if stalled or not np.isfinite(found.errors.primal):
+                    break
+                point = self._next(point, found)
+                now = time.perf_counter()
+                if now + (now - clock) > self.targets.end:
+                    return Answer(End.TIME, best.y, best.z, best.errors, best.steps)
+        except KeyboardInterrupt:
+            if best is None:
+                raise
+            return Answer(End.INTERRUPTED, best.y, best.z, best.errors, best.steps)
+        assert best is not None
+        return best
+
+    def _first_point(self) -> _Point:
+        for cone in self._cones.values():
+            cone.reset()
+        self.step.factor()
+        y, z = self.step.solve(-self._h, self._b)
+        s = {i: -z[i] for i in self._cones}
+        for i, cone in self._cones.items():
+            z[i], s[i] = (_inside(cone, part) for part in (z[i], s[i]))
+        return _Point(y, z, s)
+
+    def _measured(self, point: _Point) -> _Measures:
+        system, tau, kappa, h, b = self.system, point.tau, point.kappa, self._h, self._b
+        Py, Atz, Ay = system.curvature(point.y), system.adjoint(point.z), system.rows(point.y)
+        for i, s in point.s.items():
+            Ay[i] = Ay[i] + s
+        yPy, hy, bz = _dot(point.y, Py), _dot(h, point.y), sum(map(_dot, b, point.z))
+        f_y, f_z = Py + Atz + h * tau, [rows - right * tau for rows, right in zip(Ay, b, strict=True)]
+        f_tau = hy + bz + kappa + yPy / tau
+        mu = (sum(_dot(s, point.z[i]) for i, s in point.s.items()) + tau * kappa) / self._degree
+        primal, dual = 0.5 * yPy / tau**2 + hy / tau, -0.5 * yPy / tau**2 - bz / tau
+        of_h, of_b = self._sizes
+        curved = largest([Py])
+        errors = Errors(
+            largest(f_z) / tau / (of_b + largest([point.y]) / tau),
+            largest([f_y]) / tau / (of_h + max(curved, largest(point.z)) / tau),
+            abs(primal - dual) / max(1.0, min(abs(primal), abs(dual))),
+        )
+        ray = max(largest([Atz]), curved) / -bz if bz < 0 else np.inf
+        descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
+        return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, ray, descent)
+
+    def _ended(self, point: _Point, found: _Measures, step: int) -> Answer | None:
+        """Return the answer if the point is one."""
+        if found.errors.merit(self.targets) <= 1:
+            return _answer(End.OPTIMAL, point, found, step, point.tau)
+        if found.ray <= RAY or (found.bz < 0 and self._vanishing(point) and self.believed(point.z)):
+            return _answer(End.INFEASIBLE, point, found, step, -found.bz)
+        if found.descent <= RAY and self._vanishing(point):
+            return _answer(End.UNBOUNDED, point, found, step, -found.hy)
+        return None
+
+    @staticmethod
+    def _vanishing(point: _Point) -> bool:
+        return point.tau < VANISHED * min(1.0, point.kappa)
+
+    def _next(self, point: _Point, found: _Measures) -> _Point:
+        """Return the point after a step of predictor and corrector."""
+        cones, tau, kappa = self._cones, point.tau, point.kappa
+        for i, cone in cones.items():
+            cone.scale(point.s[i], point.z[i])
+        self.step.factor()
+        constant = self.step.solve(-self._h, self._b)
+        squares = {i: cone.product(cone.lam, cone.lam) for i, cone in cones.items()}
+        affine = self._direction(point, found, constant, 0.0, squares, kappa * tau)
+        sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
+        centred = {
+            i: squares[i]
+            + cone.product(affine.scaled_s[i], affine.scaled_z[i])
+            - sigma * found.mu * cone.identity
+            for i, cone in cones.items()
+        }
+        of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu
+        step = self._direction(point, found, constant, sigma, centred, of_kappa)
+        return point.moved(step, FRACTION * min(self._longest(point, step), 1.0 / FRACTION))
+
+    def _direction(
+        self,
+        point: _Point,
+        found: _Measures,
+        constant: tuple[Array, Values],
+        sigma: float,
+        d_s: dict[int, Array],
+        d_kappa: float,
+    ) -> _Direction:
+        cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - sigma
+        right = [-rest * part for part in found.f_z]
+        for i, cone in cones.items():
+            right[i] = right[i] + cone.scaled(cone.quotient(d_s[i]), 1)
+        y, z = self.step.solve(-rest * found.f_y, right)
+        slope = self._h + 2 * found.Py / tau
+        steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - found.yPy / tau**2 - kappa / tau
+        missing = -rest * found.f_tau + d_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
+        dtau = missing / steepness
+        y = y + dtau * constant[0]
+        z = [part + dtau * other for part, other in zip(z, constant[1], strict=True)]
+        rows = self.system.rows(y)
+        s = {i: (b[i] * dtau - rest * found.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
+        scaled_s = {i: cone.scaled(s[i], -1) for i, cone in cones.items()}
+        scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
+        return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(d_kappa + kappa * dtau) / tau)
+
+    def _longest(self, point: _Point, step: _Direction) -> float:
+        lengths = [
+            cone.longest(part) for i, cone in self._cones.items() for part in (step.scaled_s[i], step.scaled_z[i])
+        ]
+        ends = [-value / slope for value, slope in ((point.tau, step.tau), (point.kappa, step.kappa)) if slope < 0]
+        return min([*lengths, *ends], default=np.inf)
+
+
+def _answer(end: End, point: _Point, found: _Measures, steps: int, unit: float) -> Answer:
+    return Answer(end, point.y / unit, [part / unit for part in point.z], found.errors, steps)
+
+
+def _inside(cone: Cone, v: Array) -> Array:
+    """Return v, moved into the cone if it is not well inside."""
+    margin, size = cone.margin(v), largest([v])
+    return v if margin >= INTERIOR * max(1.0, size) else v + (max(1.0, MOVED * size) - margin) * cone.identity
+
+
+def _dot(a: Array, b: Array) -> float:
+    return float(np.vdot(a, b))

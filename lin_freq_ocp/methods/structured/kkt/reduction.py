@@ -1,0 +1,121 @@
+"""The linear system of one step, [P A'; A -W^2] (y, z) = (r_y, r_z), reduced to the system of a side, and refined.
+
+Of a hard ball, the head is constant: its row is eliminated, and leaves on the values the compliance
+eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), which would lose its definiteness if it were computed by subtraction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops
+from lin_freq_ocp.methods.structured.kkt.side import Compliance, Side
+from lin_freq_ocp.methods.structured.kkt.system import (
+    BALLS,
+    DYNAMICS,
+    EQUATIONS,
+    INEQUALITIES,
+    INITIAL,
+    STAGES,
+    System,
+    Values,
+)
+
+REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
+REFINED = 1e-11  # residual, relative to the right-hand side, that is not refined
+
+
+class StepSystem:
+    """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
+
+    def __init__(self, system: System, side: Side, loops: Loops):
+        self.system, self._side, self._loops = system, side, loops
+
+    def factor(self) -> None:
+        """Factor at the present scalings."""
+        system, stages = self.system, self.system.stages
+        Phi = self._loops.gram(stages.H, stages.G, system.cones[STAGES])
+        balls = [
+            _of_values(cone) if part.heads is None else cone.matrices(slice(0, 1 + part.dim))
+            for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)
+        ]
+        self._side.factor(Phi, Compliance(system.cones[INEQUALITIES].w[:, 0] ** 2, tuple(balls)))
+
+    def solve(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+        """Return (y, z), refined as long as the residual falls."""
+        y, z = self._once(of_y, of_z)
+        target = REFINED * largest([of_y, *of_z])
+        left = self._residual(of_y, of_z, y, z)
+        error = largest([left[0], *left[1]])
+        for _ in range(REFINEMENTS):
+            if error <= target:
+                break
+            dy, dz = self._once(*left)
+            better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
+            left = self._residual(of_y, of_z, *better)
+            after = largest([left[0], *left[1]])
+            if not after < error:
+                break
+            (y, z), error = better, after
+        return y, z
+
+    def _once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+        system, stages = self.system, self.system.stages
+        cone = system.cones[STAGES]
+        gradient = -of_y - np.einsum("tpi,tp->ti", stages.G, cone.scaled(of_z[STAGES], -2))
+        f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
+        for part, own, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            right = -rows
+            if part.heads is None:
+                right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
+            f.append(right.ravel())
+        step = self._side.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
+        of_stages = cone.scaled(np.einsum("tpi,ti->tp", stages.G, step.y) - of_z[STAGES], -2)
+        return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
+
+    def _multipliers(self, nu: Array, of_z: Values) -> Values:
+        """Return the duals of all rows that couple times from those of the reduced system."""
+        counts = [len(of_z[EQUATIONS]), len(of_z[INEQUALITIES])]
+        equations, unequal, rest = np.split(nu, np.cumsum(counts))
+        found: Values = [equations, unequal[:, None]]
+        for part, own, rows in zip(self.system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            dim = part.dim + (part.heads is not None)
+            values, rest = np.split(rest, [len(part.radius) * dim])
+            z = -values.reshape(-1, dim)
+            if part.heads is None:
+                w, eta = own.w, own.eta[:, 0]
+                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(own) * z).sum(1)
+                z = np.column_stack([head, z])
+            found.append(z)
+        return found
+
+    def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
+        system = self.system
+        left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        for i, cone in system.cones.items():
+            left[i] += cone.scaled(z[i], 2)
+        return of_y - system.curvature(y) - system.adjoint(z), left
+
+    def _ball_cones(self) -> list[Cone]:
+        return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
+
+
+def largest(parts: Values) -> float:
+    """Return the largest absolute entry; inf if one is not finite."""
+    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+    return found if np.isfinite(found) else np.inf
+
+
+def _of_values(cone: Cone) -> Array:
+    """Return the compliance of the values of hard balls, (balls, d, d)."""
+    v, eta = cone.w[:, 1:], cone.eta[:, 0]
+    shrink = 2 / (1 + 2 * (v * v).sum(1))
+    return (eta**2)[:, None, None] * (np.eye(v.shape[1]) - shrink[:, None, None] * v[:, :, None] * v[:, None, :])
+
+
+def _head_ratio(cone: Cone) -> Array:
+    """Return the entries of W^2 beside its first one, divided by that, (balls, d)."""
+    head, v = cone.w[:, :1], cone.w[:, 1:]
+    return 2 * head * v / (2 * head**2 - 1)

@@ -1,0 +1,44 @@
+"""One step's linear system after the elimination of stage cones and of constant heads of balls:
+
+    Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
+    x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
+
+F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front if
+it is soft). C >= 0 is block diagonal: zero for equations, squares of scalings else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from lin_freq_ocp.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """C: (count,) for all inequalities, and (balls, d, d) for every family of balls."""
+
+    inequalities: Array
+    balls: tuple[Array, ...]
+
+
+class Step(NamedTuple):
+    """The solution of the system."""
+
+    y: Array  # (T+1, n + k)
+    eta: Array  # (T+1, n), the last zero
+    initial: Array  # lam0, (n,)
+    coupling: Array  # nu, (rows,)
+
+
+class Side(Protocol):
+    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
+
+    def factor(self, Phi: Array, compliance: Compliance) -> None:
+        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        ...
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        ...
