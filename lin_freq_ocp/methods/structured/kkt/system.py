@@ -30,7 +30,7 @@ class System:
             np.where(present, stages.g, 0.0),
             np.concatenate([coupling.terminal_state, *(part.right for part in coupling.equations)]),
             np.concatenate([np.zeros(0), *limits])[:, None],
-            *(np.pad(part.radius[:, None], ((0, 0), (0, part.dim))) for part in coupling.balls),
+            *(part.right for part in coupling.balls),
         ]
         self.cones = {STAGES: Cone(present, stages.cones)}
         self.cones[INEQUALITIES] = Cone(np.ones(self.b[INEQUALITIES].shape, dtype=bool), ())

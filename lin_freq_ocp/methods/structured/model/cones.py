@@ -68,14 +68,15 @@ class Cone:
 
     def quotient(self, d: Array) -> Array:
         """Return the v with lam o v = d."""
-        lam = np.where(self._absent, 1.0, self.lam)
-        result = d / lam
+        result = np.empty_like(d)
+        inside = slice(None), self.orthant
+        result[inside] = d[inside] / np.where(self._absent[inside], 1.0, self.lam[inside])
         for block in self.blocks:
-            p, q = lam[:, block], d[:, block]
-            tail = np.where(self.present[:, block.start, None], p[:, 1:], 0.0)
-            head = (p[:, 0] * q[:, 0] - (tail * q[:, 1:]).sum(1)) / _square(p[:, 0], tail)
-            result[:, block.start] = head
-            result[:, block.start + 1 : block.stop] = (q[:, 1:] - tail * head[:, None]) / p[:, :1]
+            p, q = self.lam[:, block], d[:, block]
+            head = np.where(self._absent[:, block.start], 1.0, p[:, 0])
+            first = (head * q[:, 0] - (p[:, 1:] * q[:, 1:]).sum(1)) / _square(head, p[:, 1:])
+            result[:, block.start] = first
+            result[:, block.start + 1 : block.stop] = (q[:, 1:] - p[:, 1:] * first[:, None]) / head[:, None]
         result[self._absent] = 0.0
         return result
 

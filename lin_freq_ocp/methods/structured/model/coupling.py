@@ -6,7 +6,7 @@ by side. A family of rows maps signals to values (count, k), and has the adjoint
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -34,6 +34,15 @@ class Rows(Protocol):
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
+        ...
+
+    def picked(self, groups: Indices, dim: int) -> Rows:
+        """Return the rows of some groups of so many rows each."""
+        ...
+
+    @property
+    def oversampling(self) -> int:
+        """Return how many rows there are for each point of the plain DFT; 1 for rows that are no spectrum."""
         ...
 
 
@@ -80,6 +89,16 @@ class SpectrumRows:
         waves = np.where(imaginary, -np.sin(angle), np.cos(angle)) * self.scale[entry // 2]
         self._spread(waves * self.window[:, None], signals)
 
+    def picked(self, groups: Indices, dim: int) -> SpectrumRows:
+        """Return the rows of some bins."""
+        kept = self.kept.reshape(-1, dim)[groups].ravel()
+        return replace(self, bins=self.bins[groups], scale=self.scale[groups], kept=kept)
+
+    @property
+    def oversampling(self) -> int:
+        """Return the number of points of the grid for each of the plain DFT."""
+        return self.points // len(self.window)
+
     def _spread(self, signal: Array, signals: Array) -> None:
         for channel in np.flatnonzero(self.coefficients):
             signals[: len(signal), channel] += self.coefficients[channel] * signal
@@ -107,6 +126,15 @@ class SparseRows:
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
         signals += self.matrix[chosen].T.toarray().reshape(signals.shape)
+
+    def picked(self, groups: Indices, dim: int) -> SparseRows:
+        """Return the rows of some groups of so many rows each."""
+        return SparseRows(self.matrix[(groups[:, None] * dim + np.arange(dim)).ravel()])
+
+    @property
+    def oversampling(self) -> int:
+        """Return 1."""
+        return 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +169,12 @@ class Balls:
     def dim(self) -> int:
         """Return the size of a group."""
         return self.rows.count // len(self.radius)
+
+    def picked(self, chosen: Indices) -> Balls:
+        """Return some of the balls."""
+        heads = None if self.heads is None else self.heads.picked(chosen, 1)
+        offset = None if self.offset is None else self.offset[chosen]
+        return Balls(self.rows.picked(chosen, self.dim), self.radius[chosen], heads, offset)
 
     @property
     def right(self) -> Array:
