@@ -36,7 +36,7 @@ class StepSystem:
     def factor(self) -> None:
         """Factor at the present scalings."""
         system, stages = self.system, self.system.stages
-        Phi = self._loops.gram(stages.H, stages.G, system.cones[STAGES])
+        Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         balls = [
             _of_values(cone) if part.heads is None else cone.matrices(slice(0, 1 + part.dim))
             for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)

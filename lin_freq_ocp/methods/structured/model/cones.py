@@ -103,6 +103,14 @@ class Cone:
             least = min(least, float((inside[:, 0] - np.linalg.norm(inside[:, 1:], axis=1)).min(initial=np.inf)))
         return least
 
+    @property
+    def inverse_squares(self) -> tuple[Array, Array]:
+        """Return 1/w^2 and 1/eta^2 of orthant rows and cones, zero where absent, and the w of the cones side by side."""
+        heads = [self.orthant, *(slice(block.start, block.start + 1) for block in self.blocks)]
+        scales = np.column_stack([self.w[:, self.orthant], self.eta])
+        present = np.column_stack([self.present[:, head] for head in heads])
+        return np.where(present, scales**-2.0, 0.0), np.ascontiguousarray(self.w[:, self.orthant.stop :])
+
     def matrices(self, block: slice) -> Array:
         """Return W^2 of one cone of every row, (N, d, d)."""
         i = self.blocks.index(block)
