@@ -4,7 +4,7 @@
     s, z in the cone,  s o z = 0,  tau kappa = 0;  rows without a cone are equations, s = 0
 
 Newton, K = [P A'; A -W^2], xi = y/tau:
-    K (y1, z1) = (-(1 - sigma) f_y, -(1 - sigma) f_z + W (lam \\ d_s)),   K (y2, z2) = (-h, b)
+    K (y1, z1) = (-(1 - sigma) f_y, -(1 - sigma) f_z + W (d_s / lam)),   K (y2, z2) = (-h, b)
     dtau [(h + 2 P xi)'y2 + b'z2 - xi'P xi - kappa/tau] = -(1 - sigma) f_tau + d_kappa/tau - (h + 2 P xi)'y1 - b'z1
     dy = y1 + dtau y2,  dz = z1 + dtau z2,  ds = b dtau - (1 - sigma) f_z - A dy,  dkappa = -(d_kappa + kappa dtau)/tau
 
@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.methods.structured.model.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
+from lin_freq_ocp.methods.structured.model.cones import Cone
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_STEPS = 80  # seldom more than 25 are taken
@@ -225,9 +225,7 @@ class Embedding:
         affine = self._direction(point, found, constant, 0.0, squares, kappa * tau)
         sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
         centred = {
-            i: squares[i]
-            + cone.product(affine.scaled_s[i], affine.scaled_z[i])
-            - sigma * found.mu * cone.identity
+            i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * found.mu * cone.identity
             for i, cone in cones.items()
         }
         of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu

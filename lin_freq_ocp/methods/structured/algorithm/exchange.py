@@ -1,7 +1,7 @@
 """Masks on a fine grid by exchange: few of their points matter, and which do is found by solving with few.
 
 The first solves, to rough targets, take the points of the plain DFT, then those near the mask and the largest
-violations between them; the last solve has every point that is violated without it. A ray of fewer points is one of all.
+violations between them; the last solve has every point that is violated without it. A ray of few points is one of all.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def solve_with_exchange(
         return _solve(stages, chosen, step_system, targets, believed)
     rough = replace(targets, residual=ROUGH * targets.residual, gap=ROUGH * targets.gap)
     final, first = False, True
+    answer = _solve(stages, chosen, step_system, rough, believed)
     for _ in range(MOST_ROUNDS):
-        answer = _solve(stages, chosen, step_system, targets if final else rough, believed)
         if answer.end is not End.OPTIMAL:
             return answer
         added = [_violated(part, stages, answer.y, rough.residual if not final else VIOLATED) for part in families]
@@ -49,6 +49,7 @@ def solve_with_exchange(
             chosen = [_near(part, stages, answer.y, old) for part, old in zip(families, chosen, strict=True)]
             first = False
         chosen = [np.union1d(old, new) for old, new in zip(chosen, added, strict=True)]
+        answer = _solve(stages, chosen, step_system, targets if final else rough, believed)
     return replace(answer, end=End.STALLED)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.methods.structured.model.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Side
 from lin_freq_ocp.methods.structured.kkt.system import (
@@ -22,6 +21,7 @@ from lin_freq_ocp.methods.structured.kkt.system import (
     System,
     Values,
 )
+from lin_freq_ocp.methods.structured.model.cones import Cone
 
 REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
 REFINED = 1e-11  # residual, relative to the right-hand side, that is not refined

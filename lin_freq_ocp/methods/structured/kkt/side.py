@@ -1,10 +1,10 @@
-"""One step's linear system after the elimination of stage cones and of constant heads of balls:
+"""One step's linear system after the elimination of stage cones and of constant heads of balls.
 
     Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
     x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
 
-F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front if
-it is soft). C >= 0 is block diagonal: zero for equations, squares of scalings else.
+F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front
+if it is soft). C >= 0 is block diagonal: zero for equations, squares of scalings else.
 """
 
 from __future__ import annotations

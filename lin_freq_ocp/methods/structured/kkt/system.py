@@ -1,7 +1,7 @@
 """The rows of a problem over stages, as the embedding sees them: b - A y in a cone, with the Hessian P.
 
 Rows are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,); stages G y (T+1, p);
-equations, those of x_T first, flat; inequalities (rows, 1); and -(head, values) (balls, 1 + d) for each family of balls.
+equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for each family of balls.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ W^2 = eta^2 (2 w w' - J) with w'Jw = 1, J = diag(1, -1, ..).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class Cone:
         self.present, count = present, present.shape[1]
         ends = np.cumsum([count - sum(sizes), *sizes])
         self.orthant = slice(0, int(ends[0]))
-        self.blocks = tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        self.blocks = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
         self.identity = np.zeros(present.shape)
         self.identity[:, self.orthant] = present[:, self.orthant]
         for block in self.blocks:
@@ -105,7 +106,7 @@ class Cone:
 
     @property
     def inverse_squares(self) -> tuple[Array, Array]:
-        """Return 1/w^2 and 1/eta^2 of orthant rows and cones, zero where absent, and the w of the cones side by side."""
+        """Return 1/w^2 and 1/eta^2 of orthant rows and cones, zero where absent, and the w of the cones."""
         heads = [self.orthant, *(slice(block.start, block.start + 1) for block in self.blocks)]
         scales = np.column_stack([self.w[:, self.orthant], self.eta])
         present = np.column_stack([self.present[:, head] for head in heads])
