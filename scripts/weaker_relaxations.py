@@ -30,8 +30,8 @@ class HullRelaxation(ModeRelaxation):
         super()._several_columns(columns, many)
         columns[self._at.epsilon] = False
 
-    def _hessian_of(self, single: Mask, kept: Indices) -> sp.csc_array:
-        return super()._hessian_of(np.ones_like(single), kept)
+    def _hessian_of(self, single: Mask, count: int) -> sp.csc_array:
+        return super()._hessian_of(np.ones_like(single), count)
 
 
 class BigMRelaxation(HullRelaxation):

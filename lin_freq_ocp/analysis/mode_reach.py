@@ -1,15 +1,17 @@
 """Where a piecewise-affine system can be while its modes are restricted: boxes forward from X_0, and modes that remain.
 
-Everything is rounded outwards, so that what the search leaves out for these boxes is left out with proof.
+Everything is rounded outwards, so that what the search leaves out for these boxes is left out with proof. Several
+masks are propagated side by side: the arrays are small, and most of the time of one alone is that of calls.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
@@ -60,79 +62,151 @@ class ModeReach:
         # what the centres of the controls add to the next state, and the generators that the controls add
         self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
         self._pushes = arrays.B * ((upper - lower) / 2)[:, None, None]
+        self._pushed_radius = np.abs(self._pushes).sum(axis=-1)
+        self._above, self._below = self._rows > 0, self._rows < 0
+        self._absolute = self._increasing - self._decreasing
 
     def from_start(self, allowed: Mask) -> Reach | None:
         """Return the reach of a mask (T, modes), or None if no sequence within it has a trajectory."""
+        return self.from_start_each([allowed])[0]
+
+    def from_start_each(self, masks: Sequence[Mask]) -> list[Reach | None]:
+        """Return the reach of each mask (T, modes)."""
+        if not masks:
+            return []
         tube, controls = self.problem.state_tube, self.problem.control_tube
         lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
         y_lower, y_upper = (
-            np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(allowed.shape[1], axis=1)
+            np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
         centre, spread = _ball(lower[0], upper[0])
-        return self._onwards(Reach(np.array(allowed), lower, upper, y_lower, y_upper, (centre,), (spread,)), 0)
+        reaches = [Reach(mask, lower, upper, y_lower, y_upper, (centre,), (spread,)) for mask in masks]
+        return _Propagation(self, reaches, np.zeros(len(masks), dtype=np.intp)).run()
 
-    def after(self, before: Reach, t: int, modes: Mask) -> Reach | None:
-        """Return the reach with only some of the modes (modes,) at time t."""
-        copied = ("allowed", "lower", "upper", "mode_lower", "mode_upper")
-        reach = replace(before, **{field: getattr(before, field).copy() for field in copied})
-        reach.allowed[t] &= modes
-        return self._onwards(reach, t)
+    def after(self, splits: Sequence[tuple[Reach, int, Mask]]) -> list[Reach | None]:
+        """Return, for each reach, the reach with only some of the modes (modes,) at a time."""
+        if not splits:
+            return []
+        reaches, times, modes = zip(*splits, strict=True)
+        stack = _Propagation(self, reaches, np.array(times))
+        stack.allowed[np.arange(len(times)), times] &= np.array(modes)
+        return stack.run()
 
-    def _onwards(self, reach: Reach, first: int) -> Reach | None:
-        """Cut a reach from time ``first`` on, in place; its bounds at later times are kept."""
-        centres, generators = list(reach.centres[: first + 1]), list(reach.generators[: first + 1])
-        for t in range(first, len(reach.allowed)):
-            low, high, feasible = self._within_regions(t, reach)
-            image_low, image_high = self._images(t, low, high)
-            A = self.arrays.A[t]
-            centre = A @ centres[t] + self._pushed[t]
-            spread = np.concatenate([A @ generators[t], self._pushes[t]], axis=-1)
-            radius = np.abs(spread).sum(axis=-1)
-            radius = radius + OUTWARD * (np.abs(centre) + radius)
-            image_low = np.maximum(np.maximum(image_low, centre - radius), reach.lower[t + 1])
-            image_high = np.minimum(np.minimum(image_high, centre + radius), reach.upper[t + 1])
-            keep = reach.allowed[t] & feasible & (image_low <= image_high).all(axis=1)
-            if not keep.any():
-                return None
-            reach.allowed[t], reach.mode_lower[t], reach.mode_upper[t] = keep, low, high
-            new_low, new_high = image_low[keep].min(axis=0), image_high[keep].max(axis=0)
-            single = np.count_nonzero(keep) == 1
-            same = not single and (new_low == reach.lower[t + 1]).all() and (new_high == reach.upper[t + 1]).all()
-            if same and len(reach.centres) > t + 1:
-                centres += reach.centres[t + 1 :]
-                generators += reach.generators[t + 1 :]
-                break
-            reach.lower[t + 1], reach.upper[t + 1] = new_low, new_high
-            only = int(np.argmax(keep))
-            after = (centre[only], spread[only]) if single else _ball(new_low, new_high)
-            centres.append(after[0])
-            generators.append(after[1])
-        return replace(reach, centres=tuple(centres), generators=tuple(generators))
-
-    def _within_regions(self, t: int, reach: Reach) -> tuple[Array, Array, Mask]:
-        """Return the box of (x_t, u_t) cut by the region of each mode, (modes, k), and which regions it meets."""
-        rows, n = self._rows[t], self.problem.state_dim
-        above = rows > 0
-        low, high = reach.mode_lower[t].copy(), reach.mode_upper[t].copy()
-        np.maximum(low[:, :n], reach.lower[t], out=low[:, :n])
-        np.minimum(high[:, :n], reach.upper[t], out=high[:, :n])
-        nearest = np.where(above, low[:, None], high[:, None])
+    def within_regions(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
+        """Return boxes of (x_t, u_t) (..., modes, k) cut by the region of each mode, and which regions they meet."""
+        rows, above = self._rows[t], self._above[t]
+        nearest = np.where(above, low[..., None, :], high[..., None, :])
         terms = rows * nearest
         slack = self._limits[t] - terms.sum(axis=-1)
-        slack = slack + OUTWARD * (np.abs(terms).sum(axis=-1) + self._limit_sizes[t])
+        slack += OUTWARD * (np.abs(terms).sum(axis=-1) + self._limit_sizes[t])
         room = nearest + slack[..., None] * self._inverses[t]
-        np.minimum(high, np.where(above, room, np.inf).min(axis=1), out=high)
-        np.maximum(low, np.where(rows < 0, room, -np.inf).max(axis=1), out=low)
-        return np.minimum(low, high), high, (slack >= 0).all(axis=1)
+        high = np.minimum(high, np.where(above, room, np.inf).min(axis=-2))
+        low = np.maximum(low, np.where(self._below[t], room, -np.inf).max(axis=-2))
+        return np.minimum(low, high), high, (slack >= 0).all(axis=-1)
 
-    def _images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return a box (modes, n) around the image of each mode's box (modes, k)."""
+    def images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""
         up, down, offset = self._increasing[t], self._decreasing[t], self.arrays.offset[t]
-        low, high = low[..., None], high[..., None]
-        least, most = (up @ low + down @ high)[..., 0] + offset, (up @ high + down @ low)[..., 0] + offset
-        size = ((up - down) @ np.maximum(np.abs(low), np.abs(high)))[..., 0] + np.abs(offset)
-        return least - OUTWARD * size, most + OUTWARD * size
+        size = (self._absolute[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
+        low, high, rounding = low[..., None], high[..., None], OUTWARD * size
+        least, most = (up @ low + down @ high)[..., 0], (up @ high + down @ low)[..., 0]
+        return least + offset - rounding, most + offset + rounding
+
+    def zonotopes(self, t: int, centres: Array, generators: Array) -> tuple[Array, Array, Array]:
+        """Return centres, radii (batch, modes, n) and generators of images; those of controls are not among these."""
+        A = self.arrays.A[t]
+        centre = (A @ centres[:, None, :, None])[..., 0] + self._pushed[t]
+        spread = A @ generators[:, None]
+        radius = np.abs(spread).sum(axis=-1) + self._pushed_radius[t]
+        return centre, radius + OUTWARD * (np.abs(centre) + radius), spread
+
+    def pushes(self, t: int, mode: int) -> Array:
+        """Return the generators that the controls add, (n, m)."""
+        return self._pushes[t, mode]
+
+
+class _Propagation:
+    """Reaches of one problem, cut side by side from a time of each on; bounds at later times are kept."""
+
+    def __init__(self, system: ModeReach, reaches: Sequence[Reach], firsts: Indices):
+        self._system, self._before, self._firsts = system, reaches, firsts
+        self.allowed = np.stack([reach.allowed for reach in reaches])
+        self._lower, self._upper = (np.stack([getattr(r, side) for r in reaches]) for side in ("lower", "upper"))
+        self._mode_lower = np.stack([reach.mode_lower for reach in reaches])
+        self._mode_upper = np.stack([reach.mode_upper for reach in reaches])
+        self._centres = [list(reach.centres[: t + 1]) for reach, t in zip(reaches, firsts, strict=True)]
+        self._generators = [list(reach.generators[: t + 1]) for reach, t in zip(reaches, firsts, strict=True)]
+
+    def run(self) -> list[Reach | None]:
+        """Return the reaches, None where no sequence has a trajectory."""
+        count, T = len(self._before), self.allowed.shape[1]
+        possible, open_ = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
+        for t in range(int(self._firsts.min()), T):
+            live = np.flatnonzero(open_ & (self._firsts <= t))
+            if len(live):
+                keep, settled = self._step(t, live)
+                possible[live] = keep
+                open_[live] = keep & ~settled
+            elif not open_.any():
+                break
+        return [self._reach(b) if possible[b] else None for b in range(count)]
+
+    def _reach(self, b: int) -> Reach:
+        return Reach(
+            allowed=self.allowed[b].copy(),
+            lower=self._lower[b].copy(),
+            upper=self._upper[b].copy(),
+            mode_lower=self._mode_lower[b].copy(),
+            mode_upper=self._mode_upper[b].copy(),
+            centres=tuple(self._centres[b]),
+            generators=tuple(self._generators[b]),
+        )
+
+    def _step(self, t: int, live: Indices) -> tuple[Mask, Mask]:
+        """Go from t to t + 1; return which can, and for which nothing changes later."""
+        system, n = self._system, self._lower.shape[2]
+        low, high = self._mode_lower[live, t], self._mode_upper[live, t]
+        np.maximum(low[..., :n], self._lower[live, None, t], out=low[..., :n])
+        np.minimum(high[..., :n], self._upper[live, None, t], out=high[..., :n])
+        low, high, feasible = system.within_regions(t, low, high)
+        image_low, image_high = system.images(t, low, high)
+        centre, radius, spread = system.zonotopes(t, *self._zonotopes(t, live))
+        last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
+        image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
+        image_high = np.minimum(np.minimum(image_high, centre + radius), last_high[:, None])
+        keep = self.allowed[live, t] & feasible & (image_low <= image_high).all(axis=-1)
+        self.allowed[live, t], self._mode_lower[live, t], self._mode_upper[live, t] = keep, low, high
+        new_low = np.where(keep[..., None], image_low, np.inf).min(axis=1)
+        new_high = np.where(keep[..., None], image_high, -np.inf).max(axis=1)
+        self._lower[live, t + 1], self._upper[live, t + 1] = new_low, new_high
+        left = keep.sum(axis=1)
+        same = (left > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
+        for place, b in enumerate(live):
+            before = self._before[b]
+            if same[place] and len(before.centres) > t + 1:
+                self._centres[b] += before.centres[t + 1 :]
+                self._generators[b] += before.generators[t + 1 :]
+                continue
+            same[place] = False
+            if left[place] == 1:
+                only, old = int(np.argmax(keep[place])), self._generators[b][t].shape[1]
+                after = np.concatenate([spread[place, only, :, :old], system.pushes(t, only)], axis=1)
+                self._centres[b].append(centre[place, only])
+                self._generators[b].append(after)
+            elif left[place]:
+                ball = _ball(new_low[place], new_high[place])
+                self._centres[b].append(ball[0])
+                self._generators[b].append(ball[1])
+        return left > 0, same
+
+    def _zonotopes(self, t: int, live: Indices) -> tuple[Array, Array]:
+        """Return centres (live, n) and generators (live, n, count), filled up by zeros."""
+        parts = [self._generators[b][t] for b in live]
+        generators = np.zeros((len(parts), len(parts[0]), max(part.shape[1] for part in parts)))
+        for place, part in enumerate(parts):
+            generators[place, :, : part.shape[1]] = part
+        return np.array([self._centres[b][t] for b in live]), generators
 
 
 def _ball(lower: Array, upper: Array) -> tuple[Array, Array]:

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import clarabel
 import numpy as np
 
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.transcription.program import Program, StandardForm
 
 CLAIMS = {
     "Solved": Claim.SOLVED,
@@ -30,8 +31,14 @@ COST_FACTOR = 10.0  # on the cost, as Clarabel's regularisation is absolute and 
 
 def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:
     """Solve the standard form of a program."""
-    end = np.inf if time_limit is None else time.perf_counter() + time_limit
     form = program.standard()
+    found = solve_form(form, tolerance, time_limit)
+    return found if found.y is None else replace(found, y=form.dual(len(program.lower), found.y))
+
+
+def solve_form(form: StandardForm, tolerance: float, time_limit: float | None) -> Solution:
+    """Solve a standard form; y are the duals of its rows, in the dual cone."""
+    end = np.inf if time_limit is None else time.perf_counter() + time_limit
     cones = [clarabel.ZeroConeT(form.equations), clarabel.NonnegativeConeT(form.inequalities)]
     cones += [clarabel.SecondOrderConeT(count) for count in form.cones]
     P, q, settings = COST_FACTOR * form.P, COST_FACTOR * form.q, _settings(tolerance, time_limit)
@@ -45,7 +52,7 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
         return Solution(claim if claim is Claim.LIMIT else Claim.FAILED, None, None, message)
-    return Solution(claim, z, form.dual(len(program.lower), dual / COST_FACTOR), message)
+    return Solution(claim, z, dual / COST_FACTOR, message)
 
 
 def _settings(tolerance: float, time_limit: float | None) -> clarabel.DefaultSettings:

@@ -74,6 +74,11 @@ class StandardForm:
         np.add.at(duals, self.row, self.sign * y)
         return duals
 
+    def dual_objective(self, z: Array, y: Array) -> float:
+        """Return -1/2 z'P z - b'y: a lower bound if y is in the dual cone and P z + q + A'y = 0."""
+        half = self.P @ z - 0.5 * self.P.diagonal() * z
+        return float(-z @ half - self.b @ y)
+
 
 @dataclass(frozen=True, eq=False)
 class SingleBounds:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 
@@ -19,7 +20,15 @@ from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.methods.modes.search import Relaxed, SearchLimits, SearchOutcome, SearchProgress, proven_tree, relaxed
+from lin_freq_ocp.methods.modes.search import (
+    Relaxed,
+    SearchLimits,
+    SearchOutcome,
+    SearchProgress,
+    one_mode_each,
+    proven_tree,
+    relaxed,
+)
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -27,6 +36,10 @@ from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 5  # nodes between two attempts to round a relaxed point to a sequence
+TRIED_TOGETHER = 8  # sequences, likewise
+SPLIT_TOGETHER = 8  # nodes, as reaches are propagated side by side; more solve nodes that a better sequence closes
+
+OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
 
 
 @dataclass
@@ -44,7 +57,7 @@ class BranchAndBound:
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | None] = []
-        self._heap: list[tuple[float, int, Relaxed]] = []
+        self._heap: list[OpenNode] = []
         self._best: Indices | None = None
         self._cost, self._scale = np.inf, 0.0
         self._tried: set[bytes] = set()
@@ -59,7 +72,7 @@ class BranchAndBound:
         self._until_open = until_open
         try:
             if start is not None:
-                self._try(start)
+                self._try([start])
             self._open(self._root(within), -1, -1, -np.inf)
             message = self._loop()
         except KeyboardInterrupt:
@@ -73,18 +86,17 @@ class BranchAndBound:
             message = self.limits.reached(time.perf_counter() - self._started, self._solved)
             if message:
                 return message
-            self._report(self._heap[0][0])
-            self._split(*self._next())
+            self._split(self._next())
         return ""
 
-    def _next(self) -> tuple[float, int, Relaxed]:
-        """Take the node with the least bound; as long as no sequence was found, dive: take the newest."""
+    def _next(self) -> list[OpenNode]:
+        """Take the nodes with the least bounds; as long as no sequence was found, dive: take the newest."""
         if self._best is not None:
-            return heapq.heappop(self._heap)
+            return [heapq.heappop(self._heap) for _ in range(min(SPLIT_TOGETHER, len(self._heap)))]
         newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
         taken = self._heap.pop(newest)
         heapq.heapify(self._heap)
-        return taken
+        return [taken]
 
     @property
     def open_nodes(self) -> list[tuple[int, Reach]]:
@@ -96,16 +108,22 @@ class BranchAndBound:
         reach = self._relaxation.reach.from_start(everything) if within is None else within
         return [(everything, None if reach is None else self._relaxed(reach))]
 
-    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
-        """Replace a node by one for each of its modes at some time."""
-        t = self._stage_to_split(answer)
-        children: list[tuple[Mask, Relaxed | None]] = []
-        for i in np.flatnonzero(answer.reach.allowed[t]):
-            allowed = answer.reach.allowed.copy()
-            allowed[t] = np.arange(allowed.shape[1]) == i
-            reach = self._relaxation.reach.after(answer.reach, t, allowed[t])
-            children.append((allowed, None if reach is None else self._relaxed(reach)))
-        self._open(children, index, t, bound)
+    def _split(self, taken: list[OpenNode]) -> None:
+        """Replace each node by one for each of its modes at some time."""
+        times = [self._stage_to_split(answer) for _, _, answer in taken]
+        masks = [one_mode_each(answer.reach.allowed, t) for (_, _, answer), t in zip(taken, times, strict=True)]
+        splits = [
+            (answer.reach, t, mask[t])
+            for (_, _, answer), t, own in zip(taken, times, masks, strict=True)
+            for mask in own
+        ]
+        reaches = iter(self._relaxation.reach.after(splits))
+        for (bound, index, _), t, own in zip(taken, times, masks, strict=True):
+            children = list(zip(own, islice(reaches, len(own)), strict=True))
+            self._report(min(bound, self._heap[0][0]) if self._heap else bound)
+            if bound < self._cutoff:  # a sequence found just now may have closed it
+                answers = [(mask, None if reach is None else self._relaxed(reach)) for mask, reach in children]
+                self._open(answers, index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
         """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
@@ -129,13 +147,12 @@ class BranchAndBound:
         if bound == np.inf:
             return
         if answer.sequence is not None:
-            self._try(answer.sequence, answer)
+            self._accept(answer.sequence, answer)
             return
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
             if index % ROUNDING_EVERY == 0 or self._best is None:
-                for sequence in self._rounded(answer):
-                    self._try(sequence)
+                self._try(self._rounded(answer))
 
     def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
         """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
@@ -148,27 +165,27 @@ class BranchAndBound:
             return
         yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
 
-    def _try(self, sequence: Indices, answer: Relaxed | None = None) -> None:
-        """Solve a sequence; if it is the best so far, try its flips."""
-        key = sequence.tobytes()
-        if key in self._tried or time.perf_counter() - self._started > self.limits.search_seconds:
-            return
-        self._tried.add(key)
-        if answer is None:
-            allowed = np.zeros((len(sequence), len(self.problem.piecewise.modes)), dtype=bool)
-            allowed[np.arange(len(sequence)), sequence] = True
-            reach = self._relaxation.reach.from_start(allowed)
-            if reach is None:
+    def _try(self, sequences: Iterable[Indices]) -> None:
+        """Solve sequences, a few at a time, until one is the best so far."""
+        remaining, before, modes = iter(sequences), self._best, np.arange(len(self.problem.piecewise.modes))
+        while self._best is before and (batch := list(islice(remaining, TRIED_TOGETHER))):
+            if time.perf_counter() - self._started > self.limits.search_seconds:
                 return
-            answer = self._relaxed(reach)
+            new = [sequence for sequence in batch if sequence.tobytes() not in self._tried]
+            reaches = self._relaxation.reach.from_start_each([sequence[:, None] == modes for sequence in new])
+            for sequence, reach in zip(new, reaches, strict=True):
+                if self._best is before:
+                    self._tried.add(sequence.tobytes())
+                    if reach is not None:
+                        self._accept(sequence, self._relaxed(reach))
+
+    def _accept(self, sequence: Indices, answer: Relaxed) -> None:
+        """Keep a sequence if it is the best so far, and try its flips."""
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
         self._cost, self._best = answer.bound, sequence
         self._scale = search_scale(self.problem, answer.trajectory)
-        for flipped in self._flips(sequence, answer.trajectory, answer.duals):
-            self._try(flipped)
-            if self._best is not sequence:
-                break
+        self._try(self._flips(sequence, answer.trajectory, answer.duals))
 
     def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
         """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""

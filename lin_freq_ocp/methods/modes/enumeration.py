@@ -11,7 +11,14 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress, proven_tree, relaxed
+from lin_freq_ocp.methods.modes.search import (
+    SearchLimits,
+    SearchOutcome,
+    SearchProgress,
+    one_mode_each,
+    proven_tree,
+    relaxed,
+)
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
@@ -68,11 +75,9 @@ def _all_sequences(
             leaves.append((parent, reach))
             continue
         t = int(np.argmax(several))
-        for i in np.flatnonzero(reach.allowed[t]):
-            only = np.arange(modes) == i
-            child = relaxation.reach.after(reach, t, only)
-            allowed = reach.allowed.copy()
-            allowed[t] = only
+        masks = one_mode_each(reach.allowed, t)
+        children = relaxation.reach.after([(reach, t, mask[t]) for mask in masks])
+        for allowed, child in zip(masks, children, strict=True):
             bound = np.inf if child is None else -np.inf
             nodes.append(ModeNode(parent, t, allowed if child is None else child.allowed, bound, None))
             if child is not None:

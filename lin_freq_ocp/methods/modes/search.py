@@ -10,8 +10,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.backends.base import Claim, backend
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
@@ -110,22 +110,24 @@ def relaxed(
     """
     if time.perf_counter() > end:
         return Relaxed(reach, -np.inf)
+    from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
+
     member = relaxation.member(reach)
     for tolerance in tolerances:
         left = end - time.perf_counter()
         if left <= 0:
             break
-        solution = backend("clarabel")(member.program, tolerance, None if left == np.inf else left)
+        solution = solve_form(member.form, tolerance, None if left == np.inf else left)
         z, y = solution.z, solution.y
         if solution.claim is Claim.INTERRUPTED:
             raise KeyboardInterrupt
         if solution.claim is Claim.INFEASIBLE:
-            return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, Duals(member.rows, y, 0.0))
+            return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, member.duals(y, 0.0))
         if solution.claim is Claim.SOLVED:
             if z is None or y is None:
                 break
-            bound = relaxation.cost(member.program.dual_objective(z, y))
-            return Relaxed(reach, bound, Duals(member.rows, y, 1.0), *relaxation.point(member, z))
+            bound = relaxation.cost(member.form.dual_objective(z, y))
+            return Relaxed(reach, bound, member.duals(y, 1.0), *relaxation.point(member, z))
     return Relaxed(reach, -np.inf)
 
 
@@ -146,3 +148,13 @@ def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices, end
         if answer is not None and answer.duals is not None:
             nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
     return ModeTree(tuple(nodes))
+
+
+def one_mode_each(allowed: Mask, t: int) -> list[Mask]:
+    """Return masks (T, modes), each with one of the modes that are allowed at time t."""
+    masks: list[Mask] = []
+    for i in np.flatnonzero(allowed[t]):
+        mask = allowed.copy()
+        mask[t] = np.arange(mask.shape[1]) == i
+        masks.append(mask)
+    return masks

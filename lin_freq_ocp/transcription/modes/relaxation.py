@@ -30,7 +30,7 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import common_scaling
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.transcription.modes.rows import ModeColumns, hessian_roots, mode_rows, mode_stages
-from lin_freq_ocp.transcription.program import Block, Program
+from lin_freq_ocp.transcription.program import Block, StandardForm
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
 FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: interior-point methods need an interior
@@ -38,12 +38,15 @@ FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: inte
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """The relaxation of one reach, with its rows and columns of the template."""
+    """The relaxation of one reach, with its columns of the template; the rows are those of the form."""
 
-    program: Program
+    form: StandardForm
     reach: Reach
-    rows: Indices
     columns: Indices
+
+    def duals(self, y: Array, eta_C: float) -> Duals:
+        """Return the duals of the standard form by rows of the template."""
+        return Duals(self.form.row, self.form.sign * y, eta_C)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,8 @@ class ModeRelaxation:
         self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
         self._add_rows(template, np.sqrt(units.cost) * hessian_roots(problem.quadratic, sizes, T))
         self._template = template.finished(self._at.count)
-        self._hessian = sp.coo_array(self._program.P)
+        hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
+        self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
         self._price = np.zeros(self._at.count)
         self._price[: len(self._program.q)] = self._program.q
         self._price[self._at.epsilon] = COST_SHARE
@@ -102,19 +106,19 @@ class ModeRelaxation:
         self._rows.weight.take(rows, many)
         self._take_several(rows, values, right, reach, many)
         self._several_columns(columns, many)
-        A, lower, upper = self._template.member(rows, columns, values, right)
-        kept = np.flatnonzero(columns)
-        P, cones = self._hessian_of(single, kept), self._cones(rows)
-        return Member(Program(P, self._price[kept], 0.0, A, lower, upper, {}, cones), reach, np.flatnonzero(rows), kept)
-
-    def _cones(self, taken: Mask) -> tuple[slice, ...]:
-        """Return the rows of the cones of a member: all rows of a cone are taken, or none."""
-        host, own = self._host_rows[2].rows.ravel(), self._rows.cone.rows
-        firsts = np.concatenate([host[self._host_cones[:, 0]], own[:, 0]])
-        sizes = np.append(self._host_cones[:, 1], np.full(len(own), own.shape[1]))
-        chosen = taken[firsts]
-        starts = (np.cumsum(taken) - 1)[firsts[chosen]]
-        return tuple(slice(int(a), int(a) + int(size)) for a, size in zip(starts, sizes[chosen], strict=True))
+        part, kept = self._template.member(rows, columns, values, right), np.flatnonzero(columns)
+        form = StandardForm(
+            P=self._hessian_of(single, len(kept)),
+            q=self._price[kept],
+            A=part.A,
+            b=part.b,
+            equations=part.equations,
+            inequalities=part.inequalities,
+            cones=tuple(self._cone_sizes[rows[self._cone_heads]].tolist()),  # all rows of a cone are taken, or none
+            row=part.row,
+            sign=part.sign,
+        )
+        return Member(form, reach, kept)
 
     @property
     def state_curvature(self) -> Array:
@@ -176,11 +180,14 @@ class ModeRelaxation:
             row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
             groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
         self._host_rows = tuple(groups)
-        sizes = np.array(form.cones, dtype=np.intp)
-        self._host_cones = np.column_stack([np.cumsum(sizes) - sizes, sizes])
+        self._cone_sizes = np.array(form.cones, dtype=np.intp)
+        self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
 
     def _add_rows(self, template: RowTemplate, roots: Array) -> None:
         self._rows = mode_rows(template, self._stages, self._at, roots)
+        own = self._rows.cone.rows
+        self._cone_heads = np.append(self._cone_heads, own[:, 0])
+        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
 
     def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
         """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
@@ -239,12 +246,13 @@ class ModeRelaxation:
             )
         return self._stages.scaled(np.where(bounded, bounds, 0.0))
 
-    def _hessian_of(self, single: Mask, kept: Indices) -> sp.csc_array:
+    def _hessian_of(self, single: Mask, count: int) -> sp.csc_array:
         """Return the cost of variables without shares; the columns of the host come first, and are all kept."""
-        row, column = self._hessian.coords
+        values, row, column = self._hessian
         stage = self._stage[row]
         keep = (stage < 0) | single[stage]
-        return sp.csc_array((self._hessian.data[keep], (row[keep], column[keep])), shape=(len(kept), len(kept)))
+        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[keep], minlength=count), dtype=np.int32))
+        return sp.csc_array((values[keep], row[keep], pointers), shape=(count, count))
 
 
 def _box_rows(template: RowTemplate, columns: Indices) -> tuple[Groups, ...]:

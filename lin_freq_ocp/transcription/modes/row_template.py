@@ -38,6 +38,18 @@ class Groups:
         rows[self.rows[mask]] = True
 
 
+@dataclass(frozen=True, eq=False)
+class StandardRows:
+    """The rows of a standard form (``transcription.program``), from ``row`` of the template with these signs."""
+
+    A: sp.csc_array
+    b: Array
+    equations: int
+    inequalities: int
+    row: Indices
+    sign: Array
+
+
 class RowTemplate:
     """Rows of every ``Sense``, collected kind by kind."""
 
@@ -79,23 +91,30 @@ class RowTemplate:
 
 
 class Assembler:
-    """A finished template."""
+    """A finished template, which keeps its entries in the order of standard forms."""
 
     def __init__(self, row: Indices, column: Indices, values: Array, right: Array, senses: Indices, columns: int):
         self.values, self.right, self.columns = values, right, columns
-        self._senses = senses
-        self._order = np.lexsort((row, column))
-        self._row, self._column = row[self._order], column[self._order]
+        self._rows = np.argsort(senses, kind="stable")  # equations, inequalities, cones
+        self._ends = np.searchsorted(senses[self._rows], [Sense.INEQUALITY.value, Sense.CONE.value])
+        place = np.argsort(self._rows)[row]
+        self._order = np.lexsort((place, column))
+        self._place, self._column = place[self._order], column[self._order]
+        self._row_sign = np.where(senses[self._rows] == Sense.CONE.value, -1.0, 1.0)
+        self._sign = self._row_sign[self._place]
 
-    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> tuple[sp.csc_array, Array, Array]:
-        """Return A, lower and upper of some rows and columns, from all coefficients in the order they were added."""
-        kept = np.flatnonzero(rows)
-        numbers = np.cumsum(rows, dtype=np.int32) - np.int32(1)
+    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> StandardRows:
+        """Return the standard form of some rows and columns, from all coefficients in the order they were added."""
+        taken = rows[self._rows]
+        kept = np.flatnonzero(taken)
+        numbers = np.cumsum(taken, dtype=np.int32) - np.int32(1)
         data = values[self._order]
-        keep = rows[self._row] & columns[self._column] & (data != 0)
+        keep = np.flatnonzero(taken[self._place] & columns[self._column] & (data != 0))
         counts = np.bincount(self._column[keep], minlength=self.columns)[columns]
-        pointers = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        A = sp.csc_array((data[keep], numbers[self._row[keep]], pointers), shape=(len(kept), len(counts)))
-        senses, limits = self._senses[kept], right[kept]
-        lower = np.where(senses == Sense.INEQUALITY.value, -np.inf, limits)
-        return A, lower, np.where(senses == Sense.CONE.value, np.inf, limits)
+        pointers = np.append(np.int32(0), np.cumsum(counts, dtype=np.int32))
+        A = sp.csc_array(
+            (data[keep] * self._sign[keep], numbers[self._place[keep]], pointers), shape=(len(kept), len(counts))
+        )
+        row, sign = self._rows[kept], self._row_sign[kept]
+        equations, unequal = (int(end) for end in np.searchsorted(kept, self._ends))
+        return StandardRows(A, sign * right[row], equations, unequal - equations, row, sign)
