@@ -43,12 +43,17 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
     what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for none.
     """
-    n, sizes, limited = problem.state_dim, given_sizes(problem), _limited_sizes(problem)
-    sizes[n:] = np.where(sizes[n:] > 0, sizes[n:], limited[n:])
-    sizes = _completed(problem, sizes)
+    return completed_sizes(problem, given_sizes(problem))
+
+
+def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array, Array]:
+    """Return ``stated_sizes`` from ``given_sizes``."""
+    n, sizes = problem.state_dim, given
     if not sizes.all():
+        limited = _limited_sizes(problem)
+        sizes = _completed(problem, np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])))
         sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
-    sizes = np.where(sizes > 0, sizes, 1.0)
+        sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
 
@@ -68,10 +73,18 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
 
 def _bounded_sizes(tube: Box) -> Array:
     """Return how large bounds (times, k) are at most times; of two that are far apart, the smaller; 0: none."""
-    sides = np.ma.masked_equal(_finite(tube), 0.0)
-    lower, upper = np.ma.filled(np.ma.median(sides, axis=1), 0.0)
+    lower, upper = _middle_size(tube.lower), _middle_size(tube.upper)
     smaller, larger = np.minimum(lower, upper), np.maximum(lower, upper)
     return np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
+
+
+def _middle_size(bounds: Array) -> Array:
+    """Return the median |bound| of each component, bounds (times, k), where it is finite and not 0; 0: nowhere."""
+    sizes = np.sort(np.where(np.isfinite(bounds), np.abs(bounds), 0.0), axis=0)
+    count, last = np.count_nonzero(sizes, axis=0), len(sizes) - 1
+    column, middle = np.arange(sizes.shape[1]), (last - count // 2, last - np.maximum(count - 1, 0) // 2)
+    below, above = (sizes[row, column] for row in middle)
+    return (below + above) / 2
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

@@ -85,9 +85,9 @@ def diagonal_curvature(hessian: Array) -> Array | None:
 def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        free = np.where(curvature > 0, -slope / np.where(curvature > 0, curvature, 1.0), -np.sign(slope) * np.inf)
-        v = np.clip(np.where(slope == 0, 0.0, free), lower, upper)
-        return np.where(np.isinf(v), -np.inf, slope * v + 0.5 * curvature * np.where(np.isinf(v), 0.0, v) ** 2)
+        free = np.where(slope == 0, 0.0, -slope / (curvature + 0.0))  # a curvature of -0.0 becomes 0.0
+        v = np.minimum(np.maximum(free, lower), upper)
+        return np.where(np.isinf(v), -np.inf, (slope + 0.5 * curvature * v) * v)
 
 
 def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
@@ -151,8 +151,8 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     ):
         low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
         error = unit * size.astype(np.float64) + ARITHMETIC_ROUNDING * np.abs(slope)
-        stage_gaps[: len(signal)] -= box_minimum(slope, curvature, low, high).sum(1)
-        pessimistic = [box_minimum(slope + sign * error, curvature, low, high) for sign in (-1, 1)]
+        minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
+        stage_gaps[: len(signal)] -= minimum.sum(1)
         losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
     residual = extended(x)[1:] - extremal.problem.linear.successors(extended(x), extended(u))

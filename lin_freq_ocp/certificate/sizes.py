@@ -46,7 +46,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     most = np.where(caused > 0, caused, needed[:n])
     sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
-    sizes = np.where(alone, np.maximum(sizes, _sizes_by_cost(problem, trajectory)), sizes)
+    if alone.any():
+        sizes = np.where(alone, np.maximum(sizes, _sizes_by_cost(problem, trajectory)), sizes)
     sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
@@ -81,15 +82,18 @@ def _needed(effect: Array, known: Array, anchored: Mask) -> Array:
     return needed
 
 
-def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
+def cost_scale(
+    problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
+) -> float:
     """Return S, the sum of the absolute values of the terms of the cost: what gaps are relative to.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
     of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory.
+    ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
-    sizes = zip((x, u), trajectory_sizes(problem, trajectory), strict=True)
-    in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in sizes)
+    pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
+    in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
     rounding = problem.quadratic.magnitudes().value(in_x, in_u)
     for term in problem.terms:
         for sign in (-1, 1):
@@ -145,8 +149,8 @@ class Floors:
     terms: tuple[Array, ...]
 
 
-def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None) -> Floors:
-    """Return the least scales along a trajectory whose components have these sizes, (n,) and (m,).
+def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None) -> Floors:
+    """Return the least scales along a trajectory whose components have these sizes, (n,) and (m,), and whose S is cost.
 
     The default are those of the extremal's own problem; of a problem with modes, the extremal knows the average only.
     """
@@ -161,5 +165,5 @@ def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None) -> Floo
         in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
         priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
-        level = max(cost_scale(problem, extremal.trajectory), stage)
+        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)

@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.modes.clarke import Judgement, SwitchingFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
-from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.base import entry_for
@@ -234,7 +234,8 @@ def judge(
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
         found = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
-        scale, bound = cost_scale(problem, trajectory), None
+        scale = cost_scale(problem, trajectory) if found.cost_scale is None else found.cost_scale
+        bound = None
         if found.extremal is not None and multipliers.eta_C == 1:
             bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
         jumps = found.borders is not None and found.borders.jumping is not None
@@ -263,7 +264,10 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
     if multipliers.weights is not None:
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
-    return Judgement(all_conditions(extremal), None, cost_of_residuals(extremal), extremal)
+    sizes = trajectory_sizes(problem, trajectory)
+    scale = cost_scale(problem, trajectory, sizes)
+    conditions = all_conditions(extremal, floors(extremal, sizes, scale))
+    return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scale)
 
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {

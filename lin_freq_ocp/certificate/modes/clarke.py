@@ -150,12 +150,16 @@ class SwitchingFacts:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is judged of a trajectory, for any dynamics; ``extremal`` if a global bound follows from the multipliers."""
+    """What is judged of a trajectory, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
+
+    ``cost_scale`` is S of the trajectory, if it was computed.
+    """
 
     conditions: tuple[Condition, ...]
     borders: SwitchingFacts | None
     cost_of_residuals: float
     extremal: Extremal | None = None
+    cost_scale: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -258,7 +259,12 @@ class QuadraticCost(Cost):
 
     def magnitudes(self) -> QuadraticCost:
         """Return the cost with the absolute values of all data, without references."""
-        return QuadraticCost(**{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
+        other, given = (
+            copy(self),
+            {field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")},
+        )
+        assign(other, **given, x_ref=np.zeros(()), u_ref=np.zeros(()))
+        return other
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""

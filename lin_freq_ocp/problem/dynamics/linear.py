@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -270,4 +271,6 @@ class LinearDynamics(StandardDynamics):
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
-        return LinearDynamics(np.abs(self.A), np.abs(self.B), np.abs(self.offset))
+        other = copy(self)
+        assign(other, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))
+        return other

@@ -348,6 +348,8 @@ def bands_of(stop: Mask) -> list[Band]:
 
 def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
+    if not rho.any():
+        return np.zeros((length, rho.shape[1]), dtype=rho.real.dtype)
     k = np.arange(length // 2 + 1)
     weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
     return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from lin_freq_ocp.analysis.sizes import FAR_BEYOND, given_sizes, stated_sizes
+from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -113,26 +113,25 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 def natural_units(problem: OptimalControlProblem) -> Units:
     """Return units in which the data are of order 1."""
-    x, u = _power_of_two(_state_sizes(problem)), _power_of_two(_control_sizes(problem))
+    given = given_sizes(problem)
+    states, controls = completed_sizes(problem, given)
+    known = given[: len(states)] > 0
+    x = _power_of_two(states if known.all() else _state_sizes(problem.linear.A, states, known))
+    u = _power_of_two(_control_sizes(problem.control_tube, controls))
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
     rows = np.abs(_scaled_rows(problem, x, u)).max(1)
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
 
-def _state_sizes(problem: OptimalControlProblem) -> Array:
-    """Return sizes of the states, (n,): as stated, else such that A is balanced among states that act on each other.
+def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
+    """Return sizes of the states, (n,): as given, else such that A is balanced among states that act on each other.
 
-    The estimate |x| <= T |A| |x| of a state without a stated size grows with T, once per state of a chain, even where
+    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even where
     states oscillate against each other. In such units A would be nearly defective.
     """
-    from scipy.sparse.csgraph import connected_components  # slow to import
-
-    A, sizes = problem.linear.A, stated_sizes(problem)[0]
-    given = given_sizes(problem)[: len(A)] > 0
-    count, group = connected_components(A != 0, connection="strong")
-    for i in range(count):
-        mine = np.flatnonzero(group == i)
+    sizes = stated.copy()
+    for mine in _coupled_groups(A):
         coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[mine], sizes[mine] / balanced
@@ -142,14 +141,21 @@ def _state_sizes(problem: OptimalControlProblem) -> Array:
     return sizes
 
 
-def _control_sizes(problem: OptimalControlProblem) -> Array:
+def _coupled_groups(A: Array) -> list[Indices]:
+    """Return the strongly connected components of the graph of A."""
+    reached = (A != 0) | np.eye(len(A), dtype=bool)
+    for _ in range(len(A).bit_length()):
+        reached = reached @ reached
+    mutual = reached & reached.T
+    return [np.flatnonzero(row) for i, row in enumerate(mutual) if np.argmax(row) == i]
+
+
+def _control_sizes(tube: Box, stated: Array) -> Array:
     """Return sizes of the controls, (m,): as stated, or their bounds where only a much smaller reference is stated."""
-    sizes, tube = stated_sizes(problem)[1], problem.control_tube
-    bounds = np.maximum(
-        *(np.median(np.where(np.isfinite(side), np.abs(side), 0.0), axis=0) for side in (tube.lower, tube.upper))
-    )
-    larger = (bounds > tol.MUCH_LARGER * sizes) & (bounds <= FAR_BEYOND * sizes)
-    return np.where(larger, bounds, sizes)
+    lower, upper = (np.median(np.where(np.isfinite(side), np.abs(side), 0.0), axis=0) for side in tube.bounds)
+    bounds = np.maximum(lower, upper)
+    larger = (bounds > tol.MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
+    return np.where(larger, bounds, stated)
 
 
 def revised_units(units: Units, y: Array) -> Units | None:
