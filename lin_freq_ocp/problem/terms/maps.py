@@ -12,9 +12,27 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, times_vectors
+from lin_freq_ocp.arrays import Array, Indices, Mask, times_vectors
 
 Shapes = tuple[tuple[int, ...], tuple[int, ...]]  # of x, (T+1, n), and of u, (T, m)
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumForm:
+    """(Re, Im) of sum_t window_t row'(x_t, u_t) exp(-2 pi i bin t / points) for each bin; those ``kept`` are values."""
+
+    row: Array  # (n + m,)
+    window: Array  # (samples,)
+    points: int
+    bins: Indices  # (bins,), within 0 .. points/2
+    kept: Mask  # (2 bins,), Re and Im of each bin in turn
+
+    @property
+    def zero(self) -> Mask:
+        """Return which of (Re, Im) of each bin are zero for every signal, (2 bins,)."""
+        zero = np.zeros((len(self.bins), 2), dtype=bool)
+        zero[:, 1] = (self.bins == 0) | (2 * self.bins == self.points)
+        return zero.ravel() | (not self.row.any())
 
 
 class AffineMap(ABC):
@@ -64,6 +82,10 @@ class AffineMap(ABC):
 
         t is its time; None if a group depends on several times.
         """
+        return None
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
+        """Return the data of a spectrum, whose values are the kept (Re, Im) in this order; None for other maps."""
         return None
 
     @property

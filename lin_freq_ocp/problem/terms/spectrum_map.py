@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy import fft
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
+from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,11 @@ class SpectrumMap(AffineMap):
             own is given or (own is not None and given is not None and np.array_equal(own, given))
             for own, given in ((self.C, C), (self.D, D))
         )
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm:
+        parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
+        kept = self._kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
+        return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
 
     @property
     def dense_size(self) -> tuple[int, int]:

@@ -45,6 +45,22 @@ class Rows(Protocol):
         """Return how many rows there are for each point of the plain DFT; 1 for rows that are no spectrum."""
         ...
 
+    def used(self, channels: int) -> Mask:
+        """Return which of so many channels have a coefficient."""
+        ...
+
+    def narrowed(self, used: Mask) -> Rows:
+        """Return the rows on the used channels only."""
+        ...
+
+    def norms(self) -> Array:
+        """Return the Euclidean norms of the rows, (count,)."""
+        ...
+
+    def scaled(self, factors: Array, units: Array) -> Rows:
+        """Return the rows times factors (count,), of signals in units (T+1, channels)."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class SpectrumRows:
@@ -99,6 +115,27 @@ class SpectrumRows:
         """Return the number of points of the grid for each of the plain DFT."""
         return self.points // len(self.window)
 
+    def used(self, channels: int) -> Mask:
+        """Return which of so many channels have a coefficient."""
+        return self.coefficients != 0
+
+    def narrowed(self, used: Mask) -> SpectrumRows:
+        """Return the rows on the used channels only."""
+        return replace(self, coefficients=self.coefficients[used])
+
+    def norms(self) -> Array:
+        """Return the Euclidean norms of the rows, (count,), of which those of a bin count as equal."""
+        real = (self.bins == 0) | (2 * self.bins == self.points)
+        size = np.sqrt((self.coefficients**2).sum() * (self.window**2).sum() * np.where(real, 1.0, 0.5))
+        return np.repeat(size * np.abs(self.scale), 2)[self.kept]
+
+    def scaled(self, factors: Array, units: Array) -> SpectrumRows:
+        """Return the rows times factors (count,), equal in a bin, of signals in constant units (T+1, channels)."""
+        pairs = np.ones(2 * len(self.bins))
+        pairs[self.kept] = factors
+        of_bins = np.where(self.kept[0::2], pairs[0::2], pairs[1::2])
+        return replace(self, coefficients=self.coefficients * units[0], scale=self.scale * of_bins)
+
     def _spread(self, signal: Array, signals: Array) -> None:
         for channel in np.flatnonzero(self.coefficients):
             signals[: len(signal), channel] += self.coefficients[channel] * signal
@@ -135,6 +172,27 @@ class SparseRows:
     def oversampling(self) -> int:
         """Return 1."""
         return 1
+
+    def used(self, channels: int) -> Mask:
+        """Return which of so many channels have a coefficient."""
+        return np.bincount(self.matrix.indices % channels, minlength=channels) > 0
+
+    def narrowed(self, used: Mask) -> SparseRows:
+        """Return the rows on the used channels only."""
+        channels, place, indices = len(used), np.cumsum(used) - 1, self.matrix.indices.astype(np.intp)
+        columns = indices // channels * int(used.sum()) + place[indices % channels]
+        shape = self.count, self.matrix.shape[1] // channels * int(used.sum())
+        return SparseRows(sp.csr_array((self.matrix.data, columns, self.matrix.indptr), shape=shape))
+
+    def norms(self) -> Array:
+        """Return the Euclidean norms of the rows, (count,)."""
+        row = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
+        return np.sqrt(np.bincount(row, self.matrix.data**2, minlength=self.count))
+
+    def scaled(self, factors: Array, units: Array) -> SparseRows:
+        """Return the rows times factors (count,), of signals in units (T+1, channels)."""
+        data = self.matrix.data * units.ravel()[self.matrix.indices] * np.repeat(factors, np.diff(self.matrix.indptr))
+        return SparseRows(sp.csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape))
 
 
 @dataclass(frozen=True, eq=False)

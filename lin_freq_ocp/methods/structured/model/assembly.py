@@ -1,0 +1,206 @@
+"""A problem with linear dynamics as stages, in deviations from the references, and the way back.
+
+Boxes and terms of single times become rows of stages, their slacks entries of w behind the controls. Stop bands and
+terms of several times become coupling rows; their slacks are spread over the stages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.model.coupled_rows import (
+    Columns,
+    CoupledPart,
+    on_channels,
+    stopped_parts,
+    term_parts,
+)
+from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling, Equations, Inequalities, SparseRows
+from lin_freq_ocp.methods.structured.model.recovery import Recovery, multiplier_layout
+from lin_freq_ocp.methods.structured.model.stage_rows import (
+    StageRowList,
+    box_rows,
+    joined,
+    nonnegative_slacks,
+    places,
+    term_rows,
+)
+from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.model.units import scaled, unused_entries_held
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """The stages of a problem in the units of the method, and the way between both."""
+
+    stages: Stages
+    recovery: Recovery
+    slack_columns: tuple[Indices, ...]  # of each term: where its slacks stand in y, flat
+
+    def point(self, trajectory: Trajectory) -> Array:
+        """Return y of a trajectory, with the least slacks."""
+        problem = self.recovery.problem
+        x, u = trajectory.x, trajectory.u
+        y, (n, m) = np.zeros(self.stages.h.shape), (problem.state_dim, problem.control_dim)
+        y[:, :n], y[:-1, n : n + m] = problem.quadratic.deviations(x, u)
+        for term, columns in zip(problem.terms, self.slack_columns, strict=True):
+            y.flat[columns] = term.penalty.least_slacks(term.map.values(x, u))
+        return y / self.recovery.units.columns
+
+
+def stages_of(problem: OptimalControlProblem) -> Assembly:
+    """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
+    builder = _Builder(problem)
+    coupling, parts = builder.coupling()
+    x, u = stated_sizes(problem)
+    columns, priced = builder.columns(x, u), builder.priced()
+    stages, units = scaled(builder.stages(coupling), columns, priced)
+    targets, signs = builder.recovered(parts)
+    recovery = Recovery(problem, units, builder.layout, targets, signs)
+    return Assembly(unused_entries_held(stages, builder.used()), recovery, builder.slack_columns)
+
+
+class _Builder:
+    """The rows of a problem, their places, and the arrays that follow."""
+
+    def __init__(self, problem: OptimalControlProblem):
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        self._problem, self._n, self._m, self._T = problem, n, m, T
+        self.layout = multiplier_layout(problem)
+        self._linear, cost = problem.linear, problem.quadratic
+        self._reference = np.zeros((T + 1, n + m))
+        self._reference[:, :n], self._reference[:-1, n:] = cost.x_ref, cost.u_ref
+        tube = problem.state_tube
+        self._fixed = tube.lower[[0, -1]] == tube.upper[[0, -1]]
+        self._rows, of_terms = self._all_rows()
+        self._places = places(self._rows)
+        self._width = n + m + self._places.slack_count
+        self.slack_columns = tuple(self._flat_slacks[one] for one in of_terms)
+
+    def _all_rows(self) -> tuple[StageRowList, list[slice]]:
+        """Return the rows of single times, and of each term, which of their slacks are its own."""
+        problem, n, m, T = self._problem, self._n, self._m, self._T
+        free = np.ones((T + 1, n), dtype=bool)
+        free[[0, -1]] = ~self._fixed
+        parts = [
+            box_rows(problem.state_tube, free, 0, self._reference, self.layout.mu),
+            box_rows(problem.control_tube, np.ones((T, m), dtype=bool), n, self._reference, self.layout.nu),
+        ]
+        spread = 0
+        for term, target in zip(problem.terms, self.layout.terms, strict=True):
+            form = term.map.stage_form(n, m)
+            if form is not None:
+                parts.append(term_rows(term, form, self._reference, target))
+            else:
+                prices = term.penalty.conic(*term.shape).prices
+                times = (spread + np.arange(len(prices))) % (T + 1)
+                parts.append(nonnegative_slacks(times, prices, n + m))
+                spread += len(prices)
+        firsts = np.cumsum([len(part.prices) for part in parts])
+        return joined(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
+
+    def stages(self, coupling: Coupling) -> Stages:
+        """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
+        problem, T, n, m, width = self._problem, self._T, self._n, self._m, self._width
+        cost, linear, reference = problem.quadratic, self._linear, self._reference
+        x_ref, u_ref = reference[:, :n], reference[:-1, n:]
+        A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
+        A[:-1], B[:-1, :, :m] = linear.A, linear.B
+        d[:-1] = linear.successors(x_ref, u_ref) - x_ref[1:]
+        H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
+        H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
+        h[:, :n], h[:-1, n : n + m] = cost.gradient(x_ref, u_ref)
+        h.flat[self._flat_slacks] = self._rows.prices
+        G, g = self._stage_arrays()
+        lower = problem.state_tube.lower
+        initial = np.where(self._fixed[0], lower[0] - x_ref[0], np.nan)
+        return Stages(A, B, d, H, h, G, g, self._places.cones, initial, coupling, cost.value(x_ref, u_ref))
+
+    def _stage_arrays(self) -> tuple[Array, Array]:
+        rows, at, first = self._rows, self._places, self._n + self._m
+        G, g = np.zeros((self._T + 1, at.count, self._width)), np.full((self._T + 1, at.count), np.inf)
+        time = rows.times[at.source]
+        G[time, at.slot, :first] = at.sign[:, None] * rows.matrix[at.source]
+        slacks = sp.coo_array(rows.slacks[at.source])
+        row, slack = slacks.coords
+        G[time[row], at.slot[row], first + at.slack_slot[slack]] = at.sign[row] * slacks.data
+        g[time, at.slot] = np.where(at.sign > 0, rows.upper[at.source], -rows.lower[at.source])
+        return G, g
+
+    def coupling(self) -> tuple[Coupling, list[CoupledPart]]:
+        """Return the rows that couple times, in the problem's own units, and with them where their duals belong."""
+        problem, T, n, m = self._problem, self._T, self._n, self._m
+        reference = self._reference
+        columns = Columns(T + 1, n, m, self._width)
+        x_ref, u_ref = reference[:, :n], reference[:-1, n:]
+        parts = [
+            *stopped_parts(problem.state_stop, T + 1, 0, reference, self._width, self.layout.rho_x),
+            *stopped_parts(problem.control_stop, T, n, reference, self._width, self.layout.rho_u),
+            *self._stage_equations(columns),
+        ]
+        for term, slacks, target in zip(problem.terms, self.slack_columns, self.layout.terms, strict=True):
+            if term.map.stage_form(n, m) is None:
+                parts += term_parts(term, columns, slacks, term.map.values(x_ref, u_ref), target)
+        terminal = np.flatnonzero(self._fixed[1])
+        end = problem.state_tube.lower[-1, terminal] - x_ref[-1, terminal]
+        return on_channels(parts, self._width, terminal, end), parts
+
+    def _stage_equations(self, columns: Columns) -> list[CoupledPart]:
+        """Return the rows of single times with lower = upper."""
+        rows, chosen = self._rows, self._places.equations
+        if not len(chosen):
+            return []
+        matrix = columns.of_stages(rows.times[chosen], rows.matrix[chosen], rows.slacks[chosen], self._flat_slacks)
+        return [CoupledPart(Equations(SparseRows(matrix), rows.lower[chosen]), rows.targets[chosen])]
+
+    @property
+    def _flat_slacks(self) -> Indices:
+        return self._rows.slack_times * self._width + self._n + self._m + self._places.slack_slot
+
+    def used(self) -> Mask:
+        """Return which entries of y are used, (T+1, n+k)."""
+        used = np.zeros((self._T + 1, self._width), dtype=bool)
+        used[:, : self._n], used[:-1, : self._n + self._m] = True, True
+        used.flat[self._flat_slacks] = True
+        return used
+
+    def columns(self, x: Array, u: Array) -> Array:
+        """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
+        problem, n = self._problem, self._n
+        columns = np.ones((self._T + 1, self._width))
+        columns[:, :n], columns[:, n : n + self._m] = x, u
+        signals = np.broadcast_to(x, (self._T + 1, n)), np.broadcast_to(u, (self._T, self._m))
+        for term, flat in zip(problem.terms, self.slack_columns, strict=True):
+            if len(flat):
+                paid = term.penalty.conic(*term.shape).paid
+                sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
+                columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
+        return columns
+
+    def priced(self) -> Mask:
+        """Return which entries of y make the size of the cost: signals, and slacks of nonsmooth costs, (T+1, n+k)."""
+        priced = self.used()
+        for term, flat in zip(self._problem.terms, self.slack_columns, strict=True):
+            priced.flat[flat] = term.kind.is_cost
+        return priced
+
+    def recovered(self, parts: list[CoupledPart]) -> tuple[Indices, Array]:
+        """Return the target and the sign of every dual behind those of the dynamics, flat."""
+        n, T, places = self._n, self._T, self._places
+        initial = np.where(self._fixed[0], self.layout.mu + np.arange(n), -1)
+        end = self.layout.mu + T * n + np.flatnonzero(self._fixed[1])
+        of_stages, signs = np.full((T + 1, places.count), -1), np.ones((T + 1, places.count))
+        at = self._rows.times[places.source], places.slot
+        of_stages[at], signs[at] = self._rows.targets[places.source], places.sign
+        ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
+        targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
+        of_parts = [np.full(part.targets.size, part.sign) for part in ordered]
+        return np.concatenate(targets), np.concatenate([np.ones(n), signs.ravel(), np.ones(len(end)), *of_parts])

@@ -1,0 +1,131 @@
+"""Units of stages: entries of y of order 1, limits of rows and cones of order 1, a cost whose steepest slope is 10.
+
+    y = columns * y',   row' = factor * row,   cost' = factor * cost;   z = factor of the row * z' / factor of the cost
+
+An entry of y that is not used at a time has Hessian 1 there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling
+from lin_freq_ocp.methods.structured.model.stages import Stages
+
+COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """The units of y, (T+1, n+k), and the factors of every row behind the dynamics and of the cost."""
+
+    columns: Array
+    rows: Array  # (rows,): of x_0, of stages, equations, inequalities and balls, flat
+    cost: float
+
+
+def scaled(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Units]:
+    """Return the stages with y in units ``columns`` (T+1, n+k), and all units; priced entries of y make the cost."""
+    n = stages.states
+    G = stages.G * columns[:, None]
+    of_stages = _stage_factors(G, stages.g, stages.cones)
+    coupling, of_coupling = _scaled_coupling(stages.coupling, columns)
+    H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
+    cost = _cost_factor(np.abs(H).sum(2) + np.abs(h), priced)
+    A, B = stages.A * columns[:, None, :n], stages.B * columns[:, None, n:]
+    A[:-1] /= columns[1:, :n, None]
+    B[:-1] /= columns[1:, :n, None]
+    d = stages.d.copy()
+    d[:-1] /= columns[1:, :n]
+    changed = replace(
+        stages,
+        A=A,
+        B=B,
+        d=d,
+        H=H * cost,
+        h=h * cost,
+        G=G * of_stages[:, :, None],
+        g=stages.g * of_stages,
+        initial=stages.initial / columns[0, :n],
+        coupling=coupling,
+        constant=stages.constant * cost,
+    )
+    return changed, Units(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+
+
+def unused_entries_held(stages: Stages, used: Mask) -> Stages:
+    """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
+    H, (time, entry) = stages.H.copy(), np.nonzero(~used)
+    H[time, entry, entry] = 1.0
+    return replace(stages, H=H)
+
+
+def _cost_factor(slopes: Array, priced: Mask) -> float:
+    steepest = float(slopes[priced].max(initial=0.0))
+    if steepest == 0:  # nothing but penalties
+        steepest = float(slopes.max(initial=0.0))
+    return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+
+
+def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
+    """Return the factor of every row, (T+1, p): its limit, or that of its cone, becomes 1 unless its norm is larger."""
+    norms, limits = np.sqrt((G**2).sum(2)), np.where(np.isfinite(g), np.abs(g), 0.0)
+    sizes, first = np.maximum(norms, limits), g.shape[1] - sum(cones)
+    for size in cones:
+        cone = slice(first, first + size)
+        head = sizes[:, first, None]
+        sizes[:, cone] = np.where(head > 0, head, norms[:, cone].max(axis=1, keepdims=True))
+        first += size
+    return _inverse(sizes)
+
+
+def _scaled_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
+    units = columns[:, coupling.channels]
+    end = columns[-1, coupling.terminal]
+    factors = [1 / end]
+    equations = []
+    for part in coupling.equations:
+        factors.append(_inverse(part.rows.scaled(np.ones(part.rows.count), units).norms()))
+        equations.append(replace(part, rows=part.rows.scaled(factors[-1], units), right=part.right * factors[-1]))
+    inequalities = []
+    for part in coupling.inequalities:
+        factors.append(_inverse(part.rows.scaled(np.ones(part.rows.count), units).norms()))
+        inequalities.append(replace(part, rows=part.rows.scaled(factors[-1], units), limits=part.limits * factors[-1]))
+    balls = []
+    for part in coupling.balls:
+        changed, factor = _scaled_balls(part, units)
+        balls.append(changed)
+        factors.append(np.repeat(factor, 1 + part.dim))
+    changed = replace(
+        coupling,
+        terminal_state=coupling.terminal_state / end,
+        equations=tuple(equations),
+        inequalities=tuple(inequalities),
+        balls=tuple(balls),
+    )
+    return changed, np.concatenate(factors)
+
+
+def _scaled_balls(part: Balls, units: Array) -> tuple[Balls, Array]:
+    """Return balls of radius 1, unless their slacks are larger, and the factor of each."""
+    count, plain = len(part.radius), part.rows.scaled(np.ones(part.rows.count), units)
+    sizes = np.abs(part.radius)
+    if part.heads is not None:
+        sizes = np.maximum(sizes, part.heads.scaled(np.ones(count), units).norms())
+    factor = _inverse(np.where(sizes > 0, sizes, plain.norms().reshape(count, -1).max(axis=1)))
+    return (
+        Balls(
+            part.rows.scaled(np.repeat(factor, part.dim), units),
+            part.radius * factor,
+            None if part.heads is None else part.heads.scaled(factor, units),
+            None if part.offset is None else part.offset * factor[:, None],
+        ),
+        factor,
+    )
+
+
+def _inverse(sizes: Array) -> Array:
+    return 1.0 / np.where(sizes > 0, sizes, 1.0)

@@ -1,0 +1,154 @@
+"""Problems as stages: the same costs and rows, the same optimum, in the same numbers whatever the units."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.linear_kinds import KINDS, PLANT, A, B, T
+from helpers.stage_programs import solved_stages, stage_operator
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured.model.assembly import stages_of
+from lin_freq_ocp.methods.structured.model.coupling import SparseRows
+from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.terms.term import Term
+
+
+def cost_of(stages: Stages, y: np.ndarray) -> float:
+    curved = 0.5 * np.einsum("ti,tij,tj", y, stages.H, y)
+    return float(curved + (stages.h * y).sum() + stages.constant)
+
+
+def worst_violation(stages: Stages, y: np.ndarray) -> float:
+    """Return by how much b - A y lies outside its cones."""
+    matrices, right = stage_operator(stages)
+    rest = [b - M @ y.ravel() for M, b in zip(matrices, right, strict=True)]
+    worst = [np.abs(rest[i]).max(initial=0.0) for i in (0, 1, 3)] + [-rest[4].min(initial=0.0)]
+    first = stages.G.shape[1] - sum(stages.cones)
+    s = rest[2].reshape(stages.g.shape)
+    worst.append(-s[:, :first].min(initial=0.0))
+    for size in stages.cones:
+        cone = s[stages.present[:, first], first : first + size]
+        worst.append((np.linalg.norm(cone[:, 1:], axis=1) - cone[:, 0]).max(initial=0.0))
+        first += size
+    for part, values in zip(stages.coupling.balls, rest[5:], strict=True):
+        ball = values.reshape(len(part.radius), -1)
+        worst.append((np.linalg.norm(ball[:, 1:], axis=1) - ball[:, 0]).max(initial=0.0))
+    return float(max(worst))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_trajectories_cost_the_same(kind):
+    problem, rng = KINDS[kind](), np.random.default_rng(1)
+    assembly = stages_of(problem)
+    for _ in range(3):
+        trajectory = lfo.Trajectory(rng.standard_normal((T + 1, 2)), rng.standard_normal((T, 2)))
+        y = assembly.point(trajectory)
+        expected = problem.value(trajectory.x, trajectory.u)
+        assert cost_of(assembly.stages, y) / assembly.recovery.units.cost == pytest.approx(expected, rel=1e-12)
+        back = assembly.recovery.trajectory(y)
+        np.testing.assert_allclose(back.x, trajectory.x, atol=1e-14)
+        np.testing.assert_allclose(back.u, trajectory.u, atol=1e-14)
+        assert worst_violation(assembly.stages, y) > 1e-3  # it follows no dynamics
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_optimum_is_that_of_the_sparse_program(kind):
+    problem = KINDS[kind]()
+    known, assembly = lfo.solve(problem, method="convex"), stages_of(problem)
+    assert worst_violation(assembly.stages, assembly.point(known.trajectory)) < 1e-8
+    status, y, z = solved_stages(assembly.stages)
+    assert status in ("Solved", "AlmostSolved")
+    cost = cost_of(assembly.stages, y) / assembly.recovery.units.cost
+    assert cost == pytest.approx(known.cost, rel=1e-8)
+    certificate = lfo.certify(problem, assembly.recovery.trajectory(y), assembly.recovery.multipliers(z, 1.0))
+    assert certificate.globally_optimal, certificate
+
+
+@pytest.mark.parametrize("kind", ["boxes", "cone", "soft rows", "control ball"])
+def test_stages_do_not_depend_on_units(kind):
+    problem, units = KINDS[kind](), (np.array([1e6, 1e-3]), np.array([1e-6, 1e2]), 1e4)
+    plain, changed = stages_of(problem).stages, stages_of(in_units(problem, *units)).stages
+    for field in ("A", "B", "d", "H", "h", "G", "g", "initial"):
+        np.testing.assert_allclose(getattr(changed, field), getattr(plain, field), rtol=1e-9, atol=1e-12)
+    assert plain.constant == pytest.approx(changed.constant)
+
+
+def in_units(problem, x, u, cost):
+    """Return a problem with a quadratic cost in units x, u (x_given = x x_new), and costs of 1 / cost."""
+    quadratic, sets = problem.quadratic, {}
+    given = problem.control_set
+    if isinstance(given, lfo.Box):
+        sets["control_set"] = lfo.Box(given.lower / u, given.upper / u)
+        sets["state_set"] = lfo.Box(problem.state_set.lower / x, problem.state_set.upper / x)
+    elif given is not None:
+        sets["control_set"] = lfo.sets.Ellipsoid(np.diag(u), given.radius, given.centre / u)
+    if isinstance(problem.state_set, lfo.sets.SecondOrderCone):
+        sets["state_set"] = lfo.sets.SecondOrderCone(np.diag(x), np.zeros(2), np.array([0.2, -0.5]) * x, 1.0)
+    rows = [
+        lfo.StageRows(one.C * x, one.D * u, one.e, one.name, one.penalty and one.penalty / cost)
+        for one in problem.stage_rows
+    ]
+    dynamics = lfo.LinearDynamics(A / x[:, None] * x, B / x[:, None] * u, PLANT.offset / x)
+    scaled = lfo.QuadraticCost(
+        Q=quadratic.Q * x * x[:, None] / cost,
+        R=quadratic.R * u * u[:, None] / cost,
+        P=quadratic.P * x * x[:, None] / cost,
+    )
+    start = problem.initial_state.lower / x
+    return replace(problem, dynamics=dynamics, cost=scaled, initial_state=start, stage_rows=rows or None, **sets)
+
+
+def test_limits_are_of_order_one():
+    stages = stages_of(KINDS["control ball"]()).stages
+    np.testing.assert_allclose(stages.g[:-1, 0], 1.0)  # the heads
+    masks = stages_of(KINDS["fine mask"]()).stages.coupling.balls
+    assert masks
+    for part in masks:
+        np.testing.assert_allclose(part.radius, 1.0)
+
+
+def test_long_masks_need_no_dense_rows():
+    horizon = 5000
+    problem = lfo.OptimalControlProblem(
+        PLANT,
+        horizon,
+        lfo.QuadraticCost(Q=1.0, R=0.1),
+        control_set=lfo.sets.Ball(0.4),
+        initial_state=[1.0, 0.0],
+        control_spectrum=[
+            lfo.low_pass(1.0),
+            lfo.MagnitudeBound(0.5, band=lfo.low_pass(0.5), oversampling=2, penalty=1.0),
+        ],
+    )
+    stages = stages_of(problem).stages
+    numbers = sum(array.size for array in (stages.A, stages.B, stages.H, stages.G))
+    for part in stages.coupling.balls:
+        assert not isinstance(part.rows, SparseRows)
+        assert isinstance(part.heads, SparseRows)
+        numbers += part.heads.matrix.nnz
+    assert sum(part.rows.count for part in stages.coupling.balls) > 2 * horizon
+    assert numbers < 150 * horizon
+
+
+class OnlyLargest(NormBall):
+    """A penalty whose slack bounds all groups: its conic form joins what the groups are about."""
+
+    def conic(self, groups, dim):
+        form = super().conic(groups, dim)
+        slacks = form.slacks @ np.ones((form.slacks.shape[1], 1))
+        return replace(form, slacks=type(form.slacks)(slacks), prices=form.prices[:1], paid=form.paid[:1])
+
+
+@pytest.mark.parametrize("kind", ["control ball", "mask"])
+def test_a_conic_form_that_joins_times_is_refused(kind):
+    problem = KINDS[kind]()
+    term = problem.terms[0]
+    joining = OnlyLargest(np.inf, np.full(term.shape[0], 0.4), np.asarray(1.0))
+    problem.__dict__["terms"] = (Term("peak", term.kind, term.map, joining),)
+    with pytest.raises(UnsupportedError, match="'peak'"):
+        stages_of(problem)
