@@ -106,9 +106,11 @@ class SpectrumRows:
         self._spread(waves * self.window[:, None], signals)
 
     def picked(self, groups: Indices, dim: int) -> SpectrumRows:
-        """Return the rows of some bins."""
-        kept = self.kept.reshape(-1, dim)[groups].ravel()
-        return replace(self, bins=self.bins[groups], scale=self.scale[groups], kept=kept)
+        """Return the rows of some groups, in increasing order."""
+        kept = np.zeros(len(self.kept), dtype=bool)
+        kept[np.flatnonzero(self.kept)[(groups[:, None] * dim + np.arange(dim)).ravel()]] = True
+        used = kept.reshape(-1, 2).any(axis=1)
+        return replace(self, bins=self.bins[used], scale=self.scale[used], kept=kept[np.repeat(used, 2)])
 
     @property
     def oversampling(self) -> int:
