@@ -7,6 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from lin_freq_ocp.methods.structured.kkt.blocks import OpenLoop
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
 NONE = np.zeros(0, dtype=np.intp)
@@ -101,21 +102,25 @@ def test_equations_hold_where_the_states_grow_by_seventeen_decades(chosen, seed)
     assert np.allclose(y[0, : len(fixed)][fixed], x0[fixed], rtol=0, atol=1e-12 * sizes)
 
 
+@pytest.mark.parametrize("width", [3, 11])
 @pytest.mark.parametrize("seed", range(10))
-def test_responses_are_solutions_side_by_side(chosen, seed):
-    rng, A, B, Phi, fixed, r, c, _ = stages(seed)
+def test_responses_are_solutions_side_by_side(chosen, seed, width):
+    rng, A, B, Phi, fixed, r, c, _ = stages(seed, T=30 + seed)
     nz, n = r.shape[1], A.shape[1]
     channels = rng.permutation(nz)[: int(rng.integers(1, nz + 1))]
-    R, E = rng.standard_normal((len(A), len(channels), 5)), rng.standard_normal((n, 5))
+    R, E = rng.standard_normal((len(A), len(channels), width)), rng.standard_normal((n, width))
     regulator = chosen.factor(A, B, Phi, fixed)
     Y, X = regulator.responses(channels, R, E)
-    for j in range(5):
+    for j in range(width):
         gradient = np.zeros_like(r)
         gradient[:, channels] = R[:, :, j]
         gradient[-1, :n] += E[:, j]
         y = regulator.solve(gradient, np.zeros_like(c), np.zeros(n))[0]
         assert np.allclose(Y[:, :, j], y[:, channels], rtol=0, atol=1e-10 * np.abs(y).max())
         assert np.allclose(X[:, j], y[-1, :n], rtol=0, atol=1e-10 * np.abs(y).max())
+    others = np.setdiff1d(np.arange(nz), channels)[:1]
+    Y, _ = regulator.responses(others, R[:, : len(others)], E)
+    assert Y.shape[1] == len(others)
 
 
 def test_an_entry_without_cost_has_a_finite_answer(chosen):
@@ -124,8 +129,8 @@ def test_an_entry_without_cost_has_a_finite_answer(chosen):
     B[:, :, 0], Phi[:, n], Phi[:, :, n], r[:, n] = 0.0, 0.0, 0.0, 0.0
     y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
     assert np.abs(stationarity(A, B, Phi, r, y, eta, lam0)).max() < 1e-10 * np.abs(Phi).max() * np.abs(y).max()
-    R = np.ones((len(A), 1, 1))
-    assert np.isfinite(chosen.factor(A, B, Phi, fixed).responses(np.array([0]), R, np.zeros((n, 1)))[0]).all()
+    R = np.ones((len(A), 1, 12))
+    assert np.isfinite(chosen.factor(A, B, Phi, fixed).responses(np.array([0]), R, np.zeros((n, 12)))[0]).all()
 
 
 def test_weights_of_rows_and_cones(chosen):
@@ -184,13 +189,24 @@ def test_states_follow_from_the_offsets(chosen):
     assert np.allclose(rows_of_states(A, B, y), c[:-1], rtol=0, atol=1e-12 * np.abs(y).max())
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(10))
+def test_both_kinds_agree(both, seed):
+    rng, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=3.0)
+    for first, second in zip(*(kind.factor(A, B, Phi, fixed).solve(r, c, x0) for kind in both), strict=True):
+        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
+    R, E = rng.standard_normal((len(A), r.shape[1], 12)), np.zeros((A.shape[1], 12))
+    channels = np.arange(r.shape[1])
+    for first, second in zip(*(kind.factor(A, B, Phi, fixed).responses(channels, R, E) for kind in both), strict=True):
+        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
+
+
+@pytest.mark.parametrize("seed", range(16))
 def test_columns_are_sweeps_side_by_side(chosen, seed):
-    rng, A, B, Phi, _, _, c, _ = stages(seed)
+    rng, A, B, Phi, _, _, c, _ = stages(seed, T=1 + 4 * seed)
     n, k = B.shape[1:]
-    breaks = np.arange(2, len(A), 4)
+    breaks = 1 + np.flatnonzero(rng.random(len(A) - 1) < [0.0, 0.05, 0.3, 1.0][seed % 4])
     W, starts = rng.standard_normal((len(A), k, 3)), rng.standard_normal((len(breaks), n, 3))
-    GW, gstarts, ends, X = chosen.columns(A, B, Phi, breaks, starts, W)
+    GW, gstarts, ends, X = OpenLoop(A, B, Phi, breaks).columns(starts, W)
     for j in range(3):
         y = np.zeros((len(A), n + k))
         y[:, n:] = W[:, :, j]
@@ -199,19 +215,8 @@ def test_columns_are_sweeps_side_by_side(chosen, seed):
         size = np.abs(gw).max()
         assert np.allclose(GW[:, :, j], gw, rtol=0, atol=1e-11 * size)
         assert np.allclose(gstarts[:, :, j], gs, rtol=0, atol=1e-11 * size)
-        assert np.allclose(ends[:, :, j], ended)
-        assert np.allclose(X[:, j], y[-1, :n])
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_both_kinds_agree(both, seed):
-    rng, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=3.0)
-    for first, second in zip(*(kind.factor(A, B, Phi, fixed).solve(r, c, x0) for kind in both), strict=True):
-        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
-    R, E = rng.standard_normal((len(A), r.shape[1], 4)), np.zeros((A.shape[1], 4))
-    channels = np.arange(r.shape[1])
-    for first, second in zip(*(kind.factor(A, B, Phi, fixed).responses(channels, R, E) for kind in both), strict=True):
-        assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
+        assert np.allclose(ends[:, :, j], ended, rtol=0, atol=1e-11 * np.abs(y).max())
+        assert np.allclose(X[:, j], y[-1, :n], rtol=0, atol=1e-11 * np.abs(y).max())
 
 
 def test_numba_is_imported_only_when_compiled_loops_are_asked_for():

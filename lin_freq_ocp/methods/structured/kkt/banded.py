@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
@@ -38,24 +39,36 @@ def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
     return entries.reshape(stages * size, -1).T
 
 
-def solve_positive(S: Array, right: Array) -> Array:
-    """Return S^-1 right for a positive semidefinite matrix; a pivot below the rounding is raised."""
-    _, found, info = lapack.dposv(S, right, lower=1)
+def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array:
+    """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, with A_{t-1} = 0 for t in ``breaks``."""
+    stages, n, _ = A.shape
+    entries = np.zeros((stages, n, 2 * n))  # column by column; row i of a column j is at i - j
+    for j in range(n):
+        entries[:-1, j, n - j : 2 * n - j] = -A[:-1, :, j]
+        entries[breaks - 1, j] = 0.0
+    matrix, trans = entries.reshape(stages * n, -1).T, "T" if transposed else "N"
+    return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
+
+
+def cholesky(S: Array) -> Array:
+    """Return the lower factor of a positive semidefinite matrix; a pivot below the rounding is raised."""
+    L, info = lapack.dpotrf(S, lower=1, clean=1)
     if info:
         diagonal = np.diag(S)
-        floor = np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0) * PIVOT
+        floor = PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
         while info:
-            _, found, info = lapack.dposv(S + np.diag(floor), right, lower=1)
+            L, info = lapack.dpotrf(S + np.diag(floor), lower=1, clean=1)
             floor *= 10
-    return found
+    return L
 
 
-class BandedRegulator:
+class BandedRegulator(BlockRegulator):
     """LU factors of all stages, and the gains of the Riccati recursion when they are first needed."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
         self._A, self._B, self._Phi, self._fixed = A, B, Phi, fixed
+        self._found: Gains | None = None
         self._band = 2 * A.shape[1] + B.shape[2] - 1
         matrix = banded_matrix(A, B, Phi, fixed)
         self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
@@ -80,44 +93,22 @@ class BandedRegulator:
         eta[:-1] = found[1:, :n]
         return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
 
-    def _gains(self) -> None:
-        """Fill K, S and A_c, and P_0."""
-        A, B, Phi = self._A, self._B, self._Phi
-        stages, n, k = B.shape
-        P = np.zeros((n, n))
-        self._K, self._S = np.empty((stages, k, n)), np.empty((stages, k, k))
-        for t in range(stages - 1, -1, -1):
-            BP = B[t].T @ P
-            self._S[t] = Phi[t, n:, n:] + BP @ B[t]
-            self._K[t] = -solve_positive(self._S[t], Phi[t, n:, :n] + BP @ A[t])
-            closed = A[t] + B[t] @ self._K[t]
-            root = np.concatenate([np.eye(n), self._K[t]])
-            P = root.T @ Phi[t] @ root + closed.T @ P @ closed
-            P = (P + P.T) / 2
-        self._P0 = P
-        self._Ac = A + B @ self._K
-
-    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the responses on the channels, and x_T."""
-        if not hasattr(self, "_P0"):
-            self._gains()
-        A, B = self._A, self._B
-        stages, n, k = B.shape
-        r = np.zeros((stages, n + k, R.shape[2]))
-        r[:, channels] = R
-        r[-1, :n] += E
-        p, w, y = np.zeros((n, R.shape[2])), np.empty((stages, k, R.shape[2])), np.empty_like(r)
-        for t in range(stages - 1, -1, -1):
-            w[t] = -solve_positive(self._S[t], r[t, n:] + B[t].T @ p)
-            p = r[t, :n] + self._K[t].T @ r[t, n:] + self._Ac[t].T @ p
-        free = np.flatnonzero(~self._fixed)
-        x = np.zeros_like(p)
-        x[free] = -solve_positive(self._P0[np.ix_(free, free)], p[free]) if len(free) else 0.0
-        for t in range(stages):
-            y[t, :n] = x
-            y[t, n:] = self._K[t] @ x + w[t]
-            x = A[t] @ x + B[t] @ y[t, n:]
-        return y[:, channels], y[-1, :n].copy()
+    def gains(self) -> Gains:
+        """Return what the Riccati recursion of compiled.py finds."""
+        if self._found is None:
+            B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
+            stages, n, k = B.shape
+            P, root = np.zeros((n, n)), np.concatenate([np.eye(n), np.zeros((k, n))])
+            L, K = np.empty((stages, k, k)), np.empty((stages, k, n))
+            for t in range(stages - 1, -1, -1):
+                M = Phi[t] + AB[t].T @ (P @ AB[t])
+                L[t] = cholesky(M[n:, n:])
+                K[t] = root[n:] = -lapack.dpotrs(L[t], M[n:, :n], lower=1)[0]
+                closed = AB[t] @ root
+                P = root.T @ (Phi[t] @ root) + closed.T @ (P @ closed)
+                P = (P + P.T) / 2
+            self._found = Gains(B, K, L, self._A + B @ K, P, self._fixed)
+        return self._found
 
 
 class BandedLoops:
@@ -147,48 +138,23 @@ class BandedLoops:
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
         """Write the states of y, and return the ends."""
         n = A.shape[1]
-        ends, restart = np.empty_like(starts), {int(t): i for i, t in enumerate(breaks)}
-        for t in range(len(A) - 1):
-            y[t + 1, :n] = A[t] @ y[t, :n] + B[t] @ y[t, n:] + c[t]
-            if t + 1 in restart:
-                ends[restart[t + 1]] = y[t + 1, :n]
-                y[t + 1, :n] = starts[restart[t + 1]]
-        return ends
+        right = np.empty((len(A), n))
+        right[0], right[1:] = y[0, :n], np.einsum("tij,tj->ti", B[:-1], y[:-1, n:]) + c[:-1]
+        ends = right[breaks]
+        right[breaks] = starts
+        y[:, :n] = simulate(A, breaks, right, transposed=False)
+        return ends + np.einsum("tij,tj->ti", A[breaks - 1], y[breaks - 1, :n])
 
     def backward(
         self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
     ) -> tuple[Array, Array, Array]:
         """Return the costates, and the gradients in w and in the starts."""
         n = A.shape[1]
-        costates, gw, gstarts = np.empty((len(A), n)), np.empty((len(A), B.shape[2])), np.empty_like(prices)
-        p, restart = np.zeros(n), {int(t): i for i, t in enumerate(breaks)}
-        for t in range(len(A) - 1, -1, -1):
-            gw[t] = gradient[t, n:] + B[t].T @ p
-            p = gradient[t, :n] + A[t].T @ p
-            if t in restart:
-                gstarts[restart[t]] = p
-                p = -prices[restart[t]]
-            costates[t] = p
+        right = gradient[:, :n].copy()
+        right[breaks - 1] -= np.einsum("tji,tj->ti", A[breaks - 1], prices)
+        costates = simulate(A, breaks, right, transposed=True)
+        gstarts = costates[breaks]
+        costates[breaks] = -prices
+        gw = gradient[:, n:].copy()
+        gw[:-1] += np.einsum("tji,tj->ti", B[:-1], costates[1:])
         return costates, gw, gstarts
-
-    def columns(
-        self, A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return the gradients in w and in the starts, the ends, and x_T."""
-        n, m = A.shape[1], W.shape[2]
-        Y, ends = np.zeros((len(A), n + W.shape[1], m)), np.empty_like(starts)
-        Y[:, n:] = W
-        restart = {int(t): i for i, t in enumerate(breaks)}
-        for t in range(len(A) - 1):
-            Y[t + 1, :n] = A[t] @ Y[t, :n] + B[t] @ W[t]
-            if t + 1 in restart:
-                ends[restart[t + 1]] = Y[t + 1, :n]
-                Y[t + 1, :n] = starts[restart[t + 1]]
-        gradient = Phi @ Y
-        p, gstarts = np.zeros((n, m)), np.empty_like(starts)
-        for t in range(len(A) - 1, -1, -1):
-            gradient[t, n:] += B[t].T @ p
-            p = gradient[t, :n] + A[t].T @ p
-            if t in restart:
-                gstarts[restart[t]], p = p, np.zeros((n, m))
-        return gradient[:, n:].copy(), gstarts, ends, Y[-1, :n].copy()

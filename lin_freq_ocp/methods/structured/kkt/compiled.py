@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -218,81 +219,6 @@ def solve(
 
 
 @jit
-def add_multiple(a: float, x: Array, y: Array) -> None:
-    """Add a x to y."""
-    for j in range(len(y)):
-        y[j] += a * x[j]
-
-
-@jit
-def cholesky_solve_rows(L: Array, b: Array) -> None:
-    """Replace b (size, m) by (L L')^-1 b."""
-    size = len(L)
-    for i in range(size):
-        for m in range(i):
-            add_multiple(-L[i, m], b[m], b[i])
-        b[i] /= L[i, i]
-    for i in range(size - 1, -1, -1):
-        for m in range(i + 1, size):
-            add_multiple(-L[m, i], b[m], b[i])
-        b[i] /= L[i, i]
-
-
-@jit
-def responses(
-    A: Array, B: Array, K: Array, L: Array, Ac: Array, P0: Array, free: Indices, where: Indices, R: Array, E: Array
-) -> tuple[Array, Array]:
-    """Return the responses on the channels and x_T; where[i] is the channel that is entry i of y, or -1."""
-    stages, n, k = B.shape
-    width = R.shape[2]
-    p, q, w, Y = np.zeros((n, width)), np.empty((n, width)), np.empty((stages, k, width)), np.empty(R.shape)
-    for t in range(stages - 1, -1, -1):
-        for i in range(k):
-            w[t, i] = 0.0
-            if where[n + i] >= 0:
-                add_multiple(-1.0, R[t, where[n + i]], w[t, i])
-            for m in range(n):
-                add_multiple(-B[t, m, i], p[m], w[t, i])
-        cholesky_solve_rows(L[t], w[t])
-        for i in range(n):
-            q[i] = 0.0
-            if where[i] >= 0:
-                add_multiple(1.0, R[t, where[i]], q[i])
-            for m in range(k):
-                if where[n + m] >= 0:
-                    add_multiple(K[t, m, i], R[t, where[n + m]], q[i])
-            for m in range(n):
-                add_multiple(Ac[t, m, i], p[m], q[i])
-        if t == stages - 1:
-            q += E
-        p, q = q, p
-    x, X = np.zeros((n, width)), np.empty((n, width))
-    first = np.empty((len(free), width))
-    for f in range(len(free)):
-        first[f] = -p[free[f]]
-    cholesky_solve_rows(P0, first)
-    for f in range(len(free)):
-        x[free[f]] = first[f]
-    for t in range(stages):
-        for i in range(k):
-            for m in range(n):
-                add_multiple(K[t, i, m], x[m], w[t, i])
-        for i in range(n + k):
-            if where[i] >= 0:
-                Y[t, where[i]] = x[i] if i < n else w[t, i - n]
-        if t == stages - 1:
-            X[:] = x
-        for i in range(n):
-            q[i] = 0.0
-            for m in range(n):
-                add_multiple(A[t, i, m], x[m], q[i])
-            for m in range(k):
-                add_multiple(B[t, i, m], w[t, m], q[i])
-        x, q = q, x
-    return Y, X
-
-
-@jit
 def gram(H: Array, G: Array, weights: Array, points: Array, ends: Indices) -> Array:
     """Return H + G'W^-2 G; cone j has the rows ends[j] .. ends[j+1] - 1, of which G'W^-2 G = (2 q q' - G'J G)/eta^2."""
     stages, _, nz = G.shape
@@ -370,66 +296,21 @@ def backward(A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
     return p[:stages].copy(), gw, gstarts
 
 
-@jit
-def columns(
-    A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return the gradients in w and in the starts, the ends, and x_T."""
-    stages, n, k = B.shape
-    width = W.shape[2]
-    X, GW = np.zeros((stages, n, width)), np.zeros(W.shape)
-    gstarts, ends = np.empty(starts.shape), np.empty(starts.shape)
-    done = 0
-    for t in range(stages - 1):
-        for i in range(n):
-            for m in range(n):
-                if A[t, i, m] != 0.0:
-                    add_multiple(A[t, i, m], X[t, m], X[t + 1, i])
-            for m in range(k):
-                if B[t, i, m] != 0.0:
-                    add_multiple(B[t, i, m], W[t, m], X[t + 1, i])
-        if done < len(breaks) and breaks[done] == t + 1:
-            ends[done] = X[t + 1]
-            X[t + 1] = starts[done]
-            done += 1
-    p, q = np.zeros((n, width)), np.empty((n, width))
-    for t in range(stages - 1, -1, -1):
-        q[:] = 0.0
-        for i in range(n + k):
-            out = q[i] if i < n else GW[t, i - n]
-            for m in range(n + k):
-                if Phi[t, i, m] != 0.0:
-                    add_multiple(Phi[t, i, m], X[t, m] if m < n else W[t, m - n], out)
-            for m in range(n):
-                entry = A[t, m, i] if i < n else B[t, m, i - n]
-                if entry != 0.0:
-                    add_multiple(entry, p[m], out)
-        p, q = q, p
-        if done > 0 and breaks[done - 1] == t:
-            done -= 1
-            gstarts[done] = p
-            p[:] = 0.0
-    return GW, gstarts, ends, X[stages - 1].copy()
-
-
-class CompiledRegulator:
+class CompiledRegulator(BlockRegulator):
     """The factors of the Riccati recursion."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
-        self._A, self._B, self._free = A, B, np.flatnonzero(~fixed)
+        self._A, self._B, self._fixed, self._free = A, B, fixed, np.flatnonzero(~fixed)
         self._K, self._L, self._Ac, self._P, self._P0 = factor(A, B, Phi, self._free)
 
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
         """Return y, eta and lam0."""
         return solve(self._A, self._B, self._K, self._L, self._Ac, self._P, self._P0, self._free, r, c, x0)
 
-    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the responses on the channels, and x_T."""
-        _, n, k = self._B.shape
-        where = np.full(n + k, -1)
-        where[channels] = np.arange(len(channels))
-        return responses(self._A, self._B, self._K, self._L, self._Ac, self._P0, self._free, where, R, E)
+    def gains(self) -> Gains:
+        """Return what the Riccati recursion found."""
+        return Gains(self._B, self._K, self._L, self._Ac, self._P[0], self._fixed)
 
 
 class CompiledLoops:
@@ -452,9 +333,3 @@ class CompiledLoops:
     ) -> tuple[Array, Array, Array]:
         """Return the costates, and the gradients in w and in the starts."""
         return backward(A, B, gradient, breaks, prices)
-
-    def columns(
-        self, A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return the gradients in w and in the starts, the ends, and x_T."""
-        return columns(A, B, Phi, breaks, starts, W)

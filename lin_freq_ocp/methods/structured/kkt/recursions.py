@@ -15,7 +15,7 @@ Interface:
     Loops.gram(H, G, weights, points, cones) -> Phi
     Loops.forward(A, B, c, breaks, starts, y) -> ends
     Loops.backward(A, B, gradient, breaks, prices) -> costates, gw, gstarts
-    Loops.columns(A, B, Phi, breaks, starts, W) -> GW, gstarts, ends, X
+    OpenLoop(A, B, Phi, breaks).columns(starts, W) -> GW, gstarts, ends, X        of blocks.py, the same for both
 """
 
 from __future__ import annotations
@@ -77,15 +77,6 @@ class Loops(Protocol):
 
         p_t = gradient_x + A_t'p_{t+1}, gw_t = gradient_w + B_t'p_{t+1}; at a break p_t is the gradient in its start,
         and then -prices, (K, n), takes its place. The multiplier of x_{t+1} = A_t x_t + B_t w_t + c_t is -p_{t+1}.
-        """
-        ...
-
-    def columns(
-        self, A: Array, B: Array, Phi: Array, breaks: Indices, starts: Array, W: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return the gradients of 1/2 y'Phi y in w (T+1, k, m) and the starts (K, n, m), the ends, and x_T (n, m).
-
-        Column j has w = W[:, :, j], (T+1, k, m), restarts from starts[:, :, j], (K, n, m), and x_0 = 0.
         """
         ...
 
