@@ -1,7 +1,7 @@
 """The methods of ``solve``: objects that hold their own options."""
 
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
-from lin_freq_ocp.solving.linear import Convex, Spectral
+from lin_freq_ocp.solving.linear import Convex, Spectral, Structured
 from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.smooth import Nonsmooth
 
@@ -14,4 +14,5 @@ __all__ = [
     "Spectral",
     "SpectralSolution",
     "SpectralSolver",
+    "Structured",
 ]

@@ -15,7 +15,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral
+from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.smooth import Nonsmooth
@@ -61,6 +61,7 @@ FAMILIES: dict[type, Family] = {
         {
             "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
             "spectral": Shorthand(Spectral(), RESIDUALS),
+            "structured": Shorthand(Structured(), RESIDUALS),
             "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
         },
     ),

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
-from lin_freq_ocp.certificate.conflict import proof_margin
+from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
+from lin_freq_ocp.methods.structured.solver import solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
 from lin_freq_ocp.solving.method import Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
@@ -134,6 +137,41 @@ class Spectral:
 
 
 @dataclass(frozen=True)
+class Structured:
+    """An interior-point method over stages and frequencies (linear dynamics; docs/structured.md).
+
+    Attributes
+    ----------
+    tolerance : float, optional
+        Relative residuals and gap to stop at; 1e-10 and 1e-9 by default. Above 1e-6, the judge allows as much, up to
+        1e-2.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.double_integrator(), lfo.solvers.Structured()).solver
+    'structured'
+    """
+
+    tolerance: float | None = None
+
+    shorthand: ClassVar[str] = "structured"
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve over stages, and judge the answer."""
+        end = time.perf_counter() + request.time_limit
+        excluded = _excluded_at_ends(problem, "structured", self.tolerance)
+        if excluded is not None:
+            return excluded
+        candidate = solve_structured(
+            problem, self.tolerance, _left(end), partial(_excluding, problem)
+        )
+        if candidate.status == "unbounded":
+            candidate = _if_feasible(problem, candidate, _left(end))
+        return judged(problem, candidate, "structured", None, self.tolerance)
+
+
+@dataclass(frozen=True)
 class LinearAuto:
     """The Fourier-domain method where it applies and its answer is proven, else the sparse program.
 
@@ -175,6 +213,12 @@ class LinearAuto:
         if first is None or (first.status == Status.INFEASIBLE and second.status == Status.OPTIMAL):
             return second
         return first if _rank(first) > _rank(second) else second
+
+
+def _excluding(problem: OptimalControlProblem, ray: Multipliers) -> bool:
+    """Whether a ray proves rigorously, and not by a margin of rounding, that a problem is infeasible."""
+    proof = prove_infeasible(problem, ray)
+    return proof is not None and proof.bound.kind == "rigorous" and proof_margin(problem, ray) > SMALL_MARGIN
 
 
 def _left(end: float) -> float | None:

@@ -1,0 +1,69 @@
+"""A problem with linear dynamics by the structured interior point, in units in which it should be of order 1."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, End, Targets
+from lin_freq_ocp.methods.structured.algorithm.exchange import solve_with_exchange
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
+from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
+from lin_freq_ocp.methods.structured.kkt.system import System
+from lin_freq_ocp.methods.structured.model.assembly import stages_of
+from lin_freq_ocp.methods.structured.model.recovery import Recovery
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
+
+RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
+
+
+def solve_structured(
+    problem: OptimalControlProblem,
+    tolerance: float | None = None,
+    time_limit: float | None = None,
+    excludes: Callable[[Multipliers], bool] = lambda ray: False,
+) -> Candidate:
+    """Solve a problem with linear dynamics and a convex cost.
+
+    ``excludes`` says of a ray that is still rough whether it proves infeasibility. UnsupportedError if the cost is not
+    convex, or the problem has a term that does not fit, or too many rows that couple times.
+    """
+    require_convex(problem)
+    started = time.perf_counter()
+    end = np.inf if time_limit is None else started + time_limit
+    assembly = stages_of(problem)
+    recursions, recovery = loops(), assembly.recovery
+    targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
+
+    def step_system(system: System) -> StepSystem:
+        return StepSystem(system, StoppedSide(system.stages, recursions), recursions)
+
+    ready = time.perf_counter()
+    answer = solve_with_exchange(
+        assembly.stages, step_system, targets, lambda z: excludes(recovery.multipliers(z, 0.0))
+    )
+    seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
+    return _candidate(answer, recovery, seconds)
+
+
+def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:
+    message = f"{answer.end.value} after {answer.steps} steps"
+    if answer.end is End.INFEASIBLE:
+        return Candidate("infeasible", ray=recovery.multipliers(answer.z, 0.0), message=message, seconds=seconds)
+    if answer.end is End.UNBOUNDED:
+        return Candidate("unbounded", descent=recovery.direction(answer.y), message=message, seconds=seconds)
+    statuses = {End.OPTIMAL: "optimal", End.STALLED: "numerical_error"}
+    return Candidate(
+        statuses.get(answer.end, "limit"),
+        recovery.trajectory(answer.y),
+        recovery.multipliers(answer.z, 1.0),
+        message=message,
+        seconds=seconds,
+        interrupted=answer.end is End.INTERRUPTED,
+    )
