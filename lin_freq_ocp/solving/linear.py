@@ -163,9 +163,7 @@ class Structured:
         excluded = _excluded_at_ends(problem, "structured", self.tolerance)
         if excluded is not None:
             return excluded
-        candidate = solve_structured(
-            problem, self.tolerance, _left(end), partial(_excluding, problem)
-        )
+        candidate = solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem))
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
         return judged(problem, candidate, "structured", None, self.tolerance)

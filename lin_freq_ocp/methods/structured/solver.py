@@ -9,11 +9,10 @@ import numpy as np
 
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, End, Targets
-from lin_freq_ocp.methods.structured.algorithm.exchange import solve_with_exchange
+from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
+from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.kkt.system import System
 from lin_freq_ocp.methods.structured.model.assembly import stages_of
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
@@ -41,13 +40,10 @@ def solve_structured(
     recursions, recovery = loops(), assembly.recovery
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
 
-    def step_system(system: System) -> StepSystem:
-        return StepSystem(system, StoppedSide(system.stages, recursions), recursions)
-
+    system = System(assembly.stages)
+    step = StepSystem(system, stopped_side(assembly.stages, recursions), recursions)
     ready = time.perf_counter()
-    answer = solve_with_exchange(
-        assembly.stages, step_system, targets, lambda z: excludes(recovery.multipliers(z, 0.0))
-    )
+    answer = Embedding(system, step, targets, lambda z: excludes(recovery.multipliers(z, 0.0))).run()
     seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
     return _candidate(answer, recovery, seconds)
 

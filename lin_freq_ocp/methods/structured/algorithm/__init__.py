@@ -1,1 +1,1 @@
-"""The homogeneous self-dual embedding, its cones, and the exchange of mask points."""
+"""The homogeneous self-dual embedding."""

@@ -38,10 +38,11 @@ class StepSystem:
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         balls = [
-            _of_values(cone) if part.heads is None else cone.matrices(slice(0, 1 + part.dim))
+            _of_values(cone) if part.heads is None else (cone.block_squares(0), cone.block_squares(0, inverse=True))
             for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)
         ]
-        self._side.factor(Phi, Compliance(system.cones[INEQUALITIES].w[:, 0] ** 2, tuple(balls)))
+        unequal = system.cones[INEQUALITIES].w[:, 0] ** 2
+        self._side.factor(Phi, Compliance(unequal, tuple(one[0] for one in balls), tuple(one[1] for one in balls)))
 
     def solve(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         """Return (y, z), refined as long as the residual falls."""
@@ -108,11 +109,12 @@ def largest(parts: Values) -> float:
     return found if np.isfinite(found) else np.inf
 
 
-def _of_values(cone: Cone) -> Array:
-    """Return the compliance of the values of hard balls, (balls, d, d)."""
-    v, eta = cone.w[:, 1:], cone.eta[:, 0]
-    shrink = 2 / (1 + 2 * (v * v).sum(1))
-    return (eta**2)[:, None, None] * (np.eye(v.shape[1]) - shrink[:, None, None] * v[:, :, None] * v[:, None, :])
+def _of_values(cone: Cone) -> tuple[Array, Array]:
+    """Return the compliance of the values of hard balls, and its inverse, (balls, d, d)."""
+    v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
+    product, size = v[:, :, None] * v[:, None, :], (v * v).sum(1)[:, None, None]
+    unit = np.eye(v.shape[1])
+    return square * (unit - 2 / (1 + 2 * size) * product), (unit + 2 * product) / square
 
 
 def _head_ratio(cone: Cone) -> Array:

@@ -17,10 +17,11 @@ from lin_freq_ocp.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """C: (count,) for all inequalities, and (balls, d, d) for every family of balls."""
+    """C and its inverse: (count,) for all inequalities, and (balls, d, d) for every family of balls."""
 
     inequalities: Array
     balls: tuple[Array, ...]
+    stiffness: tuple[Array, ...]  # the inverses of ``balls``, which inversion would lose near the boundary
 
 
 class Step(NamedTuple):

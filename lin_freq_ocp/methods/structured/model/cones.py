@@ -112,14 +112,15 @@ class Cone:
         present = np.column_stack([self.present[:, head] for head in heads])
         return np.where(present, scales**-2.0, 0.0), np.ascontiguousarray(self.w[:, self.orthant.stop :])
 
-    def matrices(self, block: slice) -> Array:
-        """Return W^2 of one cone of every row, (N, d, d)."""
-        i = self.blocks.index(block)
-        w = self.w[:, block]
+    def block_squares(self, i: int, inverse: bool = False) -> Array:
+        """Return W^2, or its inverse, of the i-th cone of every row, (N, d, d)."""
+        w = self.w[:, self.blocks[i]].copy()
+        if inverse:
+            w[:, 1:] *= -1
         square = 2 * w[:, :, None] * w[:, None, :]
         diagonal = np.arange(w.shape[1])
         square[:, diagonal, diagonal] += np.where(diagonal == 0, -1.0, 1.0)
-        return self.eta[:, i, None, None] ** 2 * square
+        return self.eta[:, i, None, None] ** (-2 if inverse else 2) * square
 
     def _scale_block(self, i: int, block: slice, s: Array, z: Array) -> None:
         absent = self._absent[:, block.start, None]

@@ -6,7 +6,7 @@ by side. A family of rows maps signals to values (count, k), and has the adjoint
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -34,10 +34,6 @@ class Rows(Protocol):
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
-        ...
-
-    def picked(self, groups: Indices, dim: int) -> Rows:
-        """Return the rows of some groups of so many rows each."""
         ...
 
     @property
@@ -105,13 +101,6 @@ class SpectrumRows:
         waves = np.where(imaginary, -np.sin(angle), np.cos(angle)) * self.scale[entry // 2]
         self._spread(waves * self.window[:, None], signals)
 
-    def picked(self, groups: Indices, dim: int) -> SpectrumRows:
-        """Return the rows of some groups, in increasing order."""
-        kept = np.zeros(len(self.kept), dtype=bool)
-        kept[np.flatnonzero(self.kept)[(groups[:, None] * dim + np.arange(dim)).ravel()]] = True
-        used = kept.reshape(-1, 2).any(axis=1)
-        return replace(self, bins=self.bins[used], scale=self.scale[used], kept=kept[np.repeat(used, 2)])
-
     @property
     def oversampling(self) -> int:
         """Return the number of points of the grid for each of the plain DFT."""
@@ -165,10 +154,6 @@ class SparseRows:
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
         signals += self.matrix[chosen].T.toarray().reshape(signals.shape)
-
-    def picked(self, groups: Indices, dim: int) -> SparseRows:
-        """Return the rows of some groups of so many rows each."""
-        return SparseRows(self.matrix[(groups[:, None] * dim + np.arange(dim)).ravel()])
 
     @property
     def oversampling(self) -> int:
@@ -229,12 +214,6 @@ class Balls:
     def dim(self) -> int:
         """Return the size of a group."""
         return self.rows.count // len(self.radius)
-
-    def picked(self, chosen: Indices) -> Balls:
-        """Return some of the balls."""
-        heads = None if self.heads is None else self.heads.picked(chosen, 1)
-        offset = None if self.offset is None else self.offset[chosen]
-        return Balls(self.rows.picked(chosen, self.dim), self.radius[chosen], heads, offset)
 
     @property
     def right(self) -> Array:

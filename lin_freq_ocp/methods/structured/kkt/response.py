@@ -1,0 +1,106 @@
+"""Stages with rows F that couple times: the regulator, and its response P to gradients of rows.
+
+A fixed x_T adds rho |x_T - its state|^2 to what the recursion minimises: it leaves the answer alone and keeps the
+closed loop stable on long horizons of unstable dynamics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
+from lin_freq_ocp.methods.structured.kkt.side import Step
+from lin_freq_ocp.methods.structured.model.coupling import Rows
+from lin_freq_ocp.methods.structured.model.stages import Stages
+
+TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
+LEAST_CURVATURE = 1e-3  # of order 1 are the units
+
+
+class Response:
+    """The regulator of one problem and the rows F of its coupling, in the order of ``Coupling``; see ``side``."""
+
+    def __init__(self, stages: Stages, loops: Loops):
+        self.stages, self.coupling, self._loops = stages, stages.coupling, loops
+        self.families = tuple(_families(stages))
+        self._weights = np.zeros(stages.states)
+        curvature = float(np.abs(np.einsum("tii->ti", stages.H[:-1])).max(initial=0.0))
+        self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
+
+    def factor(self, Phi: Array) -> None:
+        """Factor the stages with Phi (T+1, n+k, n+k)."""
+        stages, n = self.stages, self.stages.states
+        Phi = Phi.copy()
+        Phi[-1, :n, :n] += np.diag(self._weights)
+        self._regulator: Regulator = self._loops.factor(stages.A, stages.B, Phi, stages.fixed)
+
+    def missing(self, gradient: Array, c: Array, x0: Array, f: Array) -> Array:
+        """Return F y - f of the answer without the rows F."""
+        y, _, _ = self._regulator.solve(self._to_end(gradient, f), c, x0)
+        return self.forward(y[:, self.coupling.channels, None], y[-1, : self.stages.states, None])[:, 0] - f
+
+    def step(self, gradient: Array, c: Array, x0: Array, f: Array, nu: Array) -> Step:
+        """Return the answer with the multipliers nu of the rows F."""
+        gradient, terminal = self._to_end(gradient, f), self.coupling.terminal
+        signals = self.empty(1)
+        for rows, at in self.families:
+            rows.add_adjoint(nu[at, None], signals)
+        gradient[:, self.coupling.channels] += signals[:, :, 0]
+        gradient[-1, terminal] += nu[: len(terminal)]
+        y, eta, initial = self._regulator.solve(gradient, c, x0)
+        nu = nu.copy()
+        nu[: len(terminal)] += self._weights[terminal] * (y[-1, terminal] - f[: len(terminal)])
+        return Step(y, eta, initial, nu)
+
+    def responses(self, signals: Array, end: Array) -> tuple[Array, Array]:
+        """Return -P of gradients on channels (T+1, channels, k) and on x_T (n, k), as signals and x_T."""
+        return self._regulator.responses(self.coupling.channels, signals, end)
+
+    def empty(self, count: int) -> Array:
+        """Return signals of zeros, (T+1, channels, count)."""
+        return np.zeros((len(self.stages.H), len(self.coupling.channels), count))
+
+    def gradients(self, chosen: Indices) -> tuple[Array, Array]:
+        """Return chosen rows of F as gradients on channels (T+1, channels, k) and on x_T (n, k)."""
+        terminal, signals = self.coupling.terminal, self.empty(len(chosen))
+        end = np.zeros((self.stages.states, len(chosen)))
+        of_end = np.flatnonzero(chosen < len(terminal))
+        end[terminal[chosen[of_end]], of_end] = 1.0
+        for rows, at in self.families:
+            inside = np.flatnonzero(np.isin(chosen, at, assume_unique=True))
+            if len(inside):
+                part = self.empty(len(inside))
+                rows.add_columns(np.searchsorted(at, chosen[inside]), part)
+                signals[:, :, inside] += part
+        return signals, end
+
+    def forward(self, signals: Array, end: Array) -> Array:
+        """Return F y of signals (T+1, channels, k) and x_T (n, k)."""
+        values = np.empty((self.coupling.count, signals.shape[2]))
+        values[: len(self.coupling.terminal)] = end[self.coupling.terminal]
+        for rows, at in self.families:
+            values[at] = rows.forward(signals)
+        return values
+
+    def _to_end(self, gradient: Array, f: Array) -> Array:
+        gradient, terminal = gradient.copy(), self.coupling.terminal
+        gradient[-1, terminal] -= self._weights[terminal] * f[: len(terminal)]
+        return gradient
+
+
+def _families(stages: Stages) -> Iterator[tuple[Rows, Indices]]:
+    """Yield every family of rows beyond those of x_T, with its rows of F."""
+    first = len(stages.coupling.terminal)
+    for part in (*stages.coupling.equations, *stages.coupling.inequalities):
+        yield part.rows, first + np.arange(part.rows.count)
+        first += part.rows.count
+    for part in stages.coupling.balls:
+        heads = 0 if part.heads is None else 1
+        at = first + np.arange(len(part.radius) * (part.dim + heads)).reshape(len(part.radius), -1)
+        if part.heads is not None:
+            yield part.heads, at[:, 0]
+        yield part.rows, at[:, heads:].ravel()
+        first += at.size
