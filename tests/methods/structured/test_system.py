@@ -1,0 +1,219 @@
+"""The rows of a problem over stages, one step's system, and the embedding, against dense algebra and Clarabel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lin_freq_ocp.backends.base import Claim, backend
+from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.kkt.low_rank import FineRows, fine_rows
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
+from lin_freq_ocp.methods.structured.kkt.response import Response
+from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
+from lin_freq_ocp.methods.structured.kkt.system import BALLS, EQUATIONS, INEQUALITIES, STAGES, System
+from lin_freq_ocp.transcription.program import Program
+
+from .examples import every_kind, stages
+
+
+def soft_stages(seed=0, **options):
+    """Stages with every kind of coupling; w_1 is the slack of the energy at t = 0, with a price."""
+    problem = stages(seed, k=2, coupling=every_kind(), **options)
+    B, h = problem.B.copy(), problem.h.copy()
+    B[:, :, 1] = 0.0
+    h[0, 3] = 3.0
+    g = problem.g.copy()
+    g[0, 3] = 0.0  # -w_1 <= 0
+    return replace(problem, B=B, h=h, g=g)
+
+
+def flat(values):
+    return np.concatenate([part.ravel() for part in values])
+
+
+def dense_rows(system):
+    """Return the matrix of all rows on y."""
+    shape = system.stages.h.shape
+    columns = [flat(system.rows(row.reshape(shape))) for row in np.eye(int(np.prod(shape)))]
+    return np.array(columns).T
+
+
+def split_like(vector, values):
+    ends = np.cumsum([part.size for part in values])[:-1]
+    return [piece.reshape(part.shape) for piece, part in zip(np.split(vector, ends), values, strict=True)]
+
+
+def clarabel_cost(problem):
+    """Return the optimal value by Clarabel, of the same rows as a sparse program; None if it is infeasible."""
+    system = System(problem)
+    A, b = dense_rows(system), flat(system.b)
+    of_rows = [np.arange(part.size).reshape(part.shape) for part in system.b]
+    first = np.cumsum([0, *(part.size for part in system.b)])
+    lower, upper = np.full(len(b), -np.inf), b.copy()
+    equations = [0, 1, EQUATIONS]
+    for i in equations:
+        rows = first[i] + of_rows[i].ravel()
+        lower[rows] = b[rows]
+    n, order, cones = problem.states, [], []
+    of_cones = set()
+    for i, cone in system.cones.items():
+        for block in cone.blocks:
+            for row in np.flatnonzero(cone.present[:, block.start]):
+                at = first[i] + of_rows[i][row, block]
+                cones.append(at)
+                of_cones |= set(at.tolist())
+        absent = (first[i] + of_rows[i][~cone.present]).ravel()
+        upper[absent] = np.inf
+    plain = np.array([row for row in range(len(b)) if row not in of_cones], dtype=int)
+    plain = plain[np.isfinite(upper[plain])]
+    order = np.concatenate([plain, *cones]) if cones else plain
+    sign = np.where(np.isin(order, list(of_cones)), -1.0, 1.0)
+    count, slices = len(plain), []
+    for at in cones:
+        slices.append(slice(count, count + len(at)))
+        count += len(at)
+    H = np.zeros((problem.h.size, problem.h.size))
+    size = problem.h.shape[1]
+    for t, block in enumerate(problem.H):
+        H[t * size : (t + 1) * size, t * size : (t + 1) * size] = block
+    program = Program(
+        sp.csc_array(H),
+        problem.h.ravel(),
+        0.0,
+        sp.csc_array(sign[:, None] * A[order]),
+        np.where(sign > 0, lower[order], -b[order]),
+        np.where(sign > 0, upper[order], np.inf),
+        {},
+        tuple(slices),
+    )
+    assert n == problem.A.shape[1]
+    solution = backend("clarabel")(program, 1e-10, None)
+    if solution.claim is Claim.INFEASIBLE:
+        return None
+    assert solution.claim is Claim.SOLVED
+    return program.objective(solution.z)
+
+
+def embedded(problem, compiled, side=StoppedSide, targets=Targets()):
+    system, recursions = System(problem), loops(compiled)
+    chosen = side(Response(problem, recursions))
+    return system, Embedding(system, StepSystem(system, chosen, recursions), targets).run()
+
+
+def low_rank(response):
+    rows = response.coupling.equation_count + 1 + np.arange(14)  # those of the mask
+    return FineRows(response, rows)
+
+
+def value(system, y):
+    return float(0.5 * np.vdot(y, system.curvature(y)) + np.vdot(system.stages.h, y))
+
+
+def test_the_adjoint_is_the_transpose_of_the_rows():
+    system = System(soft_stages(1, cones=(3,)))
+    A = dense_rows(system)
+    rng = np.random.default_rng(0)
+    z = split_like(rng.standard_normal(A.shape[0]), system.b)
+    z[0][-1] = 0.0  # no dynamics behind T
+    np.testing.assert_allclose(system.adjoint(z).ravel(), A.T @ flat(z), atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [StoppedSide, low_rank])
+@pytest.mark.parametrize("free", [False, True])
+def test_a_step_solves_its_system(side, free):
+    problem = soft_stages(2, cones=(3,), free=free)
+    system, recursions = System(problem), loops(False)
+    rng = np.random.default_rng(1)
+    for cone in system.cones.values():
+        s, z = (10.0 ** rng.uniform(-3, 3, cone.present.shape) * cone.present for _ in range(2))
+        for block in cone.blocks:
+            for v in (s, z):
+                v[:, block.start] += np.linalg.norm(v[:, block.start + 1 : block.stop], axis=1)
+        cone.scale(s, z)
+    step = StepSystem(system, side(Response(problem, recursions)), recursions)
+    step.factor()
+    of_y = rng.standard_normal(problem.h.shape)
+    of_z = [rng.standard_normal(part.shape) for part in system.b]
+    of_z[0][-1], of_z[1] = 0.0, np.where(problem.fixed, of_z[1], 0.0)
+    of_z[STAGES] = of_z[STAGES] * problem.present
+    y, z = step.solve(of_y, of_z)
+    left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+    for i, cone in system.cones.items():
+        left[i] = left[i] + cone.scaled(z[i], 2)
+    size = largest([of_y, *of_z])
+    assert largest([of_y - system.curvature(y) - system.adjoint(z)]) < 1e-8 * size
+    assert largest(left) < 1e-8 * size
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("side", [StoppedSide, low_rank])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_optimum_is_clarabels(side, seed, compiled):
+    if compiled:
+        pytest.importorskip("numba")
+    problem = soft_stages(seed, cones=(3,) if seed else ())
+    system, answer = embedded(problem, compiled, side)
+    assert answer.end is End.OPTIMAL
+    assert value(system, answer.y) == pytest.approx(clarabel_cost(problem), rel=1e-7, abs=1e-7)
+    assert max(answer.errors[:2]) <= 1e-10
+
+
+def test_duals_are_multipliers():
+    system, answer = embedded(soft_stages(4, cones=(3,)), False)
+    y, z = answer.y, answer.z
+    assert largest([system.curvature(y) + system.stages.h + system.adjoint(z)]) < 1e-8
+    slack = [b - rows for b, rows in zip(system.b, system.rows(y), strict=True)]
+    for i in (STAGES, INEQUALITIES, BALLS, BALLS + 1):
+        cone = system.cones[i]
+        assert cone.margin(z[i]) > -1e-9
+        assert cone.margin(slack[i] * cone.present) > -1e-9
+        assert abs(float(np.vdot(z[i], slack[i] * cone.present))) < 1e-6
+
+
+def test_an_end_out_of_reach_gives_a_farkas_ray():
+    coupling = every_kind()
+    problem = soft_stages(5, bound=0.3)
+    problem = replace(problem, coupling=replace(coupling, terminal_state=np.array([50.0])))
+    system, answer = embedded(problem, False)
+    assert answer.end is End.INFEASIBLE
+    assert clarabel_cost(problem) is None
+    assert sum(float(np.vdot(b, z)) for b, z in zip(system.b, answer.z, strict=True)) == pytest.approx(-1.0)
+    assert largest([system.adjoint(answer.z)]) < 1e-6
+    assert all(cone.margin(answer.z[i]) >= -1e-9 for i, cone in system.cones.items())
+
+
+def test_a_cost_that_falls_for_ever_gives_a_direction():
+    problem = stages(6)
+    H, h = np.zeros_like(problem.H), problem.h.copy()
+    H[-1, 2:, 2:] = 1.0
+    problem = replace(problem, H=H, h=h, g=np.full_like(problem.g, np.inf))
+    system, answer = embedded(problem, False)
+    assert answer.end is End.UNBOUNDED
+    assert float(np.vdot(h, answer.y)) == pytest.approx(-1.0)
+    assert largest(system.rows(answer.y)) < 1e-6
+
+
+def test_the_time_limit_and_ctrl_c_keep_the_best_point(monkeypatch):
+    problem = soft_stages(7)
+    _, late = embedded(problem, False, targets=Targets(end=0.0))
+    assert late.end is End.TIME
+    assert np.isfinite(late.y).all()
+    steps = iter(range(3))
+
+    def factor(self, *given, own=StoppedSide.factor):
+        if next(steps, None) is None:
+            raise KeyboardInterrupt
+        own(self, *given)
+
+    monkeypatch.setattr(StoppedSide, "factor", factor)
+    _, broken = embedded(problem, False)
+    assert broken.end is End.INTERRUPTED
+    assert np.isfinite(broken.y).all()
+
+
+def test_masks_on_a_fine_grid_are_found_of_low_rank():
+    problem = soft_stages(8)
+    assert fine_rows(Response(problem, loops(False))) is None  # 14 rows, and 40 spare directions
