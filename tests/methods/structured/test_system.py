@@ -97,10 +97,10 @@ def clarabel_cost(problem):
     return program.objective(solution.z)
 
 
-def embedded(problem, compiled, side=StoppedSide, targets=Targets()):
+def embedded(problem, compiled, side=StoppedSide, end=np.inf):
     system, recursions = System(problem), loops(compiled)
     chosen = side(Response(problem, recursions))
-    return system, Embedding(system, StepSystem(system, chosen, recursions), targets).run()
+    return system, Embedding(system, StepSystem(system, chosen, recursions), Targets(end=end)).run()
 
 
 def low_rank(response):
@@ -198,7 +198,7 @@ def test_a_cost_that_falls_for_ever_gives_a_direction():
 
 def test_the_time_limit_and_ctrl_c_keep_the_best_point(monkeypatch):
     problem = soft_stages(7)
-    _, late = embedded(problem, False, targets=Targets(end=0.0))
+    _, late = embedded(problem, False, end=0.0)
     assert late.end is End.TIME
     assert np.isfinite(late.y).all()
     steps = iter(range(3))

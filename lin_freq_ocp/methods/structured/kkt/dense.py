@@ -14,10 +14,10 @@ class Cholesky:
     """M = D^-1 L L' D^-1, M shifted as far as it must be; only the mean of M and M' counts, and M is overwritten."""
 
     def __init__(self, M: Array):
-        self.scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+        self._scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
         M = 0.5 * (M + M.T)
-        M *= self.scale
-        M *= self.scale[:, None]
+        M *= self._scale
+        M *= self._scale[:, None]
         shift = LEAST_SHIFT
         while True:
             shifted = M.T.copy(order="F")
@@ -29,10 +29,15 @@ class Cholesky:
 
     def solve(self, right: Array) -> Array:
         """Return M^-1 right, for right (rows,) or (rows, k)."""
-        scale = self.scale if right.ndim == 1 else self.scale[:, None]
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
         return scale * la.cho_solve((self._factor, True), scale * right, check_finite=False)
+
+    @property
+    def root(self) -> Array:
+        """Return R with R R' = M, lower triangular."""
+        return np.tril(self._factor) / self._scale[:, None]
 
     def whitened(self, right: Array) -> Array:
         """Return L^-1 D right, (rows, k): its Gram matrix is right' M^-1 right."""
-        scaled = self.scale[:, None] * right
+        scaled = self._scale[:, None] * right
         return la.solve_triangular(self._factor, scaled, lower=True, check_finite=False)

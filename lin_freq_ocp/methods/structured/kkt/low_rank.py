@@ -4,11 +4,11 @@ With J = (E; V') P (E; V')' and the compliances C_e and C_g of E and of the rows
 
     (J_ee + C_e) nu_e + J_ev g = r_e,   G (J_ve nu_e + J_vv g) + C_g nu = r_g,   g = G'nu.
 
-a = (Schur complement of J_ee + C_e in J) g lies between them: with K the inverse of that complement,
-r = r_g - G J_ve (J_ee + C_e)^-1 r_e, and rows split into weak ones (w), whose compliance is not small, and strong ones:
+With the Schur complement L L' of J_ee + C_e in J, a = L'g lies between them. For r = r_g - G J_ve (J_ee + C_e)^-1 r_e,
+H = G L, and rows split into weak ones (w), whose compliance is not small, and strong ones:
 
-    M = K + G_w' C_w^-1 G_w,   (G_s M^-1 G_s' + C_s) nu_s = r_s - G_s M^-1 G_w' C_w^-1 r_w,
-    M a = G_w' C_w^-1 r_w + G_s' nu_s,   nu_w = C_w^-1 (r_w - G_w a).
+    M = 1 + H_w' C_w^-1 H_w,   (H_s M^-1 H_s' + C_s) nu_s = r_s - H_s M^-1 H_w' C_w^-1 r_w,
+    M a = H_w' C_w^-1 r_w + H_s' nu_s,   nu_w = C_w^-1 (r_w - H_w a).
 
 Sums of positive matrices lose no digits. The difference in nu_w loses as many as the stiffness of a weak row exceeds
 that of the response; hence the split.
@@ -63,11 +63,13 @@ class FineRows:
         self._eliminated = self._rows.solve(self._cross)
         S = J[e:, e:] - self._cross.T @ self._eliminated
         self._stiffness = [compliance.stiffness[i] for i in self._chosen]
-        self._split(S, compliance)
-        weak = self._times_stiffness(self._G)
-        self._M = Cholesky(Cholesky(S).solve(np.eye(len(S))) + self._G.T @ weak)
+        self._H = self._G @ Cholesky(S).root
+        self._split()
+        M = self._H.T @ self._times_stiffness(self._H)
+        M.flat[:: len(M) + 1] += 1.0
+        self._M = Cholesky(M)
         if self._strong.any():
-            of_strong = self._M.whitened(self._G[self._strong].T)
+            of_strong = self._M.whitened(self._H[self._strong].T)
             T = of_strong.T @ of_strong
             T += la.block_diag(*self._strong_blocks(compliance))
             self._T = Cholesky(T)
@@ -77,13 +79,13 @@ class FineRows:
         missing = self._response.missing(gradient, c, x0, f)
         alone = self._rows.solve(missing[self._plain])
         r = missing[self._fine] - self._G @ (self._cross.T @ alone)
-        of_weak = self._G.T @ self._times_stiffness(r[:, None])[:, 0]
+        of_weak = self._H.T @ self._times_stiffness(r[:, None])[:, 0]
         a, strong = self._M.solve(of_weak), np.zeros(0)
         if self._strong.any():
-            G = self._G[self._strong]
-            strong = self._T.solve(r[self._strong] - G @ a)
-            a = self._M.solve(of_weak + G.T @ strong)
-        of_fine = self._times_stiffness((r - self._G @ a)[:, None])[:, 0]
+            H = self._H[self._strong]
+            strong = self._T.solve(r[self._strong] - H @ a)
+            a = self._M.solve(of_weak + H.T @ strong)
+        of_fine = self._times_stiffness((r - self._H @ a)[:, None])[:, 0]
         of_fine[self._strong] = strong
         nu = np.empty(len(missing))
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
@@ -94,11 +96,12 @@ class FineRows:
         response, rng = self._response, np.random.default_rng(0)
         families = [(rows, at) for rows, at in response.families if np.isin(at[0], self._fine)]
         rank = SPARE + sum(rows.count // rows.oversampling for rows, _ in families)
+        rank = min(rank, response.empty(1).size)
         signals = response.empty(rank)
         for rows, _ in families:
             rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
         basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
-        self._V = np.ascontiguousarray(basis.reshape(signals.shape))
+        self._V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
         self._G = np.concatenate([rows.forward(self._V) for rows, _ in families])
 
     def _joint(self) -> Array:
@@ -123,9 +126,9 @@ class FineRows:
                 blocks.append(la.block_diag(*ball))
         J[: len(self._plain), : len(self._plain)] += la.block_diag(*blocks)
 
-    def _split(self, S: Array, compliance: Compliance) -> None:
+    def _split(self) -> None:
         """Set which of the fine rows are strong, (rows,)."""
-        response = np.einsum("ij,ij->i", self._G @ S, self._G)
+        response = (self._H * self._H).sum(1)
         strong, first = list[Mask](), 0
         for blocks in self._stiffness:
             balls, d = blocks.shape[:2]

@@ -6,7 +6,7 @@ by side. A family of rows maps signals to values (count, k), and has the adjoint
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
