@@ -27,17 +27,19 @@ def solve_structured(
     tolerance: float | None = None,
     time_limit: float | None = None,
     excludes: Callable[[Multipliers], bool] = lambda ray: False,
+    compiled: bool | None = None,
 ) -> Candidate:
     """Solve a problem with linear dynamics and a convex cost.
 
-    ``excludes`` says of a ray that is still rough whether it proves infeasibility. UnsupportedError if the cost is not
+    ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
+    compiled (see ``loops``). UnsupportedError if the cost is not
     convex, or the problem has a term that does not fit, or too many rows that couple times.
     """
     require_convex(problem)
     started = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit
     assembly = stages_of(problem)
-    recursions, recovery = loops(), assembly.recovery
+    recursions, recovery = loops(compiled), assembly.recovery
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
 
     system = System(assembly.stages)
