@@ -186,7 +186,9 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
 
 def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
-    magnitude = np.where(stopped, np.abs(np.fft.rfft(signal, axis=0)), 0.0)
+    magnitude = np.zeros(stopped.shape)
+    if stopped.any():
+        magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
     return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
 
 
@@ -287,4 +289,4 @@ def worst_condition(label: str, name: str, residual: Array, scales: Array, first
 
 
 def _argmax(values: Array) -> Sequence[int]:
-    return tuple(int(i) for i in np.unravel_index(np.argmax(values), values.shape))
+    return divmod(int(np.argmax(values)), values.shape[1])

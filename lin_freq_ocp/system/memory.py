@@ -6,11 +6,14 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from lin_freq_ocp.errors import UnsupportedError
 
 SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
 GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
 GIB = 2.0**30
+ALWAYS_THERE = 2.0**24  # bytes that every machine has: nothing is asked of it
 NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory with multipliers
 
 
@@ -24,7 +27,7 @@ def memory_limit() -> float:
 
 def require_memory(what: str, size: float, advice: str) -> None:
     """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
-    limit = memory_limit()
+    limit = np.inf if size < ALWAYS_THERE else memory_limit()
     if size > limit:
         raise UnsupportedError(
             f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "

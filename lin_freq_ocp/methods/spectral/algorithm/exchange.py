@@ -223,6 +223,8 @@ class Exchange:
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
+        if not self.border.size:
+            return 0.0
         border, working = self.border, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: border.size]) @ working.weights
         terms += np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
@@ -237,6 +239,8 @@ class Exchange:
     def _flat(self) -> bool:
         """Whether the cost hardly decreases along the border variables, without working rows or by such moves."""
         slope, border = self._slope(), self.border
+        if not border.size:
+            return True
         gain = abs(float(slope @ border.inverse[: border.size, : border.size] @ slope))
         return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
 

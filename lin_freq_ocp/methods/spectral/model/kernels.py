@@ -24,7 +24,7 @@ class Kernels:
         self.known = np.zeros((rows, rows), dtype=bool)
         self.complete = rows * rows * lti.horizon <= SMALL_TABLE
         if self.complete:
-            NF = np.stack([self._row(f) for f in range(rows)])
+            NF = self.of_rows(np.arange(rows))
             kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
             self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
         else:
@@ -45,14 +45,15 @@ class Kernels:
     def _require(self, pairs: list[tuple[int, int]]) -> None:
         for f, g in pairs:
             if not self.known[f, g]:
-                kernel = fft.irfft((self._row(f) * self._row(g).conj()).sum(0), self.lti.horizon)
+                row, column = self.of_rows(np.array([f, g]))
+                kernel = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
                 mirrored = np.roll(kernel[::-1], 1)
                 self.table[f, g], self.table[g, f] = kernel, mirrored
                 if f == g:
                     self.table[f, f] = (kernel + mirrored) / 2
                 self.known[f, g] = self.known[g, f] = True
 
-    def _row(self, f: int) -> ComplexArray:
-        """Return F_f N, shape (m, bins)."""
+    def of_rows(self, rows: Indices) -> ComplexArray:
+        """Return F_f N of some rows, shape (rows, m, bins)."""
         dimension = len(self.lti.M)
-        return self.spaces.N[f] if f < dimension else np.tensordot(self.lti.F[f], self.spaces.N, 1)
+        return self.spaces.N[rows] if len(self.lti.F) == dimension else np.tensordot(self.lti.F[rows], self.spaces.N, 1)

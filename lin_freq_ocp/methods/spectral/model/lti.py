@@ -152,8 +152,10 @@ def _coupled_groups(A: Array) -> list[Indices]:
 
 def _control_sizes(tube: Box, stated: Array) -> Array:
     """Return sizes of the controls, (m,): as stated, or their bounds where only a much smaller reference is stated."""
-    lower, upper = (np.median(np.where(np.isfinite(side), np.abs(side), 0.0), axis=0) for side in tube.bounds)
-    bounds = np.maximum(lower, upper)
+    sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
+    if all((side <= tol.MUCH_LARGER * stated).all() for side in sides):
+        return stated
+    bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
     larger = (bounds > tol.MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
     return np.where(larger, bounds, stated)
 

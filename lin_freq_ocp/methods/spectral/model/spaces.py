@@ -78,8 +78,9 @@ class NearBins:
         self.right = np.zeros((len(k), n + m, n), dtype=np.complex128)
         self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
         self.cost = np.full((len(k), m), np.inf)
-        for which, passed, real in _equal_groups(lti.passed[:, k], (k == 0) | (2 * k == lti.horizon)):
-            self._decompose(lti, which, passed, z[k[which]].real if real else z[k[which]])
+        real = (k == 0) | (2 * k == lti.horizon)
+        for which, passed, is_real in _equal_groups(np.vstack([lti.passed[:, k], real])):
+            self._decompose(lti, which, passed, z[k[which]].real if is_real else z[k[which]])
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
@@ -113,13 +114,13 @@ class NearBins:
         return np.einsum("kij,kj->ik", self.left, projected)
 
 
-def _equal_groups(passed: Mask, real: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
-    """Yield (bins, mask, real) of bins that share a passed mask and are all real or all complex."""
-    if not len(real):
-        return
-    labels, group = np.unique(np.vstack([passed, real]), axis=1, return_inverse=True)
+def _equal_groups(labels: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
+    """Yield (bins, mask, real) of the bins that share a column of labels, a mask of passed controls above ``real``."""
+    groups: dict[bytes, list[int]] = {}
     for i, label in enumerate(labels.T):
-        yield np.flatnonzero(group.ravel() == i), label[:-1], bool(label[-1])
+        groups.setdefault(label.tobytes(), []).append(i)
+    for group in groups.values():
+        yield np.array(group), labels[:-1, group[0]], bool(labels[-1, group[0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +178,15 @@ class BinSpaces:
     def _inverse_factors(self, N: ComplexArray, passed: Mask) -> ComplexArray:
         """Return L^{-1} with N^*MN = L L^* per bin, (bins, m, m); stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
-        if not lti.state_cost:
-            passed, which = np.unique(passed, axis=1, return_inverse=True)
-            H = np.array(lti.M[n:, n:] * (passed[:, None] & passed[None]).transpose(2, 0, 1), dtype=np.complex128)
-        else:
-            which = np.arange(N.shape[2])
-            H = np.einsum("iak,ibk->kab", N.conj(), np.tensordot(lti.M, N, 1))
-            unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(N) ** 2).sum(0)
-            if m == 1 and (np.einsum("kaa->ak", H).real <= unseen)[passed].any():  # several are checked below
+        seen = slice(0 if lti.state_cost else n, None)
+        V, M = N[seen], lti.M[seen, seen]
+        H = np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1))
+        if m == 1:  # several are checked below
+            unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
+            if (H[:, 0, 0].real <= unseen)[passed[0]].any():
                 raise _flat()
         H[:, np.arange(m), np.arange(m)] += ~passed.T
-        return _inverse_factor(H)[which.ravel()]
+        return _inverse_factor(H)
 
     def _set_border(self) -> None:
         """Choose the border directions among those of the near bins, and complete N by the others."""

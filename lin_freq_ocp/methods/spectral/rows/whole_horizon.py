@@ -39,6 +39,7 @@ class WholeHorizon:
         self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
         self.coupling[border.at_end, self._inner + border.free_end] = 1.0
         self.through = border.inverse @ self.coupling
+        self._spaces = border.kernels.of_rows(rows)
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
@@ -62,14 +63,12 @@ class WholeHorizon:
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
-        lti, pulses = self._border.lti, np.zeros(len(self.t))
+        pulses = np.zeros(len(self.t))
         pulses[index] = mu
         forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
-        spectrum = np.zeros((len(lti.M), forces.shape[1]), dtype=np.complex128)
-        self._border.spaces.respond(lti.F[self.rows].T @ forces, np.asarray(lti.F[self.rows].any(0)), spectrum)
-        y = fft.irfft(spectrum, lti.horizon)
+        answer = (self._spaces.conj() * forces[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] -= (y[self.rows] if len(lti.F) == len(y) else lti.F[self.rows] @ y).ravel()
+        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._border.lti.horizon).ravel()
         return values
 
 
