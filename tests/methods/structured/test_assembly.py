@@ -152,3 +152,24 @@ def test_a_conic_form_that_joins_times_is_refused(kind):
     problem.__dict__["terms"] = (Term("peak", term.kind, term.map, joining),)
     with pytest.raises(UnsupportedError, match="'peak'"):
         stages_of(problem)
+
+
+@pytest.mark.parametrize("kind", ["LInf cost", "soft mask", "soft linear constraint"])
+def test_a_small_solution_has_units_of_its_own(kind):
+    problem, rng = KINDS[kind](), np.random.default_rng(1)
+    assembly, cost = stages_of(problem), problem.quadratic
+    assert assembly.revised(np.ones(assembly.stages.h.shape)) is None
+    x = cost.x_ref + 1e-6 * rng.standard_normal((T + 1, 2))
+    u = cost.u_ref + np.array([1e-5, 1e-3]) * rng.standard_normal((T, 2))
+    small = lfo.Trajectory(x, u)
+    revised = assembly.revised(assembly.point(small))
+    assert revised is not None
+    y = revised.point(small)
+    np.testing.assert_allclose(np.abs(y[:, 2:4]).max(axis=0), 1.0, rtol=1e-6)
+    assert (np.abs(y[:, :2]).max(axis=0) < 1 + 1e-9).all()  # those that controls would notice are larger
+    assert cost_of(revised.stages, y) / revised.recovery.units.cost == pytest.approx(problem.value(x, u), rel=1e-12)
+    np.testing.assert_allclose(revised.recovery.trajectory(y).x, x, rtol=1e-14)
+    status, y, z = solved_stages(revised.stages)
+    assert status in ("Solved", "AlmostSolved")
+    back = revised.recovery.trajectory(y), revised.recovery.multipliers(z, 1.0)
+    assert lfo.certify(problem, *back).globally_optimal

@@ -6,7 +6,7 @@ terms of several times become coupling rows; their slacks are spread over the st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,9 +32,11 @@ from lin_freq_ocp.methods.structured.model.stage_rows import (
     term_rows,
 )
 from lin_freq_ocp.methods.structured.model.stages import Stages
-from lin_freq_ocp.methods.structured.model.units import scaled, unused_entries_held
+from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, unused_entries_held
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+REVISED = 100.0  # factor between a unit and the magnitude found from which a solution is worth units of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class Assembly:
     stages: Stages
     recovery: Recovery
     slack_columns: tuple[Indices, ...]  # of each term: where its slacks stand in y, flat
+    used: Mask  # entries of y, (T+1, n+k)
+    priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
 
     def point(self, trajectory: Trajectory) -> Array:
         """Return y of a trajectory, with the least slacks."""
@@ -55,17 +59,46 @@ class Assembly:
             y.flat[columns] = term.penalty.least_slacks(term.map.values(x, u))
         return y / self.recovery.units.columns
 
+    def revised(self, y: Array) -> Assembly | None:
+        """Return the same in the units of a solution y, or None if they differ little from its own."""
+        old, problem = self.recovery.units, self.recovery.problem
+        n, m = problem.state_dim, problem.control_dim
+        sizes = old.columns[0, : n + m] * own_units(self.stages, y, m)
+        ratio = _column_units(problem, sizes[:n], sizes[n:], self.slack_columns, y.shape) / old.columns
+        stages, change = scaled(self.stages, ratio, self.priced)
+        units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
+        if np.abs(np.log(np.append(ratio, change.cost))).max() < np.log(REVISED):
+            return None
+        return replace(
+            self, stages=unused_entries_held(stages, self.used), recovery=replace(self.recovery, units=units)
+        )
+
 
 def stages_of(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
     builder = _Builder(problem)
     coupling, parts = builder.coupling()
-    x, u = stated_sizes(problem)
-    columns, priced = builder.columns(x, u), builder.priced()
-    stages, units = scaled(builder.stages(coupling), columns, priced)
+    plain, priced, used = builder.stages(coupling), builder.priced(), builder.used()
+    columns = _column_units(problem, *stated_sizes(problem), builder.slack_columns, used.shape)
+    stages, units = scaled(plain, columns, priced)
     targets, signs = builder.recovered(parts)
     recovery = Recovery(problem, units, builder.layout, targets, signs)
-    return Assembly(unused_entries_held(stages, builder.used()), recovery, builder.slack_columns)
+    return Assembly(unused_entries_held(stages, used), recovery, builder.slack_columns, used, priced)
+
+
+def _column_units(
+    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
+) -> Array:
+    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
+    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
+    columns[:, :n], columns[:, n : n + m] = x, u
+    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
+    for term, flat in zip(problem.terms, slacks, strict=True):
+        if len(flat):
+            paid = term.penalty.conic(*term.shape).paid
+            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
+            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
+    return columns
 
 
 class _Builder:
@@ -171,19 +204,6 @@ class _Builder:
         used[:, : self._n], used[:-1, : self._n + self._m] = True, True
         used.flat[self._flat_slacks] = True
         return used
-
-    def columns(self, x: Array, u: Array) -> Array:
-        """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
-        problem, n = self._problem, self._n
-        columns = np.ones((self._T + 1, self._width))
-        columns[:, :n], columns[:, n : n + self._m] = x, u
-        signals = np.broadcast_to(x, (self._T + 1, n)), np.broadcast_to(u, (self._T, self._m))
-        for term, flat in zip(problem.terms, self.slack_columns, strict=True):
-            if len(flat):
-                paid = term.penalty.conic(*term.shape).paid
-                sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
-                columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
-        return columns
 
     def priced(self) -> Mask:
         """Return which entries of y make the size of the cost: signals, and slacks of nonsmooth costs, (T+1, n+k)."""

@@ -2,7 +2,8 @@
 
     y = columns * y',   row' = factor * row,   cost' = factor * cost;   z = factor of the row * z' / factor of the cost
 
-An entry of y that is not used at a time has Hessian 1 there.
+An entry of y that is not used at a time has Hessian 1 there. The first units are the sizes in the data; a solution
+that is very different from them has units of its own.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
 COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
+UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
+UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,22 @@ def scaled(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Units]
         constant=stages.constant * cost,
     )
     return changed, Units(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+
+
+def own_units(stages: Stages, y: Array, controls: int) -> Array:
+    """Return the units of states and controls, (n+m,), in which y is of order 1, relative to those of the stages.
+
+    None is smaller than what the others would notice through the dynamics.
+    """
+    n = stages.states
+    size = np.abs(y[:, : n + controls]).max(axis=0)
+    gain = np.abs(np.concatenate([stages.A, stages.B[:, :, :controls]], axis=2)).max(axis=0)
+    part = UNNOTICED / stages.horizon
+    size[:n] = np.maximum(size[:n], part * (gain @ size + np.abs(stages.d).max(axis=0)))
+    counts = (gain > 0) & (size[:n, None] > 0)
+    noticed = np.divide(size[:n, None], gain, out=np.full(gain.shape, np.inf), where=counts).min(axis=0)
+    size = np.maximum(size, np.where(np.isfinite(noticed), part * noticed, 0.0))
+    return np.where(size > UNIT_ROUNDING, size, 1.0)
 
 
 def unused_entries_held(stages: Stages, used: Mask) -> Stages:
