@@ -3,10 +3,13 @@
 import subprocess
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lin_freq_ocp.methods.structured.kkt import recursions
+from lin_freq_ocp.methods.structured.kkt.banded import BandedLoops
 from lin_freq_ocp.methods.structured.kkt.blocks import OpenLoop
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
@@ -16,14 +19,14 @@ NONE = np.zeros(0, dtype=np.intp)
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
     if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+        pytest.skip("the extra fast is not installed")
     return loops(request.param == "compiled")
 
 
 @pytest.fixture
 def both():
     if find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+        pytest.skip("the extra fast is not installed")
     return loops(True), loops(False)
 
 
@@ -217,6 +220,21 @@ def test_columns_are_sweeps_side_by_side(chosen, seed):
         assert np.allclose(gstarts[:, :, j], gs, rtol=0, atol=1e-11 * size)
         assert np.allclose(ends[:, :, j], ended, rtol=0, atol=1e-11 * np.abs(y).max())
         assert np.allclose(X[:, j], y[-1, :n], rtol=0, atol=1e-11 * np.abs(y).max())
+
+
+def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
+    pytest.importorskip("numba", reason="the extra fast is not installed")
+    from lin_freq_ocp.methods.structured.kkt import compiled
+
+    assert isinstance(loops(), compiled.CompiledLoops)
+    assert isinstance(loops(patient=False), compiled.CompiledLoops)  # compiled by now
+    monkeypatch.setattr(compiled, "KERNELS", SimpleNamespace(ready=False))
+    assert isinstance(loops(patient=False), BandedLoops)
+
+
+def test_without_numba_arrays_do_the_same(monkeypatch):
+    monkeypatch.setattr(recursions, "find_spec", lambda name: None)
+    assert isinstance(loops(), BandedLoops)
 
 
 def test_numba_is_imported_only_when_compiled_loops_are_asked_for():

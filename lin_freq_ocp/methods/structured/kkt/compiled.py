@@ -9,25 +9,14 @@ Riccati recursion in Joseph form, from P_{T+1} = 0, p_{T+1} = 0; nothing is subt
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
-
-import numba
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
-
-Arguments = ParamSpec("Arguments")
-Value = TypeVar("Value")
+from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
 
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
-
-
-def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-    """Compile a function when it is first called."""
-    return numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy")(function)
 
 
 @jit
@@ -294,6 +283,16 @@ def backward(A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
                 p[t, i] = -prices[left, i]
             left -= 1
     return p[:stages].copy(), gw, gstarts
+
+
+KERNELS = Kernels(
+    (__file__,),
+    (factor, (*REALS[3:] * 3, INDICES)),
+    (solve, (*REALS[3:] * 6, REALS[2], INDICES, REALS[2], REALS[2], REALS[1])),
+    (gram, (REALS[3], REALS[3], REALS[2], REALS[2], INDICES)),
+    (forward, (REALS[3], REALS[3], REALS[2], INDICES, REALS[2], WRITTEN[2])),
+    (backward, (REALS[3], REALS[3], REALS[2], INDICES, REALS[2])),
+)
 
 
 class CompiledRegulator(BlockRegulator):

@@ -8,7 +8,7 @@ and B_T are zero, so that w_T is eliminated like every other. A regulator is the
 
 Interface:
 
-    loops(compiled=None) -> Loops
+    loops(compiled=None, patient=True) -> Loops
     Loops.factor(A, B, Phi, fixed) -> Regulator
     Regulator.solve(r, c, x0) -> y, eta, lam0
     Regulator.responses(channels, R, E) -> Y, X
@@ -81,12 +81,16 @@ class Loops(Protocol):
         ...
 
 
-def loops(compiled: bool | None = None) -> Loops:
-    """Return the compiled loops or those by NumPy and LAPACK; by default the first if numba is installed."""
-    if compiled is None:
-        compiled = find_spec("numba") is not None
-    if not compiled:
-        return BandedLoops()
-    from lin_freq_ocp.methods.structured.kkt.compiled import CompiledLoops
+def loops(compiled: bool | None = None, patient: bool = True) -> Loops:
+    """Return the compiled loops or those by NumPy and LAPACK.
 
+    By default the first, if numba is installed. Who is not patient takes them only if nothing remains to be compiled.
+    """
+    if compiled is False or (compiled is None and find_spec("numba") is None):
+        return BandedLoops()
+    from lin_freq_ocp.methods.structured.kkt.compiled import KERNELS, CompiledLoops
+
+    if compiled is None and not patient and not KERNELS.ready:
+        return BandedLoops()
+    KERNELS.prepare()
     return CompiledLoops()

@@ -1,0 +1,5 @@
+"""Compile the loops of the structured method ahead: ``python -m lin_freq_ocp.methods.structured``."""
+
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+
+loops(compiled=True)

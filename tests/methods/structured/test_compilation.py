@@ -1,0 +1,98 @@
+"""When loops are compiled, and what is said of it."""
+
+import sys
+
+import pytest
+
+pytest.importorskip("numba", reason="the extra fast is not installed")
+
+from lin_freq_ocp.methods.structured.kkt import compilation
+from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
+
+
+class Kernel:
+    """Stands in for what numba makes of a function."""
+
+    def __init__(self, folder, fails=False):
+        self.signatures, self.cache_path, self._fails = [], None if folder is None else str(folder), fails
+        self.stats = self
+
+    def compile(self, signature):
+        self.signatures.append(signature)
+        if self._fails:
+            raise PermissionError("the cache was full")
+
+    def disable_compile(self):
+        assert self.signatures
+
+
+@pytest.fixture
+def source(tmp_path):
+    path = tmp_path / "loops.py"
+    path.write_text("sum")
+    return path
+
+
+def test_code_is_ready_once_it_was_compiled_and_until_the_source_changes(tmp_path, source):
+    first = Kernels((str(source),), (Kernel(tmp_path), ()))
+    assert not first.ready
+    first.prepare()
+    assert first.ready
+    assert Kernels((str(source),), (Kernel(tmp_path), ())).ready
+    source.write_text("another sum")
+    assert first.ready  # what this process has compiled stays
+    assert not Kernels((str(source),), (Kernel(tmp_path), ())).ready
+
+
+def test_changes_of_inlined_functions_are_seen(tmp_path, source):
+    inlined = tmp_path / "inlined.py"
+    inlined.write_text("product")
+    Kernels((str(source), str(inlined)), (Kernel(tmp_path), ())).prepare()
+    stale, foreign = tmp_path / "loops.sum-1.py311.nbi", tmp_path / "others.sum-1.py311.nbi"
+    stale.touch()
+    foreign.touch()
+    inlined.write_text("another product")
+    again = Kernels((str(source), str(inlined)), (Kernel(tmp_path), ()))
+    assert not again.ready
+    again.prepare()
+    assert not stale.exists()
+    assert foreign.exists()
+    assert len(list(tmp_path.glob("*.complete"))) == 1
+
+
+def test_a_terminal_is_told_once(tmp_path, source, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    kernels = Kernels((str(source),), (Kernel(tmp_path), ()))
+    kernels.prepare()
+    assert "compiling" in capsys.readouterr().err
+    kernels.prepare()
+    Kernels((str(source),), (Kernel(tmp_path), ())).prepare()
+    assert not capsys.readouterr().err
+
+
+def test_others_are_told_nothing(tmp_path, source, capsys):
+    Kernels((str(source),), (Kernel(tmp_path), ())).prepare()
+    assert not capsys.readouterr().err
+
+
+def test_a_full_cache_does_no_harm(tmp_path, source):
+    kernels = Kernels((str(source),), (Kernel(tmp_path, fails=True), ()))
+    kernels.prepare()
+    assert kernels.ready
+
+
+def test_without_a_folder_every_process_compiles(source):
+    kernels = Kernels((str(source),), (Kernel(None), ()))
+    assert not kernels.ready
+    kernels.prepare()
+    assert kernels.ready
+
+
+def test_functions_are_compiled_where_nothing_can_be_cached(monkeypatch):
+    def njit(cache, **_):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(compilation.numba, "njit", njit)
+    assert jit(len)([1, 2]) == 2
