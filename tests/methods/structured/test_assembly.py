@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -173,3 +174,36 @@ def test_a_small_solution_has_units_of_its_own(kind):
     assert status in ("Solved", "AlmostSolved")
     back = revised.recovery.trajectory(y), revised.recovery.multipliers(z, 1.0)
     assert lfo.certify(problem, *back).globally_optimal
+
+
+@pytest.mark.parametrize("kind", ["fixed ends", "partly fixed ends", "end boxes", "mask", "soft rows", "time-varying"])
+def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
+    problem = KINDS[kind]()
+    assembly = stages_of(problem)
+    slower = copy(problem)
+    slower.__dict__["dynamics"] = lfo.LinearDynamics(0.9 * A, 1.1 * B, [0.02, 0.01])
+    ends = [replaced_where_fixed(end) for end in (problem.initial_state, problem.terminal_state)]
+    slower = slower.with_ends(*ends)
+    exchanged = assembly.exchanged(slower)
+    assert exchanged is not None
+    status, y, z = solved_stages(exchanged.stages)
+    assert status in ("Solved", "AlmostSolved")
+    back = exchanged.recovery.trajectory(y), exchanged.recovery.multipliers(z, 1.0)
+    assert lfo.certify(slower, *back).globally_optimal
+    known = lfo.solve(slower, method="convex").cost
+    assert cost_of(exchanged.stages, y) / exchanged.recovery.units.cost == pytest.approx(known, rel=1e-8)
+
+
+def replaced_where_fixed(end):
+    if not isinstance(end, lfo.Box) or end.lower.ndim == 0:
+        return None
+    moved = np.where(end.lower == end.upper, 0.05, 0.0)
+    return lfo.Box(end.lower + moved, end.upper + moved)
+
+
+def test_other_changes_are_not_exchanged():
+    problem = KINDS["boxes"]()
+    assembly = stages_of(problem)
+    assert assembly.exchanged(replace(problem, control_set=lfo.Box(-0.5, 0.5))) is None
+    assert assembly.exchanged(problem.with_ends(lfo.Box(-1, 1))) is None
+    assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None

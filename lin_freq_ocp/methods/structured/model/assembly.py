@@ -32,7 +32,7 @@ from lin_freq_ocp.methods.structured.model.stage_rows import (
     term_rows,
 )
 from lin_freq_ocp.methods.structured.model.stages import Stages
-from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, unused_entries_held
+from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, scaled_dynamics, unused_entries_held
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -73,6 +73,45 @@ class Assembly:
             self, stages=unused_entries_held(stages, self.used), recovery=replace(self.recovery, units=units)
         )
 
+    def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
+        """Return the stages of a problem with other dynamics and other fixed ends, in the same units.
+
+        None if it differs in more, or is not made from the same objects (``with_ends``, ``affine_at``).
+        """
+        old, columns = self.recovery.problem, self.recovery.units.columns
+        same = [(problem.cost, old.cost), (problem.terms, old.terms), (problem.control_tube, old.control_tube)]
+        same += [(problem.state_boxes, old.state_boxes), (problem.state_stop, old.state_stop)]
+        same += [(problem.control_stop, old.control_stop)]
+        if not all(one is other for one, other in same):
+            return None
+        (ends, fixed), (old_ends, old_fixed) = _ends(problem), _ends(old)
+        if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
+            return None
+        dynamics, n = scaled_dynamics(*_dynamics(problem, columns.shape[1]), columns), problem.state_dim
+        coupling, x_ref = self.stages.coupling, problem.quadratic.x_ref
+        deviation = (ends[0] - np.broadcast_to(x_ref, (problem.horizon + 1, n))[[0, -1]]) / columns[[0, -1], :n]
+        terminal = replace(coupling, terminal_state=deviation[1, coupling.terminal])
+        initial = np.where(fixed[0], deviation[0], np.nan)
+        stages = replace(self.stages, A=dynamics[0], B=dynamics[1], d=dynamics[2], initial=initial, coupling=terminal)
+        return replace(self, stages=stages, recovery=replace(self.recovery, problem=problem))
+
+
+def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
+    """Return the bounds of both ends, (2, 2, n), lower ones first, and which are equal, (2, n)."""
+    tube = problem.state_tube
+    bounds = np.stack([tube.lower[[0, -1]], tube.upper[[0, -1]]])
+    return bounds, bounds[0] == bounds[1]
+
+
+def _dynamics(problem: OptimalControlProblem, width: int) -> tuple[Array, Array, Array]:
+    """Return A, B and d in deviations from the references, with so many entries of y."""
+    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
+    x = np.broadcast_to(problem.quadratic.x_ref, (T + 1, n))
+    u = np.broadcast_to(problem.quadratic.u_ref, (T, m))
+    A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
+    A[:-1], B[:-1, :, :m], d[:-1] = linear.A, linear.B, linear.successors(x, u) - x[1:]
+    return A, B, d
+
 
 def stages_of(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
@@ -108,11 +147,10 @@ class _Builder:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         self._problem, self._n, self._m, self._T = problem, n, m, T
         self.layout = multiplier_layout(problem)
-        self._linear, cost = problem.linear, problem.quadratic
+        cost = problem.quadratic
         self._reference = np.zeros((T + 1, n + m))
         self._reference[:, :n], self._reference[:-1, n:] = cost.x_ref, cost.u_ref
-        tube = problem.state_tube
-        self._fixed = tube.lower[[0, -1]] == tube.upper[[0, -1]]
+        self._fixed = _ends(problem)[1]
         self._rows, of_terms = self._all_rows()
         self._places = places(self._rows)
         self._width = n + m + self._places.slack_count
@@ -143,11 +181,8 @@ class _Builder:
     def stages(self, coupling: Coupling) -> Stages:
         """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
         problem, T, n, m, width = self._problem, self._T, self._n, self._m, self._width
-        cost, linear, reference = problem.quadratic, self._linear, self._reference
+        cost, reference = problem.quadratic, self._reference
         x_ref, u_ref = reference[:, :n], reference[:-1, n:]
-        A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
-        A[:-1], B[:-1, :, :m] = linear.A, linear.B
-        d[:-1] = linear.successors(x_ref, u_ref) - x_ref[1:]
         H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
         H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
         h[:, :n], h[:-1, n : n + m] = cost.gradient(x_ref, u_ref)
@@ -155,7 +190,8 @@ class _Builder:
         G, g = self._stage_arrays()
         lower = problem.state_tube.lower
         initial = np.where(self._fixed[0], lower[0] - x_ref[0], np.nan)
-        return Stages(A, B, d, H, h, G, g, self._places.cones, initial, coupling, cost.value(x_ref, u_ref))
+        dynamics = _dynamics(problem, width)
+        return Stages(*dynamics, H, h, G, g, self._places.cones, initial, coupling, cost.value(x_ref, u_ref))
 
     def _stage_arrays(self) -> tuple[Array, Array]:
         rows, at, first = self._rows, self._places, self._n + self._m

@@ -38,11 +38,7 @@ def scaled(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Units]
     coupling, of_coupling = _scaled_coupling(stages.coupling, columns)
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
     cost = _cost_factor(np.abs(H).sum(2) + np.abs(h), priced)
-    A, B = stages.A * columns[:, None, :n], stages.B * columns[:, None, n:]
-    A[:-1] /= columns[1:, :n, None]
-    B[:-1] /= columns[1:, :n, None]
-    d = stages.d.copy()
-    d[:-1] /= columns[1:, :n]
+    A, B, d = scaled_dynamics(stages.A, stages.B, stages.d, columns)
     changed = replace(
         stages,
         A=A,
@@ -57,6 +53,13 @@ def scaled(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Units]
         constant=stages.constant * cost,
     )
     return changed, Units(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+
+
+def scaled_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
+    """Return A, B and d with y in units ``columns``."""
+    n = A.shape[1]
+    after = np.concatenate([columns[1:, :n], np.ones((1, n))])
+    return A * columns[:, None, :n] / after[:, :, None], B * columns[:, None, n:] / after[:, :, None], d / after
 
 
 def own_units(stages: Stages, y: Array, controls: int) -> Array:
