@@ -258,7 +258,8 @@ class SpectralSolver:
             problem = problem.with_ends(initial_state, terminal_state)
         if not (changes or moved):
             return self.problem, self._lti
-        lti = lti_problem(problem, self._units)
+        lti = None if changes else self._lti.between(problem.ends, self._units.x)
+        lti = lti or lti_problem(problem, self._units)
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),

@@ -138,7 +138,7 @@ def _forces(structure: Structure, lti: Lti, multipliers: Array, working: Working
     used = acting[:dimension]
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
-        spectrum[used] = fft.rfft(force[used])
+        spectrum[used] = fft.rfft(force if used.all() else force[used])
     if len(border.bands):
         on_bands = multipliers[-len(border.bands) :]
         for i in border.band_components:

@@ -15,8 +15,8 @@ SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 class Kernels:
     """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
 
-    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs are computed on demand: the others are undefined,
-    and use no memory.
+    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs f <= g are computed on demand: the others are
+    undefined, and use no memory.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces):
@@ -34,7 +34,10 @@ class Kernels:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
         if not self.complete:
             self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
-        return self.table[f[:, None], g, t[:, None] - s]  # a negative index counts from the end of the circle
+        f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
+        if self.complete:
+            return self.table[f, g, lag]
+        return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
 
     def free_response(self, f: Indices) -> Array:
         """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
@@ -43,15 +46,14 @@ class Kernels:
         return self.table[f, f, 0]
 
     def _require(self, pairs: list[tuple[int, int]]) -> None:
-        for f, g in pairs:
+        for f, g in map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
-                kernel = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
-                mirrored = np.roll(kernel[::-1], 1)
-                self.table[f, g], self.table[g, f] = kernel, mirrored
+                self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
                 if f == g:
-                    self.table[f, f] = (kernel + mirrored) / 2
-                self.known[f, g] = self.known[g, f] = True
+                    self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
+                    self.table[f, f] /= 2
+                self.known[f, g] = True
 
     def of_rows(self, rows: Indices) -> ComplexArray:
         """Return F_f N of some rows, shape (rows, m, bins)."""

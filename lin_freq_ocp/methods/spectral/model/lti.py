@@ -9,6 +9,7 @@ Units are powers of two: changing to them and back rounds nothing.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.arrays import Array, Indices, Mask, assign
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -56,6 +57,15 @@ class Lti:
     def control_dim(self) -> int:
         """Number of controls m."""
         return self.B.shape[1]
+
+    def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
+        """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
+        start, end = (_point(box) / x for box in ends)
+        if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
+            return None
+        other = copy(self)
+        assign(other, start=start, end=end, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+        return other
 
     @cached_property
     def state_cost(self) -> bool:
