@@ -204,9 +204,10 @@ class Embedding:
         """Return the answer if the point is one."""
         if found.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, found, step, point.tau)
-        if found.ray <= RAY or (found.bz < 0 and self._vanishing(point) and self.believed(point.z)):
+        vanishing = self._vanishing(point)
+        if (found.ray <= RAY and vanishing) or (found.bz < 0 and vanishing and self.believed(point.z)):
             return _answer(End.INFEASIBLE, point, found, step, -found.bz)
-        if found.descent <= RAY and self._vanishing(point):
+        if found.descent <= RAY and vanishing:
             return _answer(End.UNBOUNDED, point, found, step, -found.hy)
         return None
 

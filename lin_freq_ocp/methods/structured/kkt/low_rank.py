@@ -120,7 +120,7 @@ class FineRows:
 
     def _add_plain(self, J: Array, compliance: Compliance) -> None:
         """Add C_e."""
-        blocks = [np.zeros((self._response.coupling.equation_count,) * 2), np.diag(compliance.inequalities)]
+        blocks = [np.diag(compliance.rows)]
         for i, ball in enumerate(compliance.balls):
             if i not in self._chosen:
                 blocks.append(la.block_diag(*ball))

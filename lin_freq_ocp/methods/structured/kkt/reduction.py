@@ -24,6 +24,8 @@ from lin_freq_ocp.methods.structured.kkt.system import (
 from lin_freq_ocp.methods.structured.model.cones import Cone
 
 REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
+REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
+DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
 REFINED = 1e-11  # residual, relative to the right-hand side, that is not refined
 
 
@@ -37,12 +39,16 @@ class StepSystem:
         """Factor at the present scalings."""
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
+        diagonal = np.arange(Phi.shape[1])
+        Phi[:, diagonal, diagonal] += REGULARISATION
         balls = [
             _of_values(cone) if part.heads is None else (cone.block_squares(0), cone.block_squares(0, inverse=True))
             for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)
         ]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2
-        self._side.factor(Phi, Compliance(unequal, tuple(one[0] for one in balls), tuple(one[1] for one in balls)))
+        equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
+        blocks, inverses = tuple(one[0] for one in balls), tuple(one[1] for one in balls)
+        self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), blocks, inverses))
 
     def solve(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         """Return (y, z), refined as long as the residual falls."""

@@ -4,7 +4,7 @@
     x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
 
 F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front
-if it is soft). C >= 0 is block diagonal: zero for equations, squares of scalings else.
+if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings else.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from lin_freq_ocp.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """C and its inverse: (count,) for all inequalities, and (balls, d, d) for every family of balls."""
+    """C and its inverse: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls."""
 
-    inequalities: Array
+    rows: Array
     balls: tuple[Array, ...]
     stiffness: tuple[Array, ...]  # the inverses of ``balls``, which inversion would lose near the boundary
 

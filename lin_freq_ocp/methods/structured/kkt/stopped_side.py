@@ -40,7 +40,7 @@ class StoppedSide:
         for i, rows in enumerate(self._blocks):
             gradients = self._gradients[i] if i in self._gradients else response.gradients(rows)
             S[:, rows] = -response.forward(*response.responses(*gradients))
-        _add_compliance(S, response.coupling.equation_count, compliance)
+        _add_compliance(S, compliance)
         self._schur = Cholesky(S)
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
@@ -50,11 +50,10 @@ class StoppedSide:
         return self._response.step(*given, nu)
 
 
-def _add_compliance(S: Array, first: int, compliance: Compliance) -> None:
-    """Add C behind the first rows, which are equations."""
-    unequal = first + np.arange(len(compliance.inequalities))
-    S[unequal, unequal] += compliance.inequalities
-    first += len(unequal)
+def _add_compliance(S: Array, compliance: Compliance) -> None:
+    """Add C."""
+    first = len(compliance.rows)
+    S[np.arange(first), np.arange(first)] += compliance.rows
     for blocks in compliance.balls:
         balls, d = blocks.shape[:2]
         at = first + np.arange(balls * d).reshape(balls, d)
