@@ -77,24 +77,12 @@ class Convex:
         if first.status not in ("optimal", "limit") and backend != PROVER:
             first = _diagnosed(problem, first, _left(end))
         outcome = verified(first)
-        outcome = self._at_no_cost(outcome, backend, end) or outcome
+        outcome = _at_no_cost(outcome, self.tolerance, end)
         unproven = outcome.status in UNPROVEN or outcome.message == ONLY_PRACTICAL
         if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
             return outcome
         further = (other for other in map(verified, candidates) if other.message != ONLY_PRACTICAL)
         return next((other for other in further if _counts(other)), outcome)
-
-    def _at_no_cost(self, outcome: Outcome, backend: str, end: float) -> Outcome | None:
-        """Return the outcome of a trajectory nearby without cost or without slope, if it is optimal."""
-        problem, near = outcome.problem, outcome.trajectory
-        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
-            return None
-        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
-            if candidate is not None:
-                found = judged(problem, candidate, "convex", backend, self.tolerance)
-                if found.status == Status.OPTIMAL:
-                    return replace(found, seconds=outcome.seconds)
-        return None
 
 
 @dataclass(frozen=True)
@@ -166,7 +154,7 @@ class Structured:
         candidate = solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem))
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
-        return judged(problem, candidate, "structured", None, self.tolerance)
+        return _at_no_cost(judged(problem, candidate, "structured", None, self.tolerance), self.tolerance, end)
 
 
 @dataclass(frozen=True)
@@ -211,6 +199,19 @@ class LinearAuto:
         if first is None or (first.status == Status.INFEASIBLE and second.status == Status.OPTIMAL):
             return second
         return first if _rank(first) > _rank(second) else second
+
+
+def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
+    """Return the outcome of a trajectory nearby without cost or without slope, if it is optimal, else the outcome."""
+    problem, near = outcome.problem, outcome.trajectory
+    if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+        return outcome
+    for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
+        if candidate is not None:
+            found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
+            if found.status == Status.OPTIMAL:
+                return replace(found, seconds=outcome.seconds)
+    return outcome
 
 
 def _excluding(problem: OptimalControlProblem, ray: Multipliers) -> bool:
