@@ -151,10 +151,17 @@ class Structured:
         excluded = _excluded_at_ends(problem, "structured", self.tolerance)
         if excluded is not None:
             return excluded
-        candidate = solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem))
-        if candidate.status == "unbounded":
-            candidate = _if_feasible(problem, candidate, _left(end))
-        return _at_no_cost(judged(problem, candidate, "structured", None, self.tolerance), self.tolerance, end)
+        first: Outcome | None = None
+        for candidate in solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem)):
+            if candidate.status == "unbounded":
+                candidate = _if_feasible(problem, candidate, _left(end))
+            outcome = judged(problem, candidate, "structured", None, self.tolerance)
+            if first is None or _rank(outcome) > _rank(first):
+                first = outcome
+            if _final(outcome):
+                break
+        assert first is not None  # there is an answer
+        return _at_no_cost(first, self.tolerance, end)
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
+from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -28,29 +28,38 @@ def solve_structured(
     time_limit: float | None = None,
     excludes: Callable[[Multipliers], bool] = lambda ray: False,
     compiled: bool | None = None,
-) -> Candidate:
-    """Solve a problem with linear dynamics and a convex cost.
+) -> Iterator[Candidate]:
+    """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
     ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
-    compiled (see ``loops``). UnsupportedError if the cost is not
-    convex, or the problem has a term that does not fit, or too many rows that couple times.
+    compiled (see ``loops``). UnsupportedError if the cost is not convex, or the problem has a term that does not fit,
+    or too many rows that couple times.
     """
     require_convex(problem)
     started = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit
-    assembly = stages_of(problem)
-    recursions, recovery = loops(compiled), assembly.recovery
+    assembly, recursions = stages_of(problem), loops(compiled, patient=time_limit is None)
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
+    setup = time.perf_counter() - started
+    while True:
+        answer = _solved(assembly, recursions, targets, excludes)
+        seconds = {"setup": setup, "solve": time.perf_counter() - started - setup}
+        yield _candidate(answer, assembly.recovery, seconds)
+        revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
+        if revised is None:
+            return
+        assembly = revised
 
+
+def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:
     system = System(assembly.stages)
     step = StepSystem(system, stopped_side(assembly.stages, recursions), recursions)
-    ready = time.perf_counter()
-    answer = Embedding(system, step, targets, lambda z: excludes(recovery.multipliers(z, 0.0))).run()
-    seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
-    return _candidate(answer, recovery, seconds)
+    return Embedding(system, step, targets, lambda z: excludes(assembly.recovery.multipliers(z, 0.0))).run()
 
 
 def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:
+    if not np.isfinite(answer.y).all():
+        return Candidate("numerical_error", message="the first step is not finite", seconds=seconds)
     message = f"{answer.end.value} after {answer.steps} steps"
     if answer.end is End.INFEASIBLE:
         return Candidate("infeasible", ray=recovery.multipliers(answer.z, 0.0), message=message, seconds=seconds)

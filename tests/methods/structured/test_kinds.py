@@ -20,7 +20,7 @@ def compiled(request):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_solved(kind, compiled):
     problem = KINDS[kind]()
-    found = solve_structured(problem, compiled=compiled)
+    found = next(solve_structured(problem, compiled=compiled))
     assert found.status == "optimal"
     assert lfo.certify(problem, found.trajectory, found.multipliers).globally_optimal
     known = lfo.solve(problem, method="convex").cost
@@ -30,6 +30,6 @@ def test_every_kind_is_solved(kind, compiled):
 @pytest.mark.parametrize("kind", ["boxes", "cones", "bands", "masks", "rows"])
 def test_every_kind_of_ray_proves(kind, compiled):
     problem = infeasible(kind)
-    found = solve_structured(problem, compiled=compiled)
+    found = next(solve_structured(problem, compiled=compiled))
     assert found.status == "infeasible"
     assert prove_infeasible(problem, found.ray) is not None

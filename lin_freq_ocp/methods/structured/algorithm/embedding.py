@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ STALLED = 8  # steps without progress after which no other helps
 INTERIOR = 1e-2  # distance of the first point to the boundary, relative to its size, below which it is moved
 MOVED = 0.1  # of the size, the distance to which it is moved; at least 1
 RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hides the rest
+ROUGH_RAY = 1e-5  # the same where the iteration stalled
 VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
 
 
@@ -147,7 +149,7 @@ class Embedding:
         best: Answer | None = None
         try:
             point = self._first_point()
-            for step in range(MOST_STEPS + 1):
+            for step in count():
                 clock = time.perf_counter()
                 found = self._measured(point)
                 if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
@@ -156,18 +158,17 @@ class Embedding:
                 if ended is not None:
                     return ended
                 stalled = step - best.steps > STALLED and not self._vanishing(point)
-                if stalled or not np.isfinite(found.errors.primal):
-                    break
+                if stalled or step == MOST_STEPS or not np.isfinite(found.errors.primal):
+                    return self._rough_ray(point, found, step) or best
                 point = self._next(point, found)
                 now = time.perf_counter()
                 if now + (now - clock) > self.targets.end:
-                    return Answer(End.TIME, best.y, best.z, best.errors, best.steps)
+                    return replace(best, end=End.TIME)
         except KeyboardInterrupt:
             if best is None:
                 raise
-            return Answer(End.INTERRUPTED, best.y, best.z, best.errors, best.steps)
-        assert best is not None
-        return best
+            return replace(best, end=End.INTERRUPTED)
+        raise AssertionError  # count() does not end
 
     def _first_point(self) -> _Point:
         for cone in self._cones.values():
@@ -209,6 +210,14 @@ class Embedding:
             return _answer(End.INFEASIBLE, point, found, step, -found.bz)
         if found.descent <= RAY and vanishing:
             return _answer(End.UNBOUNDED, point, found, step, -found.hy)
+        return None
+
+    def _rough_ray(self, point: _Point, found: _Measures, steps: int) -> Answer | None:
+        """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
+        if self._vanishing(point) and found.ray <= ROUGH_RAY:
+            return _answer(End.INFEASIBLE, point, found, steps, -found.bz)
+        if point.tau < VANISHED and found.descent <= ROUGH_RAY:
+            return _answer(End.UNBOUNDED, point, found, steps, -found.hy)
         return None
 
     @staticmethod
