@@ -207,3 +207,15 @@ def test_other_changes_are_not_exchanged():
     assert assembly.exchanged(replace(problem, control_set=lfo.Box(-0.5, 0.5))) is None
     assert assembly.exchanged(problem.with_ends(lfo.Box(-1, 1))) is None
     assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None
+
+
+def test_what_never_moves_does_not_measure_the_cost():
+    idle = lfo.LinearDynamics(A, B * [1.0, 0.0])
+    cost = lfo.QuadraticCost(Q=1.0, R=np.diag([0.1, 1e12]))
+    assembly = stages_of(lfo.OptimalControlProblem(idle, T, cost, initial_state=[1.0, -0.5]))
+    _, y, _ = solved_stages(assembly.stages)
+    y[:, 3] = 0.0
+    revised = assembly.revised(y)
+    assert revised is not None
+    assert assembly.recovery.units.cost < 1e-10
+    assert revised.recovery.units.cost > 0.1

@@ -65,7 +65,7 @@ class Assembly:
         n, m = problem.state_dim, problem.control_dim
         sizes = old.columns[0, : n + m] * own_units(self.stages, y, m)
         ratio = _column_units(problem, sizes[:n], sizes[n:], self.slack_columns, y.shape) / old.columns
-        stages, change = scaled(self.stages, ratio, self.priced)
+        stages, change = scaled(self.stages, ratio, self.priced, y)
         units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
         if np.abs(np.log(np.append(ratio, change.cost))).max() < np.log(REVISED):
             return None

@@ -30,14 +30,18 @@ class Units:
     cost: float
 
 
-def scaled(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Units]:
-    """Return the stages with y in units ``columns`` (T+1, n+k), and all units; priced entries of y make the cost."""
+def scaled(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Units]:
+    """Return the stages with y in units ``columns`` (T+1, n+k), and all units.
+
+    The cost is measured by its slopes in the priced entries of y, at y or else where all are one unit.
+    """
     n = stages.states
     G = stages.G * columns[:, None]
     of_stages = _stage_factors(G, stages.g, stages.cones)
     coupling, of_coupling = _scaled_coupling(stages.coupling, columns)
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
-    cost = _cost_factor(np.abs(H).sum(2) + np.abs(h), priced)
+    typical = np.ones(h.shape) if y is None else _typical(np.abs(y), columns)
+    cost = _cost_factor(np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h), priced)
     A, B, d = scaled_dynamics(stages.A, stages.B, stages.d, columns)
     changed = replace(
         stages,
@@ -83,6 +87,11 @@ def unused_entries_held(stages: Stages, used: Mask) -> Stages:
     H, (time, entry) = stages.H.copy(), np.nonzero(~used)
     H[time, entry, entry] = 1.0
     return replace(stages, H=H)
+
+
+def _typical(y: Array, columns: Array) -> Array:
+    """Return the magnitudes of y in units ``columns``, where a component moves at all no smaller than is noticed."""
+    return np.where(y.max(axis=0) > UNIT_ROUNDING, np.maximum(y / columns, UNNOTICED), 0.0)
 
 
 def _cost_factor(slopes: Array, priced: Mask) -> float:
