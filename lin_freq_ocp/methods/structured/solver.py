@@ -10,9 +10,9 @@ import numpy as np
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
+from lin_freq_ocp.methods.structured.choice import choose_side
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.kkt.system import System
 from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
@@ -53,7 +53,7 @@ def solve_structured(
 
 def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:
     system = System(assembly.stages)
-    step = StepSystem(system, stopped_side(assembly.stages, recursions), recursions)
+    step = StepSystem(system, choose_side(assembly.stages, recursions), recursions)
     return Embedding(system, step, targets, lambda z: excludes(assembly.recovery.multipliers(z, 0.0))).run()
 
 

@@ -6,14 +6,11 @@ closed loop stable on long horizons of unstable dynamics.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
 from lin_freq_ocp.methods.structured.kkt.side import Step
-from lin_freq_ocp.methods.structured.model.coupling import Rows
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
@@ -25,7 +22,7 @@ class Response:
 
     def __init__(self, stages: Stages, loops: Loops):
         self.stages, self.coupling, self._loops = stages, stages.coupling, loops
-        self.families = tuple(_families(stages))
+        self.families = tuple(stages.coupling.families())
         self._weights = np.zeros(stages.states)
         curvature = float(np.abs(np.einsum("tii->ti", stages.H[:-1])).max(initial=0.0))
         self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
@@ -89,18 +86,3 @@ class Response:
         gradient, terminal = gradient.copy(), self.coupling.terminal
         gradient[-1, terminal] -= self._weights[terminal] * f[: len(terminal)]
         return gradient
-
-
-def _families(stages: Stages) -> Iterator[tuple[Rows, Indices]]:
-    """Yield every family of rows beyond those of x_T, with its rows of F."""
-    first = len(stages.coupling.terminal)
-    for part in (*stages.coupling.equations, *stages.coupling.inequalities):
-        yield part.rows, first + np.arange(part.rows.count)
-        first += part.rows.count
-    for part in stages.coupling.balls:
-        heads = 0 if part.heads is None else 1
-        at = first + np.arange(len(part.radius) * (part.dim + heads)).reshape(len(part.radius), -1)
-        if part.heads is not None:
-            yield part.heads, at[:, 0]
-        yield part.rows, at[:, heads:].ravel()
-        first += at.size

@@ -12,7 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from lin_freq_ocp.arrays import Array
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,16 @@ class Compliance:
     rows: Array
     balls: tuple[Array, ...]
     stiffness: tuple[Array, ...]  # the inverses of ``balls``, which inversion would lose near the boundary
+
+    def add_to(self, S: Array, chosen: Indices | None = None) -> None:
+        """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
+        rows = self.rows if chosen is None else self.rows[chosen]
+        first = len(S) - len(rows) - sum(len(part) * part.shape[1] for part in self.balls)
+        for blocks in (rows[:, None, None], *self.balls):
+            count, d = blocks.shape[:2]
+            at = first + np.arange(count * d).reshape(count, d)
+            S[at[:, :, None], at[:, None, :]] += blocks
+            first += count * d
 
 
 class Step(NamedTuple):

@@ -40,7 +40,7 @@ class StoppedSide:
         for i, rows in enumerate(self._blocks):
             gradients = self._gradients[i] if i in self._gradients else response.gradients(rows)
             S[:, rows] = -response.forward(*response.responses(*gradients))
-        _add_compliance(S, compliance)
+        compliance.add_to(S)
         self._schur = Cholesky(S)
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
@@ -48,14 +48,3 @@ class StoppedSide:
         given = gradient, c, x0, f
         nu = self._schur.solve(self._response.missing(*given)) if self._count else np.zeros(0)
         return self._response.step(*given, nu)
-
-
-def _add_compliance(S: Array, compliance: Compliance) -> None:
-    """Add C."""
-    first = len(compliance.rows)
-    S[np.arange(first), np.arange(first)] += compliance.rows
-    for blocks in compliance.balls:
-        balls, d = blocks.shape[:2]
-        at = first + np.arange(balls * d).reshape(balls, d)
-        S[at[:, :, None], at[:, None, :]] += blocks
-        first += balls * d

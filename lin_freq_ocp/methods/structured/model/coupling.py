@@ -6,6 +6,7 @@ by side. A family of rows maps signals to values (count, k), and has the adjoint
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -244,3 +245,17 @@ class Coupling:
         unequal = sum(part.rows.count for part in self.inequalities)
         round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
         return self.equation_count + unequal + round_
+
+    def families(self) -> Iterator[tuple[Rows, Indices]]:
+        """Yield every family of rows beyond those of x_T, with its places among all rows."""
+        first = len(self.terminal)
+        for part in (*self.equations, *self.inequalities):
+            yield part.rows, first + np.arange(part.rows.count)
+            first += part.rows.count
+        for part in self.balls:
+            heads = 0 if part.heads is None else 1
+            at = first + np.arange(len(part.radius) * (part.dim + heads)).reshape(len(part.radius), -1)
+            if part.heads is not None:
+                yield part.heads, at[:, 0]
+            yield part.rows, at[:, heads:].ravel()
+            first += at.size

@@ -1,0 +1,1 @@
+"""The side of the coefficients that frequency constraints keep."""
