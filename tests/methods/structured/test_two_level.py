@@ -5,7 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.second_level import CLIP, clip
+from lin_freq_ocp.methods.structured.kkt.kept.second_level import CLIP, LEAST_EXCESS, clip
 from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
 from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
@@ -60,12 +60,30 @@ def test_few_iterations_where_weights_differ_by_ten_orders(chosen):
 
 def test_clipped_weights_and_their_excess_are_the_whole():
     rng = np.random.default_rng(2)
-    root = rng.standard_normal((9, 3, 3)) * 10.0 ** rng.integers(-2, 3, size=(9, 1, 1))
-    Phi, S = root @ root.swapaxes(1, 2), np.cov(rng.standard_normal((3, 50)))
+    Phi = np.tile(np.diag([1.0, 1e-3, 2.0]), (9, 1, 1))
+    rows = rng.standard_normal((9, 3))
+    Phi += np.einsum("t,ta,tb->tab", 10.0 ** rng.integers(-2, 5, 9), rows, rows)
+    S = np.cov(rng.standard_normal((3, 50)))
     clipped, excess = clip(Phi, S)
     assert 0 < len(excess.weights) < 24
     whole = clipped.copy()
-    np.add.at(whole, excess.times, excess.weights[:, None, None] * np.einsum("ka,kb->kab", *[excess.directions] * 2))
+    np.add.at(whole, excess.times, np.einsum("k,ka,kb->kab", excess.weights, excess.directions, excess.directions))
     np.testing.assert_allclose(whole, Phi, rtol=1e-9, atol=1e-9)
-    L = np.linalg.cholesky(S)
-    assert np.linalg.eigvalsh(L.T @ clipped[:-1] @ L).max() <= CLIP * (1 + 1e-6)
+    seen = np.linalg.eigvalsh(clipped[:-1] @ S)
+    assert seen.max() <= 3 * (1 + LEAST_EXCESS) * CLIP
+    assert np.linalg.eigvalsh(clipped).min() > 0
+
+
+def test_the_largest_excesses_are_chosen():
+    Phi = np.einsum("t,ab->tab", 10.0 ** np.arange(9), np.eye(2))
+    clipped, excess = clip(Phi, np.eye(2), 4)
+    assert sorted(excess.times) == [6, 6, 7, 7]
+    np.testing.assert_allclose(clipped[:6], Phi[:6])
+
+
+def test_weights_of_single_entries_do_not_touch_the_digits_of_others():
+    Phi = np.tile(np.array([[2.0, 1.0, 0.0], [1.0, 3.0, 1e-6], [0.0, 1e-6, 1e-9]]), (3, 1, 1))
+    Phi[0, 0, 0], Phi[0, 1, 1] = 1e14, 1e12
+    clipped, excess = clip(Phi, np.diag([1.0, 1.0, 1e-8]))
+    assert len(excess.weights) == 2
+    np.testing.assert_allclose(clipped[0, 2, 2], 1e-9, rtol=1e-6)

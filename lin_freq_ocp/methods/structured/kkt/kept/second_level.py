@@ -17,17 +17,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as la
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
-LEAST_EXCESS = 1e-3  # of a weight, relative to the clip, that is worth a direction
-MOST_DIRECTIONS = 3000  # beyond the clip; the largest are taken
+LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
+MOST_DIRECTIONS = 300  # beyond the clip; the largest are taken
 NOISES = 4  # signals for the covariance
-RIDGE = 1e-10  # of the covariance, relative, for directions that noise does not reach
-LEAST_NOISE = 1e-6  # of an entry of y relative to the largest, so that eigenvectors keep ten digits on all entries
 JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
 BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
 MOST_COLUMNS = 64
@@ -111,23 +108,36 @@ class SecondLevel:
         return found
 
 
-def clip(Phi: Array, S: Array) -> tuple[Array, Excess]:
-    """Return Phi with the eigenvalues of L'Phi_t L, S = L L', clipped, and what that takes away."""
-    size = np.sqrt(np.diag(S))
-    size = np.maximum(size, LEAST_NOISE * (float(size.max()) or 1.0))
-    L = size[:, None] * la.cholesky(S / np.outer(size, size) + RIDGE * np.eye(len(S)), lower=True)
-    seen = L.T @ Phi[:-1] @ L
-    active = np.flatnonzero(np.einsum("tii->t", seen) > CLIP)
-    values, vectors = np.linalg.eigh(seen[active])
-    beyond = values[values > CLIP * (1 + LEAST_EXCESS)]
-    least = np.sort(beyond)[-MOST_DIRECTIONS] if len(beyond) > MOST_DIRECTIONS else CLIP * (1 + LEAST_EXCESS)
-    excess = np.where(values >= least, values - CLIP, 0.0)
-    whitening: Array = la.solve_triangular(L, np.eye(len(L)), lower=True)
-    directions = vectors.swapaxes(1, 2) @ whitening
+def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Excess]:
+    """Return Phi without the excess of its largest weights, and the directions of these, ``most`` at most.
+
+    Directions are columns of Cholesky factors, the noisiest diagonal entry first: large weights on single entries, such
+    as bounds, do not touch the digits of the others.
+    """
+    rest, noise, every = Phi[:-1].copy(), np.diag(S), np.arange(len(Phi) - 1)
+    times, directions, weights, limits = [every[:0]], [rest[:0, 0]], [rest[:0, 0, 0]], [rest[:0, 0, 0]]
+    for _ in noise:
+        diagonal = np.einsum("tii->ti", rest[every]) * noise
+        every, pivot = every[diagonal.max(1) > CLIP], diagonal.argmax(1)[diagonal.max(1) > CLIP]
+        columns = rest[every, :, pivot]
+        weight = columns[np.arange(len(every)), pivot]
+        columns = columns / weight[:, None]
+        rest[every] -= weight[:, None, None] * columns[:, :, None] * columns[:, None, :]
+        rest[every, pivot], rest[every, :, pivot] = 0.0, 0.0
+        times.append(every)
+        directions.append(columns)
+        weights.append(weight)
+        limits.append(np.minimum(weight, CLIP / np.einsum("ta,ab,tb->t", columns, S, columns)))
+    peeled = Excess(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
+    limit = np.concatenate(limits)
+    chosen = np.argsort(limit / peeled.weights)[:most]
+    chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_EXCESS)])
+    left = peeled.weights.copy()
+    left[chosen] = limit[chosen]
     clipped = Phi.copy()
-    clipped[active] = np.einsum("tk,tka,tkb->tab", values - excess, directions, directions)
-    where, which = np.nonzero(excess)
-    return clipped, Excess(active[where], directions[where, which], excess[where, which])
+    clipped[:-1] = rest
+    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
+    return clipped, Excess(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
 
 
 def _covariances(space: KeptSpace) -> Array:
