@@ -51,6 +51,19 @@ KINDS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
     "fixed controls": lambda: _problem(
         control_set=[lfo.Box(*([[0.1, -1], [0.1, 1]] if t % 4 == 1 else [-1, 1])) for t in range(T)]
     ),
+    "coasting": lambda: _problem(
+        control_set=[lfo.Box(0.1, 0.1) if t % 3 else lfo.Box(-0.4, [0.3, 0.5]) for t in range(T)],
+        stage_rows=[
+            lfo.StageRows([[1.0, 0.5]], [[0.2, 1.0]], [0.6]),
+            lfo.StageRows(None, [[1.0, 1.0], [-2.0, 1.0]], [0.2, 0.4], name="controls"),
+        ],
+        cost=REFERENCES + lfo.costs.L1Cost(u=0.2),
+        dynamics=VARYING,
+    ),
+    "coasting with a band": lambda: _problem(
+        control_set=[lfo.Box([0.1, -1.0], [0.1, 1.0]) if t % 3 else lfo.Box(-1.0, 1.0) for t in range(T)],
+        control_spectrum=lfo.stop_band(bins=[2], component=0),
+    ),
     "rows": lambda: _problem(stage_rows=lfo.StageRows([[1.0, 0.5]], [[0.2, 1.0]], [0.6])),
     "rows at some times": lambda: _problem(
         stage_rows=lfo.StageRows([[1.0, 0.5]], None, np.where(np.arange(T) < 5, np.inf, 0.1)[:, None])
@@ -108,6 +121,11 @@ def infeasible(kind: str) -> lfo.OptimalControlProblem:
             "terminal_state": [3.0, 0.0],
         },
         "masks": {"control_spectrum": lfo.MagnitudeBound(0.01, bins=[0, 1, 2, 3, 4]), "terminal_state": [3.0, 0.0]},
+        "fixed controls": {"control_set": lfo.Box(0.1, 0.1), "terminal_state": [3.0, 0.0]},
+        "rows of fixed controls": {
+            "control_set": lfo.Box(0.1, 0.1),
+            "stage_rows": lfo.StageRows(None, [[1.0, 1.0]], [0.15]),
+        },
         "rows": {"stage_rows": lfo.StageRows([[1.0, 0.0], [-1.0, 0.0]], None, [-1.5, 2.0])},
     }
     return _problem(**fields[kind])

@@ -69,7 +69,7 @@ def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) ->
     return Candidate(
         statuses.get(answer.end, "limit"),
         recovery.trajectory(answer.y),
-        recovery.multipliers(answer.z, 1.0),
+        recovery.multipliers(answer.z, 1.0, answer.y),
         message=message,
         seconds=seconds,
         interrupted=answer.end is End.INTERRUPTED,

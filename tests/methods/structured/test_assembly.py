@@ -47,7 +47,9 @@ def test_trajectories_cost_the_same(kind):
     problem, rng = KINDS[kind](), np.random.default_rng(1)
     assembly = stages_of(problem)
     for _ in range(3):
-        trajectory = lfo.Trajectory(rng.standard_normal((T + 1, 2)), rng.standard_normal((T, 2)))
+        u, tube = rng.standard_normal((T, 2)), problem.control_tube
+        u = np.where(tube.lower == tube.upper, tube.lower, u)
+        trajectory = lfo.Trajectory(rng.standard_normal((T + 1, 2)), u)
         y = assembly.point(trajectory)
         expected = problem.value(trajectory.x, trajectory.u)
         assert cost_of(assembly.stages, y) / assembly.recovery.units.cost == pytest.approx(expected, rel=1e-12)
@@ -66,7 +68,7 @@ def test_the_optimum_is_that_of_the_sparse_program(kind):
     assert status in ("Solved", "AlmostSolved")
     cost = cost_of(assembly.stages, y) / assembly.recovery.units.cost
     assert cost == pytest.approx(known.cost, rel=1e-8)
-    certificate = lfo.certify(problem, assembly.recovery.trajectory(y), assembly.recovery.multipliers(z, 1.0))
+    certificate = lfo.certify(problem, assembly.recovery.trajectory(y), assembly.recovery.multipliers(z, 1.0, y))
     assert certificate.globally_optimal, certificate
 
 
@@ -172,7 +174,7 @@ def test_a_small_solution_has_units_of_its_own(kind):
     np.testing.assert_allclose(revised.recovery.trajectory(y).x, x, rtol=1e-14)
     status, y, z = solved_stages(revised.stages)
     assert status in ("Solved", "AlmostSolved")
-    back = revised.recovery.trajectory(y), revised.recovery.multipliers(z, 1.0)
+    back = revised.recovery.trajectory(y), revised.recovery.multipliers(z, 1.0, y)
     assert lfo.certify(problem, *back).globally_optimal
 
 
@@ -188,7 +190,7 @@ def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
     assert exchanged is not None
     status, y, z = solved_stages(exchanged.stages)
     assert status in ("Solved", "AlmostSolved")
-    back = exchanged.recovery.trajectory(y), exchanged.recovery.multipliers(z, 1.0)
+    back = exchanged.recovery.trajectory(y), exchanged.recovery.multipliers(z, 1.0, y)
     assert lfo.certify(slower, *back).globally_optimal
     known = lfo.solve(slower, method="convex").cost
     assert cost_of(exchanged.stages, y) / exchanged.recovery.units.cost == pytest.approx(known, rel=1e-8)

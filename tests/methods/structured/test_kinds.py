@@ -27,7 +27,9 @@ def test_every_kind_is_solved(kind, compiled):
     assert problem.value(found.trajectory.x, found.trajectory.u) == pytest.approx(known, rel=1e-8)
 
 
-@pytest.mark.parametrize("kind", ["boxes", "cones", "bands", "masks", "rows"])
+@pytest.mark.parametrize(
+    "kind", ["boxes", "cones", "bands", "masks", "rows", "fixed controls", "rows of fixed controls"]
+)
 def test_every_kind_of_ray_proves(kind, compiled):
     problem = infeasible(kind)
     found = next(solve_structured(problem, compiled=compiled))

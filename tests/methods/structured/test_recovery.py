@@ -49,14 +49,16 @@ def test_multipliers_make_the_gradient_of_their_duals(kind):
     z[2] = np.where(stages.present, z[2].reshape(stages.g.shape), 0.0)
     adjoint = sum(M.T @ part.ravel() for M, part in zip(matrices, z, strict=True)).reshape(stages.h.shape)
     units = assembly.recovery.units
-    multipliers = assembly.recovery.multipliers([p.reshape(s) for p, s in zip(z, shapes, strict=True)], 1.0)
+    multipliers = assembly.recovery.multipliers([p.reshape(s) for p, s in zip(z, shapes, strict=True)], 0.0)
     of_x, of_u = pulled_back(problem, multipliers)
     gradient = adjoint / (units.columns * units.cost)
     np.testing.assert_allclose(gradient[:, :2], of_x, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(gradient[:-1, 2:4], of_u, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["boxes", "cones", "bands", "masks", "rows"])
+@pytest.mark.parametrize(
+    "kind", ["boxes", "cones", "bands", "masks", "rows", "fixed controls", "rows of fixed controls"]
+)
 def test_rays_prove_infeasibility(kind):
     problem = infeasible(kind)
     assembly = stages_of(problem)

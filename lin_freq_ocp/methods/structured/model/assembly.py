@@ -22,6 +22,7 @@ from lin_freq_ocp.methods.structured.model.coupled_rows import (
     term_parts,
 )
 from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling, Equations, Inequalities, SparseRows
+from lin_freq_ocp.methods.structured.model.origin import Origin, origin_of
 from lin_freq_ocp.methods.structured.model.recovery import Recovery, multiplier_layout
 from lin_freq_ocp.methods.structured.model.stage_rows import (
     StageRowList,
@@ -54,7 +55,8 @@ class Assembly:
         problem = self.recovery.problem
         x, u = trajectory.x, trajectory.u
         y, (n, m) = np.zeros(self.stages.h.shape), (problem.state_dim, problem.control_dim)
-        y[:, :n], y[:-1, n : n + m] = problem.quadratic.deviations(x, u)
+        y[:, :n], y[:-1, n : n + m] = x - self.recovery.origin.x, u - self.recovery.origin.u
+        y[:, : n + m][self.recovery.origin.held] = 0.0
         for term, columns in zip(problem.terms, self.slack_columns, strict=True):
             y.flat[columns] = term.penalty.least_slacks(term.map.values(x, u))
         return y / self.recovery.units.columns
@@ -87,9 +89,9 @@ class Assembly:
         (ends, fixed), (old_ends, old_fixed) = _ends(problem), _ends(old)
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
             return None
-        dynamics, n = scaled_dynamics(*_dynamics(problem, columns.shape[1]), columns), problem.state_dim
-        coupling, x_ref = self.stages.coupling, problem.quadratic.x_ref
-        deviation = (ends[0] - np.broadcast_to(x_ref, (problem.horizon + 1, n))[[0, -1]]) / columns[[0, -1], :n]
+        coupling, origin, n = self.stages.coupling, self.recovery.origin, problem.state_dim
+        dynamics = scaled_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        deviation = (ends[0] - origin.x[[0, -1]]) / columns[[0, -1], :n]
         terminal = replace(coupling, terminal_state=deviation[1, coupling.terminal])
         initial = np.where(fixed[0], deviation[0], np.nan)
         stages = replace(self.stages, A=dynamics[0], B=dynamics[1], d=dynamics[2], initial=initial, coupling=terminal)
@@ -103,13 +105,12 @@ def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
     return bounds, bounds[0] == bounds[1]
 
 
-def _dynamics(problem: OptimalControlProblem, width: int) -> tuple[Array, Array, Array]:
-    """Return A, B and d in deviations from the references, with so many entries of y."""
+def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
+    """Return A, B and d in deviations from the origin, with so many entries of y."""
     linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
-    x = np.broadcast_to(problem.quadratic.x_ref, (T + 1, n))
-    u = np.broadcast_to(problem.quadratic.u_ref, (T, m))
     A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
-    A[:-1], B[:-1, :, :m], d[:-1] = linear.A, linear.B, linear.successors(x, u) - x[1:]
+    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
+    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
     return A, B, d
 
 
@@ -121,7 +122,7 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     columns = _column_units(problem, *stated_sizes(problem), builder.slack_columns, used.shape)
     stages, units = scaled(plain, columns, priced)
     targets, signs = builder.recovered(parts)
-    recovery = Recovery(problem, units, builder.layout, targets, signs)
+    recovery = Recovery(problem, builder.origin, units, builder.layout, targets, signs)
     return Assembly(unused_entries_held(stages, used), recovery, builder.slack_columns, used, priced)
 
 
@@ -147,9 +148,7 @@ class _Builder:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         self._problem, self._n, self._m, self._T = problem, n, m, T
         self.layout = multiplier_layout(problem)
-        cost = problem.quadratic
-        self._reference = np.zeros((T + 1, n + m))
-        self._reference[:, :n], self._reference[:-1, n:] = cost.x_ref, cost.u_ref
+        self.origin = origin_of(problem)
         self._fixed = _ends(problem)[1]
         self._rows, of_terms = self._all_rows()
         self._places = places(self._rows)
@@ -162,14 +161,14 @@ class _Builder:
         free = np.ones((T + 1, n), dtype=bool)
         free[[0, -1]] = ~self._fixed
         parts = [
-            box_rows(problem.state_tube, free, 0, self._reference, self.layout.mu),
-            box_rows(problem.control_tube, np.ones((T, m), dtype=bool), n, self._reference, self.layout.nu),
+            box_rows(problem.state_tube, free, 0, self.origin, self.layout.mu),
+            box_rows(problem.control_tube, ~self.origin.held[:-1, n:], n, self.origin, self.layout.nu),
         ]
         spread = 0
         for term, target in zip(problem.terms, self.layout.terms, strict=True):
             form = term.map.stage_form(n, m)
             if form is not None:
-                parts.append(term_rows(term, form, self._reference, target))
+                parts.append(term_rows(term, form, self.origin, target))
             else:
                 prices = term.penalty.conic(*term.shape).prices
                 times = (spread + np.arange(len(prices))) % (T + 1)
@@ -181,17 +180,18 @@ class _Builder:
     def stages(self, coupling: Coupling) -> Stages:
         """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
         problem, T, n, m, width = self._problem, self._T, self._n, self._m, self._width
-        cost, reference = problem.quadratic, self._reference
-        x_ref, u_ref = reference[:, :n], reference[:-1, n:]
+        cost, origin = problem.quadratic, self.origin
         H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
         H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
-        h[:, :n], h[:-1, n : n + m] = cost.gradient(x_ref, u_ref)
+        h[:, :n], h[:-1, n : n + m] = cost.gradient(origin.x, origin.u)
+        time, entry = np.nonzero(origin.held)
+        H[time, entry], H[time, :, entry], h[time, entry] = 0.0, 0.0, 0.0
         h.flat[self._flat_slacks] = self._rows.prices
         G, g = self._stage_arrays()
         lower = problem.state_tube.lower
-        initial = np.where(self._fixed[0], lower[0] - x_ref[0], np.nan)
-        dynamics = _dynamics(problem, width)
-        return Stages(*dynamics, H, h, G, g, self._places.cones, initial, coupling, cost.value(x_ref, u_ref))
+        initial = np.where(self._fixed[0], lower[0] - origin.x[0], np.nan)
+        dynamics = _dynamics(problem, origin, width)
+        return Stages(*dynamics, H, h, G, g, self._places.cones, initial, coupling, cost.value(origin.x, origin.u))
 
     def _stage_arrays(self) -> tuple[Array, Array]:
         rows, at, first = self._rows, self._places, self._n + self._m
@@ -207,19 +207,17 @@ class _Builder:
     def coupling(self) -> tuple[Coupling, list[CoupledPart]]:
         """Return the rows that couple times, in the problem's own units, and with them where their duals belong."""
         problem, T, n, m = self._problem, self._T, self._n, self._m
-        reference = self._reference
-        columns = Columns(T + 1, n, m, self._width)
-        x_ref, u_ref = reference[:, :n], reference[:-1, n:]
+        origin, columns = self.origin, Columns(T + 1, n, m, self._width)
         parts = [
-            *stopped_parts(problem.state_stop, T + 1, 0, reference, self._width, self.layout.rho_x),
-            *stopped_parts(problem.control_stop, T, n, reference, self._width, self.layout.rho_u),
+            *stopped_parts(problem.state_stop, T + 1, 0, origin.values, self._width, self.layout.rho_x),
+            *stopped_parts(problem.control_stop, T, n, origin.values, self._width, self.layout.rho_u),
             *self._stage_equations(columns),
         ]
         for term, slacks, target in zip(problem.terms, self.slack_columns, self.layout.terms, strict=True):
             if term.map.stage_form(n, m) is None:
-                parts += term_parts(term, columns, slacks, term.map.values(x_ref, u_ref), target)
+                parts += term_parts(term, columns, slacks, term.map.values(origin.x, origin.u), target)
         terminal = np.flatnonzero(self._fixed[1])
-        end = problem.state_tube.lower[-1, terminal] - x_ref[-1, terminal]
+        end = problem.state_tube.lower[-1, terminal] - origin.x[-1, terminal]
         return on_channels(parts, self._width, terminal, end), parts
 
     def _stage_equations(self, columns: Columns) -> list[CoupledPart]:
@@ -237,7 +235,7 @@ class _Builder:
     def used(self) -> Mask:
         """Return which entries of y are used, (T+1, n+k)."""
         used = np.zeros((self._T + 1, self._width), dtype=bool)
-        used[:, : self._n], used[:-1, : self._n + self._m] = True, True
+        used[:, : self._n], used[:-1, self._n : self._n + self._m] = True, ~self.origin.held[:-1, self._n :]
         used.flat[self._flat_slacks] = True
         return used
 

@@ -8,11 +8,12 @@ minus those of balls. The multiplier of a value is then the sum of its rows' dua
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.methods.structured.model.origin import Origin, held_multipliers
 from lin_freq_ocp.methods.structured.model.units import Units
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -48,6 +49,7 @@ class Recovery:
     """The inverse of the assembly of a problem."""
 
     problem: OptimalControlProblem
+    origin: Origin
     units: Units
     layout: MultiplierLayout
     targets: Indices  # of each dual behind those of the dynamics, flat: the multiplier that it belongs to; -1: none
@@ -55,8 +57,8 @@ class Recovery:
 
     def trajectory(self, y: Array) -> Trajectory:
         """Return (x, u) from y (T+1, n+k)."""
-        change, cost = self.direction(y), self.problem.quadratic
-        return Trajectory(cost.x_ref + change.x, cost.u_ref + change.u)
+        change = self.direction(y)
+        return Trajectory(self.origin.x + change.x, self.origin.u + change.u)
 
     def direction(self, y: Array) -> Trajectory:
         """Return the change (dx, du) of a change of y."""
@@ -64,8 +66,8 @@ class Recovery:
         change = y * self.units.columns
         return Trajectory(change[:, :n], change[:-1, n : n + m])
 
-    def multipliers(self, z: Sequence[Array], eta_C: float) -> Multipliers:
-        """Return the multipliers of the maximum principle from all duals; eta_C = 0 for a Farkas ray."""
+    def multipliers(self, z: Sequence[Array], eta_C: float, y: Array | None = None) -> Multipliers:
+        """Return the multipliers of the maximum principle from all duals; eta_C = 0 for a Farkas ray, without y."""
         problem, layout = self.problem, self.layout
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         duals = np.concatenate([part.ravel() for part in z[1:]]) * self.units.rows / self.units.cost
@@ -73,7 +75,7 @@ class Recovery:
         np.add.at(found, self.targets, self.signs * duals)
         eta = z[0][:-1] / (self.units.columns[1:, :n] * self.units.cost)
         shapes = [term.shape for term in problem.terms]
-        return Multipliers(
+        multipliers = Multipliers(
             eta_C=eta_C,
             eta=eta,
             mu=found[layout.mu : layout.nu].reshape(T + 1, n),
@@ -85,6 +87,10 @@ class Recovery:
                 for term, first, shape in zip(problem.terms, layout.terms, shapes, strict=True)
             },
         )
+        if not self.origin.held.any():
+            return multipliers
+        nu = held_multipliers(problem, self.origin, multipliers, None if y is None else self.trajectory(y))
+        return replace(multipliers, nu=nu)
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

@@ -16,10 +16,12 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured.model.origin import Origin
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import ConicForm
 from lin_freq_ocp.problem.terms.term import Term
 
+ROUNDING = 1e-12  # of a row that is left without coefficients, relative to its terms
 NO_CONES = np.zeros((0, 2), dtype=int)
 
 
@@ -33,6 +35,7 @@ class StageRowList:
     slacks: sp.csr_array  # (rows, slacks)
     lower: Array  # (rows,)
     upper: Array  # (rows,)
+    rounding: Array  # (rows,), of the limits
     cones: Indices  # (cones, 2): first row, and the one behind the last
     slack_times: Indices  # (slacks,)
     prices: Array  # (slacks,)
@@ -78,18 +81,19 @@ def joined(parts: Sequence[StageRowList]) -> StageRowList:
         _block_diagonal([part.slacks for part in parts]),
         np.concatenate([part.lower for part in parts]),
         np.concatenate([part.upper for part in parts]),
+        np.concatenate([part.rounding for part in parts]),
         np.concatenate([part.cones + first for part, first in zip(parts, firsts, strict=False)]),
         np.concatenate([part.slack_times for part in parts]),
         np.concatenate([part.prices for part in parts]),
     )
 
 
-def box_rows(tube: Box, free: Mask, first: int, reference: Array, target: int) -> StageRowList:
+def box_rows(tube: Box, free: Mask, first: int, origin: Origin, target: int) -> StageRowList:
     """Return the bounds (times, components) where ``free``, on component ``first`` and the following."""
     times, component = np.nonzero(free & (np.isfinite(tube.lower) | np.isfinite(tube.upper)))
-    matrix = np.zeros((len(times), reference.shape[1]))
+    matrix = np.zeros((len(times), origin.values.shape[1]))
     matrix[np.arange(len(times)), first + component] = 1.0
-    at = reference[times, first + component]
+    at = origin.values[times, first + component]
     return StageRowList(
         target + times * free.shape[1] + component,
         times,
@@ -97,6 +101,7 @@ def box_rows(tube: Box, free: Mask, first: int, reference: Array, target: int) -
         sp.csr_array((len(times), 0)),
         tube.lower[times, component] - at,
         tube.upper[times, component] - at,
+        np.zeros(len(times)),
         NO_CONES,
         np.zeros(0, dtype=int),
         np.zeros(0),
@@ -113,14 +118,15 @@ def nonnegative_slacks(times: Indices, prices: Array, columns: int) -> StageRowL
         sp.csr_array(sp.eye_array(count)),
         np.zeros(count),
         np.full(count, np.inf),
+        np.zeros(count),
         NO_CONES,
         times,
         prices,
     )
 
 
-def term_rows(term: Term, stage_form: tuple[Array, Array], reference: Array, target: int) -> StageRowList:
-    """Return the rows of a term of single times, in deviations from the reference (T+1, n + m)."""
+def term_rows(term: Term, stage_form: tuple[Array, Array], origin: Origin, target: int) -> StageRowList:
+    """Return the rows of a term of single times, in deviations from the origin."""
     form, positions = term.penalty.conic(*term.shape), term.map.positions
     M, c = stage_form
     group, entry = np.divmod(form.entries, term.shape[1])
@@ -128,7 +134,9 @@ def term_rows(term: Term, stage_form: tuple[Array, Array], reference: Array, tar
     times, slack_times = _times(term, form, np.where(valued, positions[group], -1))
     matrix = np.where(valued[:, None], M[group if len(M) > 1 else 0, entry], 0.0)
     constant = np.where(valued, c[group, entry], 0.0)
-    at = constant + (matrix * reference[times]).sum(1)
+    parts = matrix * origin.values[times]
+    at = constant + parts.sum(1)
+    matrix = np.where(origin.held[times], 0.0, matrix)
     return StageRowList(
         np.where(valued, target + form.entries, -1),
         times,
@@ -136,6 +144,7 @@ def term_rows(term: Term, stage_form: tuple[Array, Array], reference: Array, tar
         form.slacks,
         form.lower - at,
         form.upper - at,
+        ROUNDING * (np.abs(constant) + np.abs(parts).sum(1)),
         cone_rows(form),
         slack_times,
         form.prices,
@@ -151,8 +160,8 @@ def places(rows: StageRowList) -> StagePlaces:
     """Return where the rows and slacks stand in the stages; rows 0 <= limit that hold, and 0 = 0, are left out."""
     alone, empty = rows.alone, rows.empty
     equal = alone & (rows.lower == rows.upper)
-    above = alone & ~equal & np.isfinite(rows.upper) & ~(empty & (rows.upper >= 0))
-    below = alone & ~equal & np.isfinite(rows.lower) & ~(empty & (rows.lower <= 0))
+    above = alone & ~equal & np.isfinite(rows.upper) & ~(empty & (rows.upper >= -rows.rounding))
+    below = alone & ~equal & np.isfinite(rows.lower) & ~(empty & (rows.lower <= rows.rounding))
     single = np.concatenate([np.flatnonzero(above), np.flatnonzero(below)])
     source, slot = [single], [_ranks(rows.times[single])]
     count, sizes = int(slot[0].max(initial=-1)) + 1, np.diff(rows.cones, axis=1)[:, 0]
@@ -166,7 +175,7 @@ def places(rows: StageRowList) -> StagePlaces:
         count += (int(rank.max()) + 1) * int(size)
     sources = np.concatenate(source)
     sign = np.where(np.arange(len(sources)) < int(above.sum()), 1.0, -1.0)
-    equations = np.flatnonzero(equal & ~(empty & (rows.lower == 0)))
+    equations = np.flatnonzero(equal & ~(empty & (np.abs(rows.lower) <= rows.rounding)))
     return StagePlaces(sources, sign, np.concatenate(slot), count, tuple(cones), equations, _ranks(rows.slack_times))
 
 
