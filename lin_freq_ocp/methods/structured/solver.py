@@ -52,8 +52,8 @@ def solve_structured(
 
 
 def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:
-    system = System(assembly.stages)
-    step = StepSystem(system, choose_side(assembly.stages, recursions), recursions)
+    system = System(assembly.stages, recursions)
+    step = StepSystem(system, choose_side(assembly.stages, recursions))
     return Embedding(system, step, targets, lambda z: excludes(assembly.recovery.multipliers(z, 0.0))).run()
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
 from lin_freq_ocp.methods.structured.kkt.system import System
 from lin_freq_ocp.methods.structured.model.coupling import (
@@ -87,7 +88,7 @@ def random_system(seed, growth=0.0, others=True, T=None):
 def residual(stages, Phi, C, right, step):
     """What is left of the four right-hand sides of side.py."""
     gradient, c, x0, f = right
-    coupling, system, nu = stages.coupling, System(stages), step.coupling
+    coupling, system, nu = stages.coupling, System(stages, loops(False)), step.coupling
     dynamics, initial, _, *rows = system.rows(step.y)
     balls = [
         -(values if part.heads is not None else values[:, 1:])

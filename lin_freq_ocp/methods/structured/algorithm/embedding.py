@@ -146,6 +146,10 @@ class Embedding:
 
     def run(self) -> Answer:
         """Iterate until the targets, a ray, a stall, or the time limit."""
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence is seen by numbers that are not finite
+            return self._iterated()
+
+    def _iterated(self) -> Answer:
         best: Answer | None = None
         try:
             point = self._first_point()

@@ -135,6 +135,14 @@ class BandedLoops:
             first += size
         return out
 
+    def times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t v_t."""
+        return np.einsum("tij,tj->ti", matrices, vectors)
+
+    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t'v_t."""
+        return np.einsum("tij,ti->tj", matrices, vectors)
+
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
         """Write the states of y, and return the ends."""
         n = A.shape[1]

@@ -285,6 +285,32 @@ def backward(A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
     return p[:stages].copy(), gw, gstarts
 
 
+@jit
+def times(matrices: Array, vectors: Array) -> Array:
+    """Return M_t v_t."""
+    stages, rows, columns = matrices.shape
+    out = np.empty((stages, rows))
+    for t in range(stages):
+        for i in range(rows):
+            value = 0.0
+            for j in range(columns):
+                value += matrices[t, i, j] * vectors[t, j]
+            out[t, i] = value
+    return out
+
+
+@jit
+def transposed_times(matrices: Array, vectors: Array) -> Array:
+    """Return M_t'v_t."""
+    stages, rows, columns = matrices.shape
+    out = np.zeros((stages, columns))
+    for t in range(stages):
+        for i in range(rows):
+            for j in range(columns):
+                out[t, j] += matrices[t, i, j] * vectors[t, i]
+    return out
+
+
 KERNELS = Kernels(
     (__file__,),
     (factor, (*REALS[3:] * 3, INDICES)),
@@ -292,6 +318,8 @@ KERNELS = Kernels(
     (gram, (REALS[3], REALS[3], REALS[2], REALS[2], INDICES)),
     (forward, (REALS[3], REALS[3], REALS[2], INDICES, REALS[2], WRITTEN[2])),
     (backward, (REALS[3], REALS[3], REALS[2], INDICES, REALS[2])),
+    (times, (REALS[3], REALS[2])),
+    (transposed_times, (REALS[3], REALS[2])),
 )
 
 
@@ -322,6 +350,14 @@ class CompiledLoops:
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""
         return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
+
+    def times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t v_t."""
+        return times(matrices, vectors)
+
+    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t'v_t."""
+        return transposed_times(matrices, vectors)
 
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
         """Write the states of y, and return the ends."""

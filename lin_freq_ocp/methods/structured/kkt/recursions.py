@@ -13,6 +13,7 @@ Interface:
     Regulator.solve(r, c, x0) -> y, eta, lam0
     Regulator.responses(channels, R, E) -> Y, X
     Loops.gram(H, G, weights, points, cones) -> Phi
+    Loops.times(M, v) -> M_t v_t, Loops.transposed_times(M, v) -> M_t'v_t
     Loops.forward(A, B, c, breaks, starts, y) -> ends
     Loops.backward(A, B, gradient, breaks, prices) -> costates, gw, gstarts
     OpenLoop(A, B, Phi, breaks).columns(starts, W) -> GW, gstarts, ends, X        of blocks.py, the same for both
@@ -61,6 +62,14 @@ class Loops(Protocol):
         weights (T+1, p - sum(cones) + len(cones)): 1/w^2 of the orthant rows, then 1/eta^2 of the cones; zero where
         there is no such row. points (T+1, sum(cones)): the w of the cones, W^2 = eta^2 (2 w w' - J), w'J w = 1.
         """
+        ...
+
+    def times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
+        ...
+
+    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
         ...
 
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:

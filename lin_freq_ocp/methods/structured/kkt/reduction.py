@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Side
 from lin_freq_ocp.methods.structured.kkt.system import (
     BALLS,
@@ -26,14 +25,14 @@ from lin_freq_ocp.methods.structured.model.cones import Cone
 REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
 REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
 DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
-REFINED = 1e-11  # residual, relative to the right-hand side, that is not refined
+REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
 
 
 class StepSystem:
     """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
 
-    def __init__(self, system: System, side: Side, loops: Loops):
-        self.system, self._side, self._loops = system, side, loops
+    def __init__(self, system: System, side: Side):
+        self.system, self._side, self._loops = system, side, system.loops
 
     def factor(self) -> None:
         """Factor at the present scalings."""
@@ -71,7 +70,7 @@ class StepSystem:
     def _once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         system, stages = self.system, self.system.stages
         cone = system.cones[STAGES]
-        gradient = -of_y - np.einsum("tpi,tp->ti", stages.G, cone.scaled(of_z[STAGES], -2))
+        gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
         f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
         for part, own, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
             right = -rows
@@ -79,7 +78,7 @@ class StepSystem:
                 right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
             f.append(right.ravel())
         step = self._side.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
-        of_stages = cone.scaled(np.einsum("tpi,ti->tp", stages.G, step.y) - of_z[STAGES], -2)
+        of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
         return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
 
     def _multipliers(self, nu: Array, of_z: Values) -> Values:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.model.cones import Cone
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
@@ -19,8 +20,8 @@ Values = list[Array]
 class System:
     """The operators of one problem, and the cones of its rows by their index."""
 
-    def __init__(self, stages: Stages):
-        self.stages, coupling = stages, stages.coupling
+    def __init__(self, stages: Stages, loops: Loops):
+        self.stages, self.loops, coupling = stages, loops, stages.coupling
         self.coupling, self._first = coupling, len(coupling.terminal)
         present, fixed = stages.present, stages.fixed
         limits = [part.limits for part in coupling.inequalities]
@@ -37,16 +38,16 @@ class System:
         for i, part in enumerate(coupling.balls):
             shape = len(part.radius), 1 + part.dim
             self.cones[BALLS + i] = Cone(np.ones(shape, dtype=bool), (1 + part.dim,))
-        self._present = present.astype(float)
+        self._AB = np.concatenate([stages.A, stages.B], axis=2)
+        self._G, self._fixed = stages.G * present[:, :, None], fixed
 
     def rows(self, y: Array) -> Values:
         """Return A y."""
-        stages, n = self.stages, self.stages.states
-        x, w = y[:, :n], y[:, n:]
-        dynamics = np.zeros_like(stages.d)
-        dynamics[:-1] = x[1:] - _times(stages.A[:-1], x[:-1]) - _times(stages.B[:-1], w[:-1])
-        of_stages = _times(stages.G, y) * self._present
-        return [dynamics, np.where(stages.fixed, x[0], 0.0), of_stages, *self.coupled(y)]
+        n = self.stages.states
+        dynamics = -self.loops.times(self._AB, y)
+        dynamics[:-1] += y[1:, :n]
+        of_stages = self.loops.times(self._G, y)
+        return [dynamics, np.where(self._fixed, y[0, :n], 0.0), of_stages, *self.coupled(y)]
 
     def coupled(self, y: Array) -> Values:
         """Return the rows of A y that couple times."""
@@ -68,12 +69,11 @@ class System:
 
     def adjoint(self, z: Values) -> Array:
         """Return A'z, (T+1, n + k)."""
-        stages, n = self.stages, self.stages.states
-        eta, result = z[DYNAMICS][:-1], np.einsum("tpi,tp->ti", stages.G, z[STAGES] * self._present)
-        result[:-1, :n] -= np.einsum("tij,ti->tj", stages.A[:-1], eta)
-        result[:-1, n:] -= np.einsum("tij,ti->tj", stages.B[:-1], eta)
-        result[1:, :n] += eta
-        result[0, :n] += np.where(stages.fixed, z[INITIAL], 0.0)
+        n, eta = self.stages.states, z[DYNAMICS]
+        result = self.loops.transposed_times(self._G, z[STAGES])
+        result -= self.loops.transposed_times(self._AB, eta)
+        result[1:, :n] += eta[:-1]
+        result[0, :n] += np.where(self._fixed, z[INITIAL], 0.0)
         self.add_coupled(z[EQUATIONS:], result)
         return result
 
@@ -101,13 +101,9 @@ class System:
 
     def curvature(self, y: Array) -> Array:
         """Return P y."""
-        return _times(self.stages.H, y)
+        return self.loops.times(self.stages.H, y)
 
     @property
     def degree(self) -> int:
         """Return the degree of the cone."""
         return sum(cone.degree for cone in self.cones.values())
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    return np.einsum("tij,tj->ti", matrices, vectors)
