@@ -221,3 +221,40 @@ def test_what_never_moves_does_not_measure_the_cost():
     assert revised is not None
     assert assembly.recovery.units.cost < 1e-10
     assert revised.recovery.units.cost > 0.1
+
+
+def banded(unit: float) -> lfo.OptimalControlProblem:
+    """Return a problem with every kind of frequency constraint, its control in such a unit and its states in 1/unit."""
+    wave = np.sin(np.arange(T))[:, None, None] * unit
+    spectrum = lfo.spectrum
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, np.array([[0.05], [0.3]]) * unit**2),
+        T,
+        lfo.QuadraticCost(Q=1 / unit**2, R=unit**2),
+        initial_state=np.array([1.0, -0.5]) * unit,
+        control_set=lfo.Box(-0.6 / unit, 0.6 / unit),
+        control_spectrum=[
+            lfo.stop_band(bins=[4]),
+            lfo.MagnitudeBound(0.5 / unit, bins=[1, 2], oversampling=2),
+            lfo.MagnitudeBound(0.2 / unit, bins=[3], penalty=0.3 * unit),
+            spectrum.LinearConstraint(wave, [0.1]),
+        ],
+        state_spectrum=[
+            spectrum.EnergyBound(0.8 * unit**2, bins=[2, 5], component=0, window="hann"),
+            spectrum.LinearConstraint(np.ones((T + 1, 1, 2)) / unit, [0.1], penalty=0.4),
+        ],
+        output_spectrum=spectrum.OutputSpectrum([[1.0, 0.5]], [[unit**2]], lfo.stop_band(bins=[1])),
+    )
+
+
+def test_rows_that_couple_times_do_not_depend_on_units():
+    plain, changed = stages_of(banded(1.0)).stages, stages_of(banded(1e6)).stages
+    rng = np.random.default_rng(1)
+    y = rng.standard_normal(plain.h.size)
+    for one, other in zip(stage_operator(plain), stage_operator(changed), strict=True):
+        assert len(one) == len(other) == 8  # three families of balls
+        for of_plain, of_changed in zip(one, other, strict=True):
+            finite = np.isfinite(of_plain)
+            np.testing.assert_array_equal(finite, np.isfinite(of_changed))
+            np.testing.assert_allclose(of_changed[finite], of_plain[finite], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(cost_of(changed, y.reshape(plain.h.shape)), cost_of(plain, y.reshape(plain.h.shape)))
