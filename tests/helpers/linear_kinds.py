@@ -106,6 +106,17 @@ KINDS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
     "soft linear constraint": lambda: _problem(
         state_spectrum=lfo.spectrum.LinearConstraint(WAVE[:, None, None] * np.eye(2), [0.3, -0.9], penalty=0.4)
     ),
+    "soft linear row": lambda: _problem(
+        control_spectrum=lfo.spectrum.LinearConstraint(WAVE[:-1, None, None] * [[1.0, 0.2]], [0.6], penalty=0.05),
+        cost=REFERENCES,
+    ),
+    "two soft spectra": lambda: _problem(
+        control_spectrum=[
+            lfo.MagnitudeBound(0.2, bins=[0, 1, 2, 3, 4], component=0, penalty=0.1, oversampling=2),
+            lfo.spectrum.EnergyBound(0.05, bins=[1, 2], component=1, penalty=0.1),
+        ],
+        control_set=lfo.sets.Soft(lfo.Box(-0.2, 0.2), 0.5),
+    ),
     "time-varying": lambda: _problem(dynamics=VARYING, cost=REFERENCES, control_set=lfo.Box(-0.5, 0.5)),
 }
 
