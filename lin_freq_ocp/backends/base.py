@@ -24,6 +24,7 @@ class Claim(Enum):
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
     LIMIT = "stopped at a limit"
+    STOPPED = "stopped as asked"
     INTERRUPTED = "interrupted"
     FAILED = "failed"
 

@@ -100,22 +100,25 @@ def _covered(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stage
         children.setdefault(node.parent, []).append(index)
     reached: list[Stages | None] = [reach.whole()] + [None] * (len(tree.nodes) - 1)
     covers = bool(tree.nodes) and _within(reached[0], tree, 0)
-    for index, own in children.items():
-        before = reached[index] if index >= 0 else None
-        if before is None:
-            continue
-        times = {tree.nodes[child].stage for child in own}
-        t = times.pop()
-        if times or not 0 <= t < T:
-            return reached, False
-        left = before[t].modes.copy()
-        for child in own:
-            chosen = tree.nodes[child].allowed[t]
-            left &= ~chosen
-            reached[child] = reach.restricted(before, t, chosen)
-            covers &= _within(reached[child], tree, child)
-        for i in np.flatnonzero(left):
-            covers &= reach.restricted(before, t, np.arange(modes) == i) is None
+    level = [0]
+    while level:
+        parents = [index for index in level if reached[index] is not None and index in children]
+        level = [child for index in parents for child in children[index]]
+        choices: list[tuple[Stages, int, Mask]] = []
+        others: list[tuple[Stages, int, Mask]] = []
+        for index in parents:
+            before, times = reached[index], {tree.nodes[child].stage for child in children[index]}
+            t = times.pop()
+            if before is None or times or not 0 <= t < T:
+                return reached, False
+            chosen = np.array([tree.nodes[child].allowed[t] for child in children[index]])
+            choices += [(before, t, mask) for mask in chosen]
+            left = np.flatnonzero(before[t].modes & ~chosen.any(axis=0))
+            others += [(before, t, np.arange(modes) == i) for i in left]
+        for child, found in zip(level, reach.restricted_each(choices), strict=True):
+            reached[child] = found
+            covers &= _within(found, tree, child)
+        covers &= all(found is None for found in reach.restricted_each(others))
     return reached, covers
 
 

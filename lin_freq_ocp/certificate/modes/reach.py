@@ -6,6 +6,7 @@ mode leads to: they do not grow where the map turns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,7 @@ class Stage:
     pair_upper: Array
 
 
+SIDE_BY_SIDE = 64  # paths: beyond, arrays are no longer small
 Stages = tuple[Stage, ...]  # T + 1 of them; the last has no modes
 
 
@@ -60,63 +62,96 @@ class IntervalReach:
             controls = [side[min(t, len(side) - 1)] for side in self._u]  # those of the last stage are not used
             pairs = (np.tile(np.append(x[t], u), (modes, 1)) for x, u in zip(self._x, controls, strict=True))
             stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
-        return self._forward(stages, 0, known=False)
+        return None if self._forward([stages], [0], known=False) else tuple(stages)
 
     def restricted(self, before: Stages, t: int, modes: Mask) -> Stages | None:
         """Return the stages with only these modes (modes,) at time t, or None if they are empty."""
-        stages = list(before)
-        stages[t] = replace(stages[t], modes=stages[t].modes & modes)
-        return self._forward(stages, t, known=True)
+        return self.restricted_each([(before, t, modes)])[0]
 
-    def _forward(self, stages: list[Stage], first: int, known: bool) -> Stages | None:
-        for t in range(first, self._problem.horizon):
-            found = self._step(t, stages[t], stages[t + 1])
-            if found is None:
-                return None
-            stages[t], after = found
-            same = np.array_equal(after.lower, stages[t + 1].lower) and np.array_equal(after.upper, stages[t + 1].upper)
-            if known and same and np.count_nonzero(stages[t].modes) > 1:
-                break  # nothing changes at later times
-            stages[t + 1] = after
-        return tuple(stages)
+    def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
+        """Return what ``restricted`` does for each choice; all go forward side by side, which takes less time."""
+        found = [list(before) for before, _, _ in choices]
+        for stages, (_, t, modes) in zip(found, choices, strict=True):
+            stages[t] = replace(stages[t], modes=stages[t].modes & modes)
+        empty = self._forward(found, [t for _, t, _ in choices], known=True)
+        return [None if index in empty else tuple(stages) for index, stages in enumerate(found)]
 
-    def _step(self, t: int, now: Stage, after: Stage) -> tuple[Stage, Stage] | None:
-        """Return a stage without modes that lead nowhere, and the next stage cut to what the others lead to."""
-        n = len(now.lower)
-        low, high = now.pair_lower.copy(), now.pair_upper.copy()
-        np.maximum(low[:, :n], now.lower, out=low[:, :n])
-        np.minimum(high[:, :n], now.upper, out=high[:, :n])
+    def _forward(self, paths: list[list[Stage]], firsts: Sequence[int], known: bool) -> set[int]:
+        """Go forward from the first times, in place; return the numbers of those that are empty."""
+        empty, settled = set[int](), set[int]()
+        for t in range(min(firsts, default=0), self._problem.horizon):
+            going = [i for i, first in enumerate(firsts) if first <= t and i not in empty and i not in settled]
+            for start in range(0, len(going), SIDE_BY_SIDE):
+                some = going[start : start + SIDE_BY_SIDE]
+                steps = self._step(t, [paths[i][t] for i in some], [paths[i][t + 1] for i in some])
+                for i, found in zip(some, steps, strict=True):
+                    if found is None:
+                        empty.add(i)
+                        continue
+                    stages, after = paths[i], found[1]
+                    stages[t], several = found[0], np.count_nonzero(found[0].modes) > 1
+                    same = (after.lower == stages[t + 1].lower).all() and (after.upper == stages[t + 1].upper).all()
+                    if known and same and several:
+                        settled.add(i)  # nothing changes at later times
+                    else:
+                        stages[t + 1] = after
+        return empty
+
+    def _step(self, t: int, now: Sequence[Stage], after: Sequence[Stage]) -> list[tuple[Stage, Stage] | None]:
+        """Return stages without modes that lead nowhere, and the next stages cut to what the others lead to."""
+        n = len(now[0].lower)
+        low, high = (np.array([getattr(stage, side) for stage in now]) for side in ("pair_lower", "pair_upper"))
+        np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
+        np.minimum(high[..., :n], np.array([stage.upper for stage in now])[:, None], out=high[..., :n])
         low, high, possible = self._cut(t, low, high)
         image_low, image_high = self._image(t, low, high)
-        centre = self._A[t] @ now.centre + self._pushed[t]
-        generators = np.concatenate([self._A[t] @ now.generators, self._pushes[t]], axis=-1)
-        radius = np.abs(generators).sum(axis=-1)
-        radius += INTERVAL_ROUNDING * (np.abs(centre) + radius)
-        image_low = np.maximum(np.maximum(image_low, centre - radius), after.lower)
-        image_high = np.minimum(np.minimum(image_high, centre + radius), after.upper)
-        kept = now.modes & possible & (image_low <= image_high).all(axis=1)
-        if not kept.any():
-            return None
-        here = Stage(now.lower, now.upper, now.centre, now.generators, kept, low, high)
-        lower, upper = image_low[kept].min(axis=0), image_high[kept].max(axis=0)
-        only = int(np.argmax(kept))
-        sets = (centre[only], generators[only]) if kept.sum() == 1 else _zonotope(lower, upper)
-        return here, Stage(lower, upper, *sets, after.modes, after.pair_lower, after.pair_upper)
+        centres, generators, radius = self._zonotopes(t, now)
+        image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
+        image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
+        kept = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
+        lower = np.where(kept[..., None], image_low, np.inf).min(axis=1)
+        upper = np.where(kept[..., None], image_high, -np.inf).max(axis=1)
+        found: list[tuple[Stage, Stage] | None] = []
+        for i, (stage, following) in enumerate(zip(now, after, strict=True)):
+            left = np.flatnonzero(kept[i])
+            if not len(left):
+                found.append(None)
+                continue
+            here = Stage(stage.lower, stage.upper, stage.centre, stage.generators, kept[i], low[i], high[i])
+            sets = _zonotope(lower[i], upper[i])
+            if len(left) == 1:
+                own = generators[i, left[0], :, : stage.generators.shape[1]]
+                sets = centres[i, left[0]], np.concatenate([own, self._pushes[t, left[0]]], axis=-1)
+            pairs = following.pair_lower, following.pair_upper
+            found.append((here, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
+        return found
+
+    def _zonotopes(self, t: int, now: Sequence[Stage]) -> tuple[Array, Array, Array]:
+        """Return centres, generators without those of controls, and radii of the images, (stages, modes, n, ...)."""
+        n, most = len(now[0].lower), max(stage.generators.shape[1] for stage in now)
+        generators = np.zeros((len(now), 1, n, most))
+        for i, stage in enumerate(now):
+            generators[i, 0, :, : stage.generators.shape[1]] = stage.generators
+        generators = self._A[t] @ generators
+        centres = np.array([stage.centre for stage in now])[:, None, :, None]
+        centres = (self._A[t] @ centres)[..., 0] + self._pushed[t]
+        radius = np.abs(generators).sum(axis=-1) + np.abs(self._pushes[t]).sum(axis=-1)
+        return centres, generators, radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
 
     def _cut(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
-        """Return boxes (modes, k) cut by the rows of the regions, and which of them have a point."""
+        """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""
         rows, limits, above = self._rows[t], self._limits[t], self._above[t]
-        least = np.where(rows > 0, low[:, None], high[:, None])  # where a row is least
+        least = np.where(rows > 0, low[..., None, :], high[..., None, :])  # where a row is least
         terms = rows * least
         room = limits - terms.sum(axis=-1)
         room += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
         ends = least + room[..., None] / self._divisors[t]
-        high = np.minimum(high, np.where(above, ends, np.inf).min(axis=1))
-        low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=1))
-        return np.minimum(low, high), high, (room >= 0).all(axis=1)
+        high = np.minimum(high, np.where(above, ends, np.inf).min(axis=-2))
+        low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=-2))
+        return np.minimum(low, high), high, (room >= 0).all(axis=-1)
 
     def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return boxes (modes, n) around the images of boxes (modes, k)."""
+        """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""
         rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
         size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
         low, high, rounding = low[..., None], high[..., None], INTERVAL_ROUNDING * size

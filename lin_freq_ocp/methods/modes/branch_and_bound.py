@@ -21,6 +21,7 @@ from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.search import (
+    TOLERANCES,
     Relaxed,
     SearchLimits,
     SearchOutcome,
@@ -35,7 +36,8 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
-ROUNDING_EVERY = 5  # nodes between two attempts to round a relaxed point to a sequence
+# Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
+ROUNDING_EVERY, ROUNDING_SELDOM = 5, 40
 TRIED_TOGETHER = 8  # sequences, likewise
 SPLIT_TOGETHER = 8  # nodes, as reaches are propagated side by side; more solve nodes that a better sequence closes
 
@@ -61,7 +63,7 @@ class BranchAndBound:
         self._best: Indices | None = None
         self._cost, self._scale = np.inf, 0.0
         self._tried: set[bytes] = set()
-        self._solved = 0
+        self._solved, self._rounding, self._next_rounding = 0, ROUNDING_EVERY, 0
         self._setup = time.perf_counter() - self._started
 
     def run(
@@ -106,7 +108,7 @@ class BranchAndBound:
     def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
         everything = np.ones((self.problem.horizon, len(self.problem.piecewise.modes)), dtype=bool)
         reach = self._relaxation.reach.from_start(everything) if within is None else within
-        return [(everything, None if reach is None else self._relaxed(reach))]
+        return [(everything, None if reach is None else self._relaxed(reach, self._cutoff))]
 
     def _split(self, taken: list[OpenNode]) -> None:
         """Replace each node by one for each of its modes at some time."""
@@ -122,7 +124,9 @@ class BranchAndBound:
             children = list(zip(own, islice(reaches, len(own)), strict=True))
             self._report(min(bound, self._heap[0][0]) if self._heap else bound)
             if bound < self._cutoff:  # a sequence found just now may have closed it
-                answers = [(mask, None if reach is None else self._relaxed(reach)) for mask, reach in children]
+                answers = [
+                    (mask, None if reach is None else self._relaxed(reach, self._cutoff)) for mask, reach in children
+                ]
                 self._open(answers, index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
@@ -134,7 +138,8 @@ class BranchAndBound:
                 self._duals.append(None)
             else:
                 self._nodes.append(ModeNode(parent, stage, answer.reach.allowed, max(bound, answer.bound), None))
-                self._duals.append(answer.duals or inherited)
+                # those of the parent hold for the child, too, and may prove more than those of a rough solution
+                self._duals.append(answer.duals if answer.duals and answer.bound >= bound else inherited)
         if parent >= 0:
             self._duals[parent] = None
         for index, (_, answer) in enumerate(answers, start=first):
@@ -151,8 +156,12 @@ class BranchAndBound:
             return
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
-            if index % ROUNDING_EVERY == 0 or self._best is None:
+            if index >= self._next_rounding or self._best is None:
+                before = self._best
                 self._try(self._rounded(answer))
+                longer = min(2 * self._rounding, ROUNDING_SELDOM)
+                self._rounding = longer if self._best is before else ROUNDING_EVERY
+                self._next_rounding = index + self._rounding
 
     def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
         """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
@@ -177,7 +186,7 @@ class BranchAndBound:
                 if self._best is before:
                     self._tried.add(sequence.tobytes())
                     if reach is not None:
-                        self._accept(sequence, self._relaxed(reach))
+                        self._accept(sequence, self._relaxed(reach, self._cost))
 
     def _accept(self, sequence: Indices, answer: Relaxed) -> None:
         """Keep a sequence if it is the best so far, and try its flips."""
@@ -223,9 +232,9 @@ class BranchAndBound:
             return np.inf
         return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
 
-    def _relaxed(self, reach: Reach) -> Relaxed:
+    def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
         self._solved += 1
-        return relaxed(self._relaxation, reach, end=self._started + self.limits.search_seconds)
+        return relaxed(self._relaxation, reach, TOLERANCES, self._started + self.limits.search_seconds, cutoff)
 
     def _report(self, bound: float) -> None:
         if self.progress is not None:

@@ -11,16 +11,18 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.85  # of the time: the best sequence is solved once more, and the leaves are checked, in the rest
 # Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
 # whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
+# Relative residual and gap of a point that is good enough to say that a node must be split
+CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
 FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
 
 
@@ -101,26 +103,58 @@ class Relaxed:
         return np.argmax(allowed, axis=1) if (allowed.sum(axis=1) == 1).all() else None
 
 
+@dataclass(frozen=True)
+class Decision:
+    """When the relaxation of a node with several sequences is known well enough, with the cutoff in its objective.
+
+    Its bound is computed anew from the duals (``ModeRelaxation.proven``), so that they need not be those of a solution.
+    """
+
+    cutoff: float
+    several: bool
+
+    def __call__(self, cost: float, dual: float, residual: float) -> bool:
+        """Return whether the bound is above the cutoff, or the node must be split, as far as a solver can tell."""
+        gap = cost - dual
+        if residual > CLEAR_RESIDUAL or gap < 0:
+            return False
+        split = self.several and gap <= CLEAR_GAP * max(1.0, abs(cost)) and cost + gap < self.cutoff
+        return split or dual - gap > self.cutoff
+
+
 def relaxed(
-    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float] = TOLERANCES, end: float = np.inf
+    relaxation: ModeRelaxation,
+    reach: Reach,
+    tolerances: Sequence[float] = TOLERANCES,
+    end: float = np.inf,
+    cutoff: float | None = None,
 ) -> Relaxed:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
-    Raises KeyboardInterrupt where the solver was interrupted.
+    With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
+    below it is solved. Raises KeyboardInterrupt where the solver was interrupted.
     """
     if time.perf_counter() > end:
         return Relaxed(reach, -np.inf)
     from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
 
-    member = relaxation.member(reach)
-    for tolerance in tolerances:
+    member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())
+    attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
+    if cutoff is not None and relaxation.proves:
+        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), several)))
+    for tolerance, enough in attempts:
         left = end - time.perf_counter()
         if left <= 0:
             break
-        solution = solve_form(member.form, tolerance, None if left == np.inf else left)
+        solution = solve_form(member.form, tolerance, None if left == np.inf else left, enough)
         z, y = solution.z, solution.y
         if solution.claim is Claim.INTERRUPTED:
             raise KeyboardInterrupt
+        if enough is not None:
+            answer = _decided(relaxation, member, solution, enough)
+            if answer is not None:
+                return answer
+            continue
         if solution.claim is Claim.INFEASIBLE:
             return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, member.duals(y, 0.0))
         if solution.claim is Claim.SOLVED:
@@ -129,6 +163,18 @@ def relaxed(
             bound = relaxation.cost(member.form.dual_objective(z, y))
             return Relaxed(reach, bound, member.duals(y, 1.0), *relaxation.point(member, z))
     return Relaxed(reach, -np.inf)
+
+
+def _decided(relaxation: ModeRelaxation, member: Member, solution: Solution, enough: Decision) -> Relaxed | None:
+    """Return the relaxation of a node that a rough solution decides: closed by its duals, or to be split."""
+    z, y = solution.z, solution.y
+    if solution.claim is not Claim.STOPPED or z is None or y is None:
+        return None
+    duals = member.duals(y, 1.0)
+    bound = relaxation.proven(member.reach, duals)
+    if not enough.several and relaxation.objective(bound) <= enough.cutoff:
+        return None
+    return Relaxed(member.reach, bound, duals, *relaxation.point(member, z))
 
 
 def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:

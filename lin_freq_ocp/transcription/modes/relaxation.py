@@ -16,6 +16,7 @@ It is the convex hull of graph and cost of each stage.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,6 +31,7 @@ from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import common_scaling
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.transcription.modes.rows import ModeColumns, hessian_roots, mode_rows, mode_stages
+from lin_freq_ocp.transcription.modes.stage_bounds import StageBounds, StageDuals
 from lin_freq_ocp.transcription.program import Block, StandardForm
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
@@ -125,6 +127,48 @@ class ModeRelaxation:
         """Return the largest diagonal of the cost's Hessian for each state, (n,)."""
         stage = np.abs(self.problem.quadratic.stage_hessians()).max(axis=0).diagonal()[: self._n]
         return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
+
+    @cached_property
+    def _bounds(self) -> StageBounds | None:
+        """What duals prove; None for a problem with terms that are not linear equations of x and u."""
+        program, form, at, scale = self._program, self._sides, self._at, self._scaling.cost
+        T, k = at.y.shape
+        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - self._n):
+            return None
+        dense, units = form.A.toarray(), self._stages.units
+        rows, price = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k))
+        for part, of_host in ((rows, dense), (price, self._price)):
+            part[..., :T, :], part[..., T, : self._n] = of_host[..., at.y], of_host[..., at.x[T]]
+        cost, last = self.problem.quadratic, units[: self._n]
+        hessians = np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units)
+        return StageBounds(self._stages, scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
+
+    def phi(self, reach: Reach, duals: Duals) -> tuple[Array, float] | None:
+        """Return what duals with eta_C = 1 prove of a reach, as costs: of every mode (T, modes), and beyond stages.
+
+        The bound is the sum over stages of the least of its modes, and the rest (see stage_bounds.py).
+        """
+        if self._bounds is None:
+            return None
+        full, rows = self._filled(duals), self._rows
+        region = np.maximum(full[rows.one_region.rows] + full[rows.share_region.rows], 0.0)
+        links, others = self._scaled_adjoint(full), full[self._host_rows[0].rows].ravel()
+        found, rest = self._bounds.phi(reach, StageDuals(links, others, region.reshape(self._stages.limits.shape)))
+        return found / self._scaling.cost, self.cost(rest)
+
+    @property
+    def proves(self) -> bool:
+        """Whether duals of any kind give a bound."""
+        return self._bounds is not None
+
+    def proven(self, reach: Reach, duals: Duals) -> float:
+        """Return the bound on the cost that duals with eta_C = 1 prove of a reach."""
+        found = self.phi(reach, duals)
+        return -np.inf if found is None else float(found[0].min(axis=1).sum()) + found[1]
+
+    def objective(self, cost: float) -> float:
+        """Return the objective of a member of a cost."""
+        return (cost - self._host.program.constant) * self._scaling.cost
 
     def cost(self, objective: float) -> float:
         """Return the cost of an objective of a member."""

@@ -1,0 +1,92 @@
+"""What duals of a relaxation prove, stage by stage: the least Lagrangian of every mode over its box.
+
+With eta of the links, lambda >= 0 of the regions and rho of the rows F over all times, in natural units y = (x, u),
+
+    phi_ti = min over box_ti of  c_t(y) + <eta_{t-1}, x> - <eta_t, maps y + offsets> + <rho, F_t y> + <lambda, G y - h>,
+    J within the mask >= sum_t min_i phi_ti + phi_T - <rho, right>,
+
+be the duals those of a solution or not. Mode i at t alone is above this by phi_ti - min_j phi_tj.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.transcription.modes.rows import ModeStages
+
+SWEEPS = 5  # of minimisation by coordinates, where the Hessian is not diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class StageDuals:
+    """eta (T, n), rho (q,) and lambda (T, modes, r) in natural units."""
+
+    links: Array
+    rows: Array
+    regions: Array
+
+
+class Quadratic:
+    """1/2 y'H y for Hessians (..., k, k), to be minimised over boxes with slopes."""
+
+    def __init__(self, hessians: Array):
+        self._hessians, self._diagonal = hessians, np.diagonal(hessians, axis1=-2, axis2=-1)
+        sizes = np.sqrt(np.where(self._diagonal > 0, self._diagonal, 1.0))
+        normed = hessians / (sizes[..., None] * sizes[..., None, :])
+        off = hessians - self._diagonal[..., None] * np.eye(hessians.shape[-1])
+        self._alone = not off.any()
+        convex = 1.0 if self._alone else np.maximum(np.linalg.eigvalsh(normed)[..., :1], 0.0)
+        self._least = convex * self._diagonal  # H - diag(least) is positive semidefinite
+
+    def least(self, slope: Array, low: Array, high: Array) -> Array:
+        """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...)."""
+        if self._alone:
+            return _box_minimum(slope, self._diagonal, low, high)
+        y = np.clip(np.zeros(np.broadcast_shapes(slope.shape, low.shape)), low, high)
+        for _ in range(SWEEPS):
+            for j in range(y.shape[-1]):
+                gradient = slope[..., j] + (self._hessians[..., j, :] * y).sum(axis=-1)
+                size = self._diagonal[..., j]
+                step = np.where(size > 0, gradient / np.where(size > 0, size, 1.0), 0.0)
+                y[..., j] = np.clip(y[..., j] - step, low[..., j], high[..., j])
+        moved = (self._hessians * y[..., None, :]).sum(axis=-1)
+        there = ((slope + 0.5 * moved) * y).sum(axis=-1)
+        return there + _box_minimum(slope + moved, self._least, low - y, high - y)
+
+
+class StageBounds:
+    """Bounds of one problem whose only terms beyond boxes are linear equations over all times."""
+
+    def __init__(self, stages: ModeStages, hessians: Array, last: Array, price: Array, rows: Array, right: Array):
+        """Take Hessians (T, k, k) and (n, n), prices (T+1, k) and rows (q, T+1, k) in natural units."""
+        n = len(last)
+        self._stages, self._price, self._rows, self._right = stages, price, rows, right
+        self._cost, self._last, self._n = Quadratic(hessians[:, None]), Quadratic(last), n
+        finite = np.isfinite(stages.limits)
+        self._limits = np.where(finite, stages.limits, 0.0)
+
+    def phi(self, reach: Reach, duals: StageDuals) -> tuple[Array, float]:
+        """Return phi (T, modes), inf for modes that are not allowed, and the rest of the bound."""
+        stages, n, eta = self._stages, self._n, duals.links
+        slope = self._price + np.tensordot(duals.rows, self._rows, axes=1)
+        slope[1:, :n] += eta
+        own = slope[:-1, None] - (eta[:, None, None] @ stages.maps)[:, :, 0]
+        own += (duals.regions[:, :, None] @ stages.rows)[:, :, 0]
+        constant = -(stages.offsets @ eta[..., None])[..., 0] - (duals.regions * self._limits).sum(axis=-1)
+        low, high = (stages.scaled(bounds) for bounds in (reach.mode_lower, reach.mode_upper))
+        found = np.where(reach.allowed, constant + self._cost.least(own, low, high), np.inf)
+        units = stages.units[:n]
+        ends = ((bounds[-1] - stages.last_reference) / units for bounds in (reach.lower, reach.upper))
+        return found, float(self._last.least(slope[-1, :n], *ends)) - float(duals.rows @ self._right)
+
+
+def _box_minimum(slope: Array, curvature: Array, low: Array, high: Array) -> Array:
+    """Return the least slope'v + 1/2 sum_j curvature_j v_j^2 over boxes."""
+    curved = curvature > 0
+    v = np.where(curved, -slope / np.where(curved, curvature, 1.0), np.where(slope > 0, low, high))
+    v = np.clip(v, low, high)
+    return ((slope + 0.5 * curvature * v) * v).sum(axis=-1)
