@@ -240,8 +240,10 @@ class QuadraticCost(Cost):
     def stage_values(self, x: Array, u: Array) -> Array:
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
         a, b = self.deviations(x, u)
-        Qa, Rb, Sb = times_vectors(self.Q, a[:-1]), times_vectors(self.R, b), times_vectors(self.S, b)
-        stage = (a[:-1] * (0.5 * Qa + Sb) + x[:-1] * self.q).sum(1) + (0.5 * b * Rb + u * self.r).sum(1)
+        stage = (0.5 * b * times_vectors(self.R, b) + u * self.r).sum(1)
+        if self.Q.any() or self.S.any() or self.q.any():
+            slope = 0.5 * times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b)
+            stage = stage + (a[:-1] * slope + x[:-1] * self.q).sum(1)
         return np.append(stage, 0.5 * a[-1] @ self.P @ a[-1] + self.p @ x[-1])
 
     def value(self, x: Array, u: Array) -> float:
@@ -259,11 +261,9 @@ class QuadraticCost(Cost):
 
     def magnitudes(self) -> QuadraticCost:
         """Return the cost with the absolute values of all data, without references."""
-        other, given = (
-            copy(self),
-            {field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")},
-        )
-        assign(other, **given, x_ref=np.zeros(()), u_ref=np.zeros(()))
+        other = copy(self)
+        assign(other, **{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
+        assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))
         return other
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:

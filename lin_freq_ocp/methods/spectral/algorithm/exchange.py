@@ -76,8 +76,7 @@ class Exchange:
         self.unconstrained, self.soft = structure.unconstrained, self.border.soft
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        self.signals = signals(structure, data, self.theta, self.multipliers, self.working)
-        self._measure()
+        self._evaluate()
 
     def run(self) -> Outcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
@@ -126,11 +125,8 @@ class Exchange:
         return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
 
     def _evaluate(self) -> None:
-        del self.signals  # large: given back before the next are made
+        self.__dict__.pop("signals", None)  # large: given back before the next are made
         self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
-        self._measure()
-
-    def _measure(self) -> None:
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         self.violations.measure(self.signals.y, self.signals.last)
         self.values = self.working.values(self.signals.y, self.signals.last)

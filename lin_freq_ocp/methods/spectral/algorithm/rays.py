@@ -13,18 +13,24 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
+from lin_freq_ocp.methods.spectral.algorithm.structure import (
+    Data,
+    Signals,
+    Structure,
+    equation_residual,
+    forces,
+    signals,
+)
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
 
 @dataclass(frozen=True, eq=False)
 class Ray:
-    """A Farkas ray, verified within this method: weights of the working rows, multipliers of the equations, forces."""
+    """A Farkas ray, verified within this method: weights of the working rows, and multipliers of the equations."""
 
     working: WorkingSet
     multipliers: Array
-    force: Signals
 
 
 def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
@@ -83,9 +89,9 @@ def regularised_ray(
 
 def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
     border, lti = structure.border, data.lti
-    at = signals(structure, data, np.zeros(border.size), y, working)
+    force, _ = forces(structure, lti, y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
-    moved = sum(np.conj(structure.spaces.N[i]) * at.force[i] for i in range(len(lti.M)))
+    moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
     stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
     slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
@@ -94,7 +100,7 @@ def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -
     value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
     terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
     proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
-    return Ray(working, y, at) if proven else None
+    return Ray(working, y) if proven else None
 
 
 def _unforced(structure: Structure, data: Data) -> tuple[Signals, Array]:

@@ -16,7 +16,7 @@ from scipy import fft
 from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
-from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure
+from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, forces
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
@@ -53,11 +53,13 @@ def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:
     lti, ray, n = data.lti, outcome.ray, data.lti.state_dim
     if ray is None:
         working, y, eta_C = outcome.working, outcome.multipliers, 1.0
-        gradient = lti.M @ outcome.signals.spectrum + outcome.signals.force
+        gradient = lti.M @ outcome.signals.spectrum
+        gradient += forces(structure, lti, y, working)[0]
         if data.linear is not None:
             gradient += data.linear
     else:
-        working, y, gradient, eta_C = ray.working, ray.multipliers, ray.force.force, 0.0
+        working, y, eta_C = ray.working, ray.multipliers, 0.0
+        gradient, _ = forces(structure, lti, y, working)
     eta_hat = _adjoint_spectrum(structure, y, gradient)
     band = lti.B.T @ eta_hat - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon

@@ -106,22 +106,21 @@ class Signals:
     y: Array  # (x_t, u_t), (n+m, T)
     last: Array  # x_T
     spectrum: ComplexArray  # of y, (n+m, bins)
-    force: ComplexArray  # spectrum of the forces of working rows and equations
 
 
 def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
     """Return the optimum over all bins for given border variables and forces (docs/spectral.md, (3))."""
     lti, spaces, border = data.lti, structure.spaces, structure.border
-    force, used = _forces(structure, lti, multipliers, working)
     spectrum = data.base.copy()
-    spaces.respond(force, used, spectrum)
+    if len(working) or multipliers.any():
+        spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
     border.add(theta, spectrum)
     last = lti.end.copy()
     last[border.free_end] = theta[border.at_end]
-    return Signals(fft.irfft(spectrum, lti.horizon), last, spectrum, force)
+    return Signals(fft.irfft(spectrum, lti.horizon), last, spectrum)
 
 
-def _forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
+def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
     """Return the spectrum of G'l + E'y, and which components are not zero."""
     border, dimension = structure.border, len(lti.M)
     pulses = np.zeros((len(lti.F), lti.horizon))

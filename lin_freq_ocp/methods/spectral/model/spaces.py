@@ -236,7 +236,8 @@ class BinSpaces:
         components = np.flatnonzero(used)
         for a in range(self.lti.control_dim):
             v = sum((self.N[i, a].conj() * force[i] for i in components), start=np.zeros(len(self.z), complex))
-            spectrum -= self.N[:, a] * v
+            for row, response in zip(spectrum, self.N[:, a], strict=True):
+                row -= response * v
 
 
 def _inverse_factor(H: ComplexArray) -> ComplexArray:

@@ -57,7 +57,9 @@ class WholeHorizon:
         t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
-        inner = np.flatnonzero(index < self._inner)
+        inner = index < self._inner
+        if inner.all():
+            return S + self._border.kernels.gram(t, f, t, f)
         S[np.ix_(inner, inner)] += self._border.kernels.gram(t[inner], f[inner], t[inner], f[inner])
         return S
 
@@ -65,8 +67,9 @@ class WholeHorizon:
         """Return S mu of all values, for multipliers of some."""
         pulses = np.zeros(len(self.t))
         pulses[index] = mu
-        forces = fft.rfft(pulses[: self._inner].reshape(len(self.rows), -1))
-        answer = (self._spaces.conj() * forces[:, None]).sum(0)
+        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
+        acting = pulses.any(1)
+        answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
         values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._border.lti.horizon).ravel()
         return values
