@@ -136,6 +136,7 @@ def test_a_limit_error_without_a_result_has_none_of_them() -> None:
 
 def small_memory(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
     monkeypatch.setattr(memory, "memory_limit", lambda: size)
+    monkeypatch.setattr(memory, "ALWAYS_THERE", 0.0)
 
 
 def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,8 @@ def nonnegative_qp(
     """
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
-    A, b, warm = S * unit[:, None] * unit, d * unit / size, start / unit / size
+    A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
+    A *= unit
     lam = block_pivoting(A, b, warm) if len(d) <= PIVOTING_ROWS else None
     if lam is not None:
         return lam * unit * size, True
@@ -42,7 +43,7 @@ def nonnegative_qp(
         lam = active_set(A, b)
     accurate = lam is not None
     if lam is None:
-        lam, accurate = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop)
+        lam, accurate = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop, warm)
     return lam * unit * size, accurate
 
 

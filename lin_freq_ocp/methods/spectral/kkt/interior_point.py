@@ -24,15 +24,22 @@ STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
 LOW_RANK_ROWS = 200  # from which a factor of low rank saves time ...
 LARGEST_SHARE = 0.45  # ... and rank over rows up to which it does
 TO_BOUNDARY = 0.995  # fraction of the step to the boundary
+REFINED = 1e-8  # diagonal added to a thin factor below which solves are refined
+WARM = 1e-2  # least weight and slack of a warm start
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 
 
 def interior_point(
-    A: Array, b: Array, unconstrained: Array | None, stop: Callable[[], str | None] = lambda: None
+    A: Array,
+    b: Array,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None] = lambda: None,
+    start: Array | None = None,
 ) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate); ``unconstrained`` and ``stop`` as in ``nonnegative_qp``."""
+    """Return (lam, whether it is accurate); ``unconstrained``, ``stop`` and ``start`` as in ``nonnegative_qp``."""
     system, ridge, count = _thin(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
-    lam, z = np.ones(count), np.maximum(system.times(np.ones(count)) + b, 1.0)
+    lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
+    lam, z = np.maximum(lam, least), np.maximum(system.times(lam) + b, least)
     best = np.inf, lam, z
     for _ in range(STEPS):
         defect, mu = z - system.times(lam) - b, float(lam @ z) / count
@@ -101,7 +108,7 @@ class _Thin:
     """A = diag(base) + sign V V' with a thin V, and factors of A + diag(w)."""
 
     def __init__(self, base: Array, sign: float, V: Array):
-        self._base, self._sign, self._V = base, sign, V
+        self._base, self._sign, self._V, self._scaled = base, sign, V, np.empty_like(V)
 
     def times(self, v: Array) -> Array:
         """Return A v."""
@@ -109,16 +116,18 @@ class _Thin:
 
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""
-        self._w, self._diagonal = w, self._base + w
-        inner = dsyrk(self._sign, self._V / np.sqrt(self._diagonal)[:, None], trans=1, lower=1)
+        self._diagonal = self._base + w
+        np.divide(self._V, np.sqrt(self._diagonal)[:, None], out=self._scaled)
+        inner = dsyrk(self._sign, self._scaled, trans=1, lower=1)
         inner[np.diag_indices_from(inner)] += 1.0
         self._lower, failed = dpotrf(inner, lower=1, overwrite_a=1, clean=0)
         return failed == 0
 
     def solve(self, r: Array) -> Array:
-        """Return (A + diag(w))^{-1} r, refined once where the diagonal may be tiny."""
+        """Return (A + diag(w))^{-1} r, refined once where the diagonal is tiny."""
         x = self._once(r)
-        return x if self._sign < 0 else x + self._once(r - self.times(x) - self._w * x)
+        tiny = self._diagonal.min() < REFINED
+        return x + self._once(r - self.times(x) - (self._diagonal - self._base) * x) if tiny else x
 
     def _once(self, r: Array) -> Array:
         inner = dpotrs(self._lower, self._V.T @ (r / self._diagonal), lower=1)[0]
@@ -136,7 +145,7 @@ def _thin(A: Array, unconstrained: Array | None) -> _Thin | None:
     if min(share, 1 - share) > LARGEST_SHARE:
         return None
     base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
-    factored = sign * A
+    factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
     factored[np.diag_indices_from(A)] += base
     factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
     V = np.empty((len(A), rank), order="F")

@@ -68,17 +68,24 @@ class WorkingSet:
                 8.0 * COPIES * len(self) ** 2,
                 "Choose a coarser grid or a shorter horizon.",
             )
-            inner, gram = self.inner, np.zeros((len(self), len(self)))
+            inner = self.inner
             t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
-            gram[np.ix_(inner, inner)] = self._border.kernels.gram(t, f, t, f) * sign[:, None] * sign
+            gram = self._border.kernels.gram(t, f, t, f)
+            gram *= sign[:, None]
+            gram *= sign
+            if not inner.all():
+                gram, of_inner = np.zeros((len(self), len(self))), gram
+                gram[np.ix_(inner, inner)] = of_inner
             self._known_gram = gram
         return self._known_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
         """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
         Z = inverse @ self.coupling
-        through_border = self.coupling.T @ Z
-        return Z, self.gram + (through_border + through_border.T) / 2
+        half = self.coupling.T @ (Z / 2)
+        S = half + half.T
+        S += self.gram
+        return Z, S
 
     @property
     def inner(self) -> Mask:
