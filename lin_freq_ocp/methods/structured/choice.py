@@ -1,8 +1,8 @@
 """Which side solves the linear system of a step: the rows that couple times, or what stop bands keep.
 
 A dense side costs sweeps over T stages for each of its columns, and their cube; conjugate gradients cost some thirty
-sweeps, whatever the number of columns. The constants are those of compiled loops on one core, for n + k = 3; a larger
-stage changes all sweeps alike.
+sweeps and as many columns as there are rows left, starts, and directions of large weights. The constants were measured
+with compiled loops on one core, the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from lin_freq_ocp.methods.structured.kkt.side import Side
 from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
-COLUMN = 50e-9  # seconds for one stage of one column of a dense side
-SWEEPS = 30e-6  # seconds for one stage of all iterations of conjugate gradients in a step
+COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
+ITERATIONS = 7e-6  # seconds for one entry of y of one stage in all iterations of conjugate gradients of a step
+DIRECTIONS = 100  # of large weights, a common number
 FLOP = 1e-10  # seconds for a multiplication in products and factors of dense matrices
-LARGEST = 12_000  # columns: a dense matrix of them, and its factor, fill 2.3 GB
+LARGEST_BYTES = 1e9  # of a dense matrix and its factor, or of the columns that conjugate gradients keep
 
 
 @dataclass(frozen=True)
@@ -35,29 +36,27 @@ class Sizes:
     """What the cost of each side depends on."""
 
     horizon: int
+    entries: int  # of y_t
     rows: int  # that couple times
     kept: int  # coefficients, starts and free entries of x_0
     left: int  # rows on these: starts, x_T, and rows that are no stop band
     bands: int
 
-    @property
-    def stopped_seconds(self) -> float:
-        """Return the seconds of a step on the side of the rows."""
-        return _dense(self.horizon, self.rows)
+    def seconds(self) -> dict[str, float]:
+        """Return the seconds of a step by the sides that fit into memory."""
+        found: dict[str, float] = {}
+        directions = self.left + DIRECTIONS
+        if 16 * self.rows**2 <= LARGEST_BYTES:
+            found["stopped"] = self._dense(self.rows)
+        if self.bands and 16 * self.kept**2 <= LARGEST_BYTES:
+            found["kept"] = self._dense(self.kept) + FLOP * self.kept**2 * self.left + FLOP * self.left**3 / 3
+        if self.bands and 16 * self.kept * directions <= LARGEST_BYTES:
+            iterations = self.horizon * self.entries * (ITERATIONS + 2 * COLUMN * directions)  # columns of x and u
+            found["two-level"] = iterations + FLOP * (self.kept * directions**2 + directions**3 / 3)
+        return found
 
-    @property
-    def kept_seconds(self) -> float:
-        """Return the seconds of a step on the side of the coefficients, by dense factors."""
-        return _dense(self.horizon, self.kept) + FLOP * self.kept**2 * self.left + _dense(0, self.left)
-
-    @property
-    def two_level_seconds(self) -> float:
-        """Return the seconds of a step on the side of the coefficients, by conjugate gradients."""
-        return self.horizon * (SWEEPS + COLUMN * self.left) + FLOP * self.kept * self.left**2 + _dense(0, self.left)
-
-
-def _dense(horizon: int, columns: int) -> float:
-    return COLUMN * horizon * columns + FLOP * columns**3 / 3
+    def _dense(self, columns: int) -> float:
+        return COLUMN * self.horizon * self.entries * columns + FLOP * columns**3 / 3
 
 
 def sizes_of(stages: Stages) -> Sizes:
@@ -72,7 +71,7 @@ def sizes_of(stages: Stages) -> Sizes:
     starts = len(break_times(stages.A, GROWTH)) * stages.states
     kept = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
     left = starts + len(coupling.terminal) + sum(len(part.at) for part in rest)
-    return Sizes(T, coupling.count, kept, left, len(bands))
+    return Sizes(T, stages.H.shape[1], coupling.count, kept, left, len(bands))
 
 
 def choose_side(stages: Stages, loops: Loops) -> Side:
@@ -80,17 +79,14 @@ def choose_side(stages: Stages, loops: Loops) -> Side:
     if fine_rows(Response(stages, loops)) is not None:
         return stopped_side(stages, loops)
     sizes = sizes_of(stages)
-    fitting = {"stopped": sizes.stopped_seconds} if sizes.rows <= LARGEST else {}
-    if sizes.bands and sizes.left <= LARGEST:
-        fitting["two-level"] = sizes.two_level_seconds
-        if sizes.kept <= LARGEST:
-            fitting["kept"] = sizes.kept_seconds
-    if not fitting:
+    seconds = sizes.seconds()
+    if not seconds:
         raise UnsupportedError(
             f"problem: got {sizes.rows} rows that couple times, of which {sizes.left} are no stop band of a control; "
-            f"the structured method takes up to {LARGEST} (theirs would be matrices of {16e-9 * sizes.left**2:.0f} GB)."
+            f"the structured method would need {16e-9 * sizes.rows**2:.0f} GB of memory for them, and takes up to "
+            f"{LARGEST_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
         )
-    best = min(fitting, key=lambda name: fitting[name])
+    best = min(seconds, key=lambda name: seconds[name])
     if best == "stopped":
         return stopped_side(stages, loops)
     return KeptSide(stages, loops, DenseReduced if best == "kept" else TwoLevel)

@@ -19,12 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
+from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace, break_times
 
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
 LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
 MOST_DIRECTIONS = 300  # beyond the clip; the largest are taken
 NOISES = 4  # signals for the covariance
+NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the kept coefficients
 JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
 BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
 MOST_COLUMNS = 64
@@ -143,12 +144,14 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Exce
 def _covariances(space: KeptSpace) -> Array:
     """Return for every control the mean covariance of y under unit white noise in its stopped coefficients."""
     n, m, T = space.states, space.controls, space.horizon
-    random = np.random.default_rng(0)
+    random, still = np.random.default_rng(0), np.zeros((T + 1, n))
+    breaks = break_times(space.A, NOISE_GROWTH)
+    starts = np.zeros((len(breaks), n))
     found = np.zeros((m, n + m, n + m))
     for j in np.flatnonzero(space.coefficients.banded):
         for signal in space.coefficients.stopped(int(j), random.standard_normal((NOISES, T))):
             y = np.zeros((T + 1, n + m))
             y[:-1, n + j] = signal
-            space.loops.forward(space.A, space.B, np.zeros((T + 1, n)), space.breaks, space.zero, y)
+            space.loops.forward(space.A, space.B, still, breaks, starts, y)
             found[j] += y[:-1].T @ y[:-1] / (NOISES * T)
     return found

@@ -14,8 +14,7 @@ from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
-GROWTH = 100.0  # of the states between breaks: two digits are lost at most
-BLOCK = 64  # rows that are made at once
+GROWTH = 1e3  # of the states between breaks: three digits are lost at most
 
 
 class KeptSpace:
@@ -58,10 +57,14 @@ class KeptSpace:
         z = self.coefficients.analysis(gw[:, :, None])[0]
         return np.concatenate([z, (of_starts + prices).ravel(), p[0, self.free]])
 
-    def curvature(self, Phi: Array, v: Array) -> Array:
-        """Return the gradient in v of 1/2 y'Phi y."""
+    def curvature(self, Phi: Array, v: Array, nu: Array | None = None) -> Array:
+        """Return the gradient in v of 1/2 y'Phi y, plus that of nu times the rows."""
         y, _ = self.simulated(v)
-        return self.gradient(np.einsum("tij,tj->ti", Phi, y))
+        of_y = np.einsum("tij,tj->ti", Phi, y)
+        if nu is None:
+            return self.gradient(of_y)
+        priced, prices = self.priced(nu)
+        return self.gradient(of_y + priced, prices)
 
     def values(self, y: Array, ends: Array) -> Array:
         """Return what y adds to the rows when its simulations start from zero."""

@@ -15,9 +15,9 @@ from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.kept.second_level import Excess, SecondLevel
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 
-REDUCTION = 1e-7  # of the residual in one solution: two of them leave rounding
-EXACT = 1e-10  # compliance of rows that may be taken for zero until the next refinement
-MOST_ITERATIONS = 100  # 3 to 7 are common
+REDUCTION = 1e-10  # of the residual in one solution, so that seldom another is needed
+MOST_ITERATIONS = 100  # 5 to 15 are common
+PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
 
 
 class TwoLevel:
@@ -31,8 +31,7 @@ class TwoLevel:
 
     def factor(self, Phi: Array, C: Array) -> None:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
-        self._Phi, self._C = Phi, C
-        self._exact = np.abs(C).sum(1) <= EXACT
+        self._Phi = Phi
         excess = self._second.factor(Phi)
         count = len(excess.weights)
         self._B = np.concatenate([self._responses(excess), self._E])
@@ -46,29 +45,27 @@ class TwoLevel:
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""
         v, nu = self._projected(np.zeros_like(r), e) if e.any() else (np.zeros_like(r), np.zeros_like(e))
-        left = r - self._E.T @ nu
-        if v.any():
-            left -= self._space.curvature(self._Phi, v)
-        target = REDUCTION * float(np.abs(r).max(initial=0.0))
+        left = r - self._space.curvature(self._Phi, v, nu) if v.any() or nu.any() else r.copy()
+        size = float(np.abs(r).max(initial=0.0))
         zero, direction, slope, iterations = np.zeros_like(e), np.zeros_like(r), 1.0, 0
-        of_rows = zero
-        while np.abs(left).max(initial=0.0) > target and iterations < MOST_ITERATIONS:
+        of_rows, least, since = zero, np.inf, 0
+        while size * REDUCTION < (error := float(np.abs(left).max(initial=0.0))) and iterations < MOST_ITERATIONS:
+            least, since = (error, iterations) if error < least else (least, since)
+            if iterations - since > PATIENCE:
+                break
             step, prices = self._projected(left, zero)
-            nu[self._exact] += prices[self._exact]  # where C = 0, a price changes the residual alone
-            left -= self._E[self._exact].T @ prices[self._exact]
-            prices[self._exact] = 0.0
             slope, before = float(left @ step), slope
             if not slope > 0:
                 break
             beta = slope / before if iterations else 0.0
             direction, of_rows = step + beta * direction, prices + beta * of_rows
-            bent = self._space.curvature(self._Phi, direction)
-            curvature = float(direction @ bent + of_rows @ (self._C @ of_rows))
+            bent = self._space.curvature(self._Phi, direction, of_rows)
+            curvature = float(direction @ bent)
             if not curvature > 0:
                 break
             v += slope / curvature * direction
             nu += slope / curvature * of_rows
-            left -= slope / curvature * (bent + self._E.T @ of_rows)
+            left -= slope / curvature * bent
             iterations += 1
         self.iterations.append(iterations)
         return v, nu

@@ -1,0 +1,57 @@
+"""The side that is chosen, and the problem that none can take."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured.choice import Sizes, choose_side, sizes_of
+from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
+from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
+from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
+from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
+from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations
+from methods.structured.examples import spectrum, stages
+
+
+def with_stop(T, bins, n=2, k=1, free=False):
+    rows = spectrum(bins, T)
+    kept = np.ones((len(bins), 2), dtype=bool)
+    kept[np.isin(bins, [0, T / 2]), 1] = False
+    rows = replace(rows, kept=kept.ravel())
+    coupling = Coupling(np.array([n]), np.array([0]), np.zeros(1), (Equations(rows, np.zeros(rows.count)),))
+    return stages(T=T, n=n, k=k, coupling=coupling, free=free, growth=1.02)
+
+
+@pytest.mark.parametrize(("k", "free"), [(1, False), (2, True)])
+def test_sizes_are_those_of_the_space(k, free):
+    problem = with_stop(200, np.arange(20, 101), k=k, free=free)
+    bands, rest = sort_rows(problem)
+    space = KeptSpace(problem, Slacks(problem, [band.entry for band in bands]), bands, rest, loops(False))
+    sizes = sizes_of(problem)
+    assert sizes.kept == space.size
+    assert sizes.left == space.row_count
+    assert sizes.rows == problem.coupling.count
+
+
+def test_a_narrow_pass_band_is_kept_and_a_narrow_stop_band_stopped():
+    kept = choose_side(with_stop(400, np.arange(20, 201)), loops(False))
+    assert isinstance(kept, KeptSide)
+    assert isinstance(kept._reduced, DenseReduced)
+    assert isinstance(choose_side(with_stop(400, np.arange(1, 15)), loops(False)), StoppedSide)
+
+
+@pytest.mark.parametrize("T", [10_000, 100_000])
+def test_long_horizons_by_conjugate_gradients(T):
+    seconds = Sizes(T, 3, int(0.8 * T), int(0.2 * T), 60, 1).seconds()
+    assert min(seconds, key=lambda name: seconds[name]) == "two-level"
+
+
+def test_what_does_not_fit_is_said(monkeypatch):
+    monkeypatch.setattr("lin_freq_ocp.methods.structured.choice.LARGEST_BYTES", 1e4)
+    with pytest.raises(UnsupportedError, match="rows that couple times"):
+        choose_side(with_stop(200, np.arange(20, 101)), loops(False))
