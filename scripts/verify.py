@@ -1,7 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
-    python scripts/verify.py [--part known|convex|linear|spectral|explain|mixed|flips|modes|nonsmooth|units|limits]...
-                             [--problems N] [--seed 0] [--processes 2]
+    python scripts/verify.py [--part known|convex|linear|spectral|structured|explain|mixed|flips|modes|nonsmooth|
+                                     units|limits]... [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -15,6 +15,8 @@ Then random linear problems of every shape, in units of 1e-9 to 1e9, against pla
 
 Then random time-invariant problems by the Fourier-domain method and by the sparse program (verify_spectral.py).
 
+Then random problems of all kinds by every method for linear dynamics: costs and verdicts (verify_structured.py).
+
 Then random infeasible problems are explained, and everything that is said is tried (verify_explain.py).
 
 Then random feasible problems of mixed features, against CVXPY on an independent model (verify_mixed.py).
@@ -26,7 +28,7 @@ and 3 of the paper from cold starts, with a minute for every global bound, and S
 (verify_nonsmooth.py). And time limits of 1 and 3 s on problems that take far longer (verify_limits.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 5000 for "linear", 900
-for "spectral", 50 for "explain", 200 for "mixed" and 200 for "flips".
+for "spectral", 500 for "structured", 50 for "explain", 200 for "mixed" and 200 for "flips".
 Exit status 1 if a check fails.
 """
 
@@ -46,6 +48,7 @@ import verify_mixed
 import verify_modes
 import verify_nonsmooth
 import verify_spectral
+import verify_structured
 import verify_units
 from rich.console import Console
 from rich.progress import track
@@ -56,7 +59,10 @@ from helpers.checks.convex import Outcome, check
 from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 
 # How many random problems each part solves unless told otherwise
-PROBLEMS = {"convex": 1000, "linear": 5000, "spectral": 900, "explain": 50, "mixed": 200, "flips": 200, "units": 2000}
+PROBLEMS = {
+    **{"convex": 1000, "linear": 5000, "spectral": 900, "structured": 500},
+    **{"explain": 50, "mixed": 200, "flips": 200, "units": 2000},
+}
 WIDTH = 132  # columns of the tables, also where they are written into a file
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
 # Relative error of the cost that each solver must keep on the pendulum, and Clarabel on all known problems
@@ -141,7 +147,7 @@ def main() -> int:
     parser.add_argument("--part", action="append", choices=PARTS, help="may be repeated; default: all")
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--processes", type=int, default=2, help="of the parts 'linear', 'spectral' and 'units'")
+    parser.add_argument("--processes", type=int, default=2, help="of 'linear', 'spectral', 'structured' and 'units'")
     options = parser.parse_args()
     parts, console, good = options.part or PARTS, Console(width=WIDTH), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
@@ -154,6 +160,8 @@ def main() -> int:
         good &= verify_linear.verify(console, seeds["linear"], options.processes)
     if "spectral" in parts:
         good &= verify_spectral.verify(console, seeds["spectral"], options.processes)
+    if "structured" in parts:
+        good &= verify_structured.verify(console, seeds["structured"], options.processes)
     if "explain" in parts:
         good &= verify_explain.verify(console, seeds["explain"])
     if "mixed" in parts:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from helpers.checks import convex, explain, flips, mixed, modes
+from helpers.checks import convex, explain, flips, mixed, modes, structured
 from lin_freq_ocp.certificate.modes.clarke import Flip
 from lin_freq_ocp.testing import random_mixed
 from lin_freq_ocp.testing.random_convex import random_problem
@@ -22,6 +22,39 @@ def test_a_random_problem_is_solved_and_proven(seed):
 def test_the_sample_has_every_kind_and_both_endings():
     assert {random_problem(seed)[0] for seed in range(16)} == {"stable", "marginal", "unstable", "time-varying"}
     assert convex.check(10).status == "infeasible"
+
+
+check_structured = cache(structured.check)
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_the_structured_method_answers_like_the_others(seed):
+    assert check_structured(seed).passed, check_structured(seed)
+
+
+def test_the_sample_has_answers_of_every_method_and_a_verified_ray():
+    outcomes = [check_structured(seed) for seed in range(15)]
+    assert {structured.kind_of(one.seed) for one in outcomes} == set(structured.KINDS)
+    for method in structured.METHODS:
+        assert sum(one.verdicts.get(method) == structured.Verdict.AGREES for one in outcomes) >= 5
+    assert any(one.answers and one.answers["structured"].status == "infeasible" for one in outcomes)
+
+
+def test_wrong_answers_of_a_method_are_found_out():
+    Answer, Verdict = structured.Answer, structured.Verdict
+    right, near = Answer("optimal", "", 1.0, 1.0, 1e-10), Answer("optimal", "", 1.0 + 1e-7, 1.0, 1e-7)
+    wrong = {
+        near: Verdict.LESS_ACCURATE,
+        Answer("numerical_error", ""): Verdict.NONE,
+        Answer("infeasible", ""): Verdict.CONTRADICTS,
+        Answer("infeasible", "", verified=False): Verdict.UNVERIFIED,
+    }
+    for answer, verdict in wrong.items():
+        outcome = structured.compared(0, {"structured": right, "plain": answer})
+        assert outcome.verdicts["plain"] == verdict
+        assert not outcome.passed
+    local = Answer("locally_optimal", "", 1.0, 1.0)
+    assert structured.compared(0, {"structured": right, "plain": local}).verdicts["plain"] == Verdict.LOCAL
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -1,0 +1,178 @@
+"""A random linear problem by every method that takes it: verdicts and costs are compared.
+
+Where two costs differ, the answer whose gap is larger is the less accurate. A verdict that is proven by a bound, a ray
+or a direction is compared with those of the others; a local optimum beside it is no error, but counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from unittest.mock import patch
+
+import numpy as np
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.methods.structured import solver
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.testing.conformance import FAMILIES
+
+KINDS = "convex", "linear", "lti", "infeasible", "mixed"  # families of linear problems, in turn
+AGREEMENT = 1e-8  # difference of two costs, relative to the sum of absolute terms, up to which they agree
+SECONDS = 60.0  # for every method
+
+
+class Verdict(StrEnum):
+    """How the answer of a method compares with the best of all."""
+
+    AGREES = "agrees"
+    LOCAL = "not proven, as by others"
+    LESS_ACCURATE = "another cost, larger gap"
+    NONE = "no answer"
+    CONTRADICTS = "contradicts a proof"
+    UNVERIFIED = "proof not verified"
+    REFUSED = "refused"
+
+
+ERRORS = Verdict.LESS_ACCURATE, Verdict.NONE, Verdict.CONTRADICTS, Verdict.UNVERIFIED
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How one method ended; ``error`` is its gap, or what its residuals are worth, relative to ``scale``."""
+
+    status: str
+    message: str
+    cost: float | None = None
+    scale: float = 0.0
+    error: float = np.inf
+    verified: bool = True
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is an optimum, local or global."""
+        return self.status in ("optimal", "locally_optimal")
+
+    @property
+    def proven(self) -> bool:
+        """Whether the verdict is a proof."""
+        return self.status in ("optimal", "infeasible", "unbounded")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one random problem: the answer and the verdict of every method."""
+
+    seed: int
+    answers: dict[str, Answer]
+    verdicts: dict[str, Verdict]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the structured method is right, with both kinds of loops."""
+        return not any(self.verdicts[name] in ERRORS for name in ("structured", "plain"))
+
+    @property
+    def notable(self) -> bool:
+        """Whether any method is wrong."""
+        return any(verdict in ERRORS for verdict in self.verdicts.values())
+
+    def __str__(self) -> str:
+        lines = [f"{'' if self.passed else 'FAILED '}{kind_of(self.seed)} {self.seed // len(KINDS)}:"]
+        for name, one in self.answers.items():
+            cost = "" if one.cost is None else f", cost {one.cost:.12g}, error {one.error:.1e}"
+            lines.append(f"  {name}: {self.verdicts[name]} ({one.status}{cost}) {one.message}")
+        return "\n".join(lines)
+
+
+def kind_of(seed: int) -> str:
+    """Return the family of a seed."""
+    return KINDS[seed % len(KINDS)]
+
+
+def problem_of(seed: int) -> lfo.OptimalControlProblem:
+    """Return the problem of a seed; with modes where its family has them."""
+    return FAMILIES[kind_of(seed)](seed // len(KINDS))
+
+
+def check(seed: int) -> Outcome:
+    """Solve one problem by every method, and compare."""
+    problem = problem_of(seed)
+    if problem.dynamics.mode_names:
+        return Outcome(seed, {}, dict.fromkeys(METHODS, Verdict.REFUSED))
+    return compared(seed, {name: solve(problem) for name, solve in METHODS.items()})
+
+
+def compared(seed: int, answers: dict[str, Answer]) -> Outcome:
+    """Return the verdicts on the answers of all methods."""
+    solved = [one for one in answers.values() if one.solved]
+    proven = [one for one in answers.values() if one.proven and one.verified]
+    best = min([one for one in proven if one.solved] or solved, key=lambda one: one.error, default=None)
+    return Outcome(seed, answers, {name: _verdict(one, best, proven) for name, one in answers.items()})
+
+
+def _verdict(one: Answer, best: Answer | None, proven: list[Answer]) -> Verdict:
+    if one.status == "refused":
+        return Verdict.REFUSED
+    if not one.verified:
+        return Verdict.UNVERIFIED
+    kinds = {other.status for other in proven}
+    if not (one.solved or one.proven):
+        return Verdict.NONE if kinds or best is not None else Verdict.AGREES
+    if kinds and one.status not in kinds and not (one.solved and "optimal" in kinds):
+        return Verdict.CONTRADICTS
+    if one.proven and len(kinds) > 1:
+        return Verdict.CONTRADICTS
+    if one.solved and best is not None and _differs(one, best):
+        return Verdict.LESS_ACCURATE
+    return Verdict.LOCAL if not one.proven and kinds else Verdict.AGREES
+
+
+def _differs(one: Answer, best: Answer) -> bool:
+    assert one.cost is not None
+    assert best.cost is not None
+    return abs(one.cost - best.cost) > AGREEMENT * max(one.scale, best.scale)
+
+
+def _solved(method: str) -> Callable[[lfo.OptimalControlProblem], Answer]:
+    def solve(problem: lfo.OptimalControlProblem) -> Answer:
+        try:
+            result = lfo.solve(problem, method=method, throw=False, time_limit=SECONDS)
+        except lfo.errors.UnsupportedError as error:
+            return Answer("refused", str(error))
+        return _answer(problem, result)
+
+    return solve
+
+
+def _answer(problem: lfo.OptimalControlProblem, result: lfo.results.Result) -> Answer:
+    certificate, status = result.certificate, str(result.status)
+    if status == "infeasible":
+        verified = result.ray is not None and prove_infeasible(problem, result.ray) is not None
+        return Answer(status, result.message, verified=verified)
+    if status == "unbounded" or certificate is None:
+        return Answer(status, result.message)
+    worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else 0.0
+    error = np.inf if certificate.gap is None else max(abs(certificate.gap), worth)
+    return Answer(status, result.message, certificate.cost, certificate.cost_scale, error)
+
+
+def _structured(compiled: bool | None) -> Callable[[lfo.OptimalControlProblem], Answer]:
+    solve = _solved("structured")
+
+    def solve_with(problem: lfo.OptimalControlProblem) -> Answer:
+        chosen = loops(compiled)
+        with patch.object(solver, "loops", lambda *given, **options: chosen):
+            return solve(problem)
+
+    return solve_with
+
+
+METHODS = {
+    "structured": _structured(None),
+    "plain": _structured(False),
+    "spectral": _solved("spectral"),
+    "convex": _solved("convex"),
+}
