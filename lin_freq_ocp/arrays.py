@@ -39,13 +39,20 @@ def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
     return array
 
 
+def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return a new array, now read-only: whoever takes it need not copy it."""
+    array.flags.writeable = False
+    return array
+
+
 def real_array(field: str, value: object, allow_infinite: bool = False) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
     try:
         array = np.asarray(value)
         if array.size and array.dtype.kind not in "iuf":
             raise TypeError(f"entries of type {array.dtype}")
-        array = np.array(array, dtype=np.float64)
+        if array.flags.writeable or not array.flags.owndata or array.dtype != np.float64:
+            array = np.array(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
     bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)

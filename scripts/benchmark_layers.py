@@ -43,6 +43,7 @@ LAYERS = {
     "block pivoting": (dual_qp, "block_pivoting", nothing),
     "active set": (dual_qp, "active_set", nothing),
     "factor of low rank": (interior_point, "LOW_RANK_ROWS", 10**9),
+    "warm interior point": (interior_point, "WARM", 1.0),
     "table of kernels": (kernels, "SMALL_TABLE", 0),
 }
 
@@ -54,7 +55,7 @@ CASES = {
     "slow 1e4": ("pendulum-slow", 10_000),
     "fine 5000": ("fine", 5000),
     "oscillator 1e5": ("oscillator", 100_000),
-    "bang-bang 800": ("bang-bang", 800),
+    "bang-bang 1600": ("bang-bang", 1600),
     "state arcs 800": ("state-arcs", 800),
 }
 

@@ -226,7 +226,8 @@ class SpectralSolver:
         return answer
 
     def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
-        found = recover(self._structure, exchange.data, outcome)
+        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
+        del exchange.spectrum  # large; further rounds make another
         return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
 
     def _require_own(self, warm_start: SpectralSolution) -> None:

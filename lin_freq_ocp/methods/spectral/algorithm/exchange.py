@@ -126,7 +126,9 @@ class Exchange:
 
     def _evaluate(self) -> None:
         self.__dict__.pop("signals", None)  # large: given back before the next are made
-        self.signals = signals(self.structure, self.data, self.theta, self.multipliers, self.working)
+        self.__dict__.pop("spectrum", None)
+        point = self.theta, self.multipliers, self.working
+        self.signals, self.spectrum = signals(self.structure, self.data, *point)
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         self.violations.measure(self.signals.y, self.signals.last)
         self.values = self.working.values(self.signals.y, self.signals.last)
@@ -272,6 +274,7 @@ class Exchange:
         return added
 
     def _outcome(self, status: str, message: str = "") -> Outcome:
+        self.violations.excess = np.zeros((0, 0))  # large, and measured again before it is used
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
         return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
 

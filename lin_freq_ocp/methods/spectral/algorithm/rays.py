@@ -106,5 +106,5 @@ def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -
 def _unforced(structure: Structure, data: Data) -> tuple[Signals, Array]:
     """Return the point c without forces, and the residual of the equations there."""
     theta = np.zeros(structure.border.size)
-    c = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
     return c, equation_residual(structure, data, theta, c)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray
+from lin_freq_ocp.arrays import Array, ComplexArray, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, forces
@@ -26,6 +26,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers
 from lin_freq_ocp.transcription.program import Residuals
 
+BLOCK = 1 << 17  # times of which residuals are computed at once
+
 
 def trajectory(outcome: Outcome, units: Units) -> Trajectory:
     """Return the point in the user's units."""
@@ -33,7 +35,7 @@ def trajectory(outcome: Outcome, units: Units) -> Trajectory:
     x = np.empty((at.y.shape[1] + 1, n))
     np.multiply(at.y[:n].T, units.x, out=x[:-1])
     x[-1] = at.last * units.x
-    return Trajectory(x, at.y[n:].T * units.u)
+    return Trajectory(sealed(x), sealed(at.y[n:].T * units.u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +50,12 @@ class Recovered:
     rho_x: ComplexArray  # ((T+1)//2 + 1, n)
 
 
-def recover(structure: Structure, data: Data, outcome: Outcome) -> Recovered:
-    """Return the multipliers of an outcome; of its ray (eta_C = 0) if it has one."""
+def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: ComplexArray) -> Recovered:
+    """Return the multipliers of an outcome with the spectrum of y; of its ray (eta_C = 0) if it has one."""
     lti, ray, n = data.lti, outcome.ray, data.lti.state_dim
     if ray is None:
         working, y, eta_C = outcome.working, outcome.multipliers, 1.0
-        gradient = lti.M @ outcome.signals.spectrum
+        gradient = lti.M @ spectrum
         gradient += forces(structure, lti, y, working)[0]
         if data.linear is not None:
             gradient += data.linear
@@ -123,9 +125,9 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: Units,
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
     return Multipliers(
         found.eta_C,
-        found.eta.T * x,
-        found.on_rows[:n].T * x,
-        found.on_rows[n : n + m, :-1].T * u,
+        sealed(found.eta.T * x),
+        sealed(found.on_rows[:n].T * x),
+        sealed(found.on_rows[n : n + m, :-1].T * u),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)},
@@ -139,68 +141,85 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     times slacks, and dual residuals times the trajectory.
     """
     y, last, n = outcome.signals.y, outcome.signals.last, lti.state_dim
-    x = np.hstack([y[:n], last[:, None]])
     stopped = ~lti.passed
     band = np.abs(fft.rfft(y[n:])[stopped]).max(initial=0.0) if stopped.any() else 0.0
     energy = max(float(np.linalg.norm(y[n:])), tol.LEAST_SIZE)
-    missed = max(_missed_values(lti, y, x), outcome.violation, 0.0)
-    adjoint, terms = _adjoint(lti, outcome, found)
+    missed = max(_missed_values(lti, y, last), outcome.violation, 0.0)
+    adjoint, terms, product = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
-    working, at = outcome.working, outcome.signals
-    complementarity = float(working.weights @ np.abs(working.limits(lti) - working.values(at.y, at.last)))
-    dual = float(np.abs(adjoint, out=adjoint).max()) / terms
-    gap = complementarity + float(np.einsum("it,it->", adjoint, np.abs(x)) + found.stationarity * np.abs(y[n:]).sum())
+    working = outcome.working
+    complementarity = float(working.weights @ np.abs(working.limits(lti) - working.values(y, last)))
+    gap = complementarity + product + float(found.stationarity * np.abs(y[n:]).sum())
     return Residuals(
-        primal=max(_missed_steps(lti, y, x), float(band) / energy, missed),
-        dual=max(dual, found.stationarity / max(through_u, tol.LEAST_SIZE * lti.curvature_unit)),
+        primal=max(_missed_steps(lti, y, last), float(band) / energy, missed),
+        dual=max(adjoint / terms, found.stationarity / max(through_u, tol.LEAST_SIZE * lti.curvature_unit)),
         gap=gap / max(lti.cost_level, abs(outcome.cost)),
     )
 
 
-def _missed_steps(lti: Lti, y: Array, x: Array) -> float:
+def _missed_steps(lti: Lti, y: Array, last: Array) -> float:
     """Return the largest residual of the dynamics, relative to the states."""
-    residual = lti.A @ y[: len(x)]
-    residual += lti.B @ y[len(x) :]
-    residual -= x[:, 1:]
-    if lti.offset is not None:
-        residual += lti.offset
-    return float(np.abs(residual, out=residual).max()) / max(float(np.abs(x).max()), tol.LEAST_SIZE)
+    n, T, largest, size = lti.state_dim, lti.horizon, 0.0, max(float(np.abs(last).max()), tol.LEAST_SIZE)
+    dynamics = np.hstack([lti.A, lti.B])
+    for start in range(0, T, BLOCK):
+        stop = min(start + BLOCK, T)
+        residual = dynamics @ y[:, start:stop]
+        residual -= _columns(y[:n], last, start + 1, stop + 1)
+        if lti.offset is not None:
+            residual += lti.offset[:, start:stop]
+        largest = max(largest, float(np.abs(residual, out=residual).max()))
+        size = max(size, float(np.abs(y[:n, start:stop]).max()))
+    return largest / size
 
 
-def _missed_values(lti: Lti, y: Array, x: Array) -> float:
+def _missed_values(lti: Lti, y: Array, last: Array) -> float:
     """Return the errors of x_0, fixed values and stopped bins of states, relative to the signals."""
-    size = max(float(np.abs(y).max()), tol.LEAST_SIZE)
+    n, size = lti.state_dim, max(-float(y.min()), float(y.max()), tol.LEAST_SIZE)
     t, f = lti.fixed_points
-    start = np.where(np.isnan(lti.start), 0.0, lti.start - x[:, 0])
+    start = np.where(np.isnan(lti.start), 0.0, lti.start - y[:n, 0])
     missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
     if not lti.state_stop.any():
         return missed
+    x = np.hstack([y[:n], last[:, None]])
     spectrum = np.abs(fft.rfft(x)).T[lti.state_stop].max()
     return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), tol.LEAST_SIZE))
 
 
-def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[Array, float]:
-    """Return eta_{t-1} - A'eta_t + Q x + S u + q + mu + C'l + (R'rho), (n, T+1), and the size of its terms."""
-    total = found.on_rows[: lti.state_dim].copy()
-    size = float(np.abs(total).max())
-    for term in _adjoint_terms(lti, outcome, found):
-        total += term
-        size += float(np.abs(term).max())
-    return total, max(size, tol.LEAST_SIZE * lti.curvature_unit)
+def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[float, float, float]:
+    """Return the largest residual of the adjoint equation, the size of its terms, and <|residuals|, |x|>.
+
+    The residuals are eta_{t-1} - A'eta_t + Q x + S u + q + mu + C'l + (R'rho), (n, T+1).
+    """
+    at, n, T = outcome.signals, lti.state_dim, lti.horizon
+    largest, product, sizes = 0.0, 0.0, np.zeros(0)
+    for start in range(0, T + 1, BLOCK):
+        stop = min(start + BLOCK, T + 1)
+        terms = list(_adjoint_terms(lti, outcome, found, start, stop))
+        size = np.array([float(np.abs(term).max()) for term in terms])
+        sizes = size if start == 0 else np.maximum(sizes, size)
+        residual = np.abs(sum(terms[1:], start=terms[0]))
+        largest = max(largest, float(residual.max()))
+        product += float(np.einsum("it,it->", residual, np.abs(_columns(at.y[:n], at.last, start, stop))))
+    return largest, max(float(sizes.sum()), tol.LEAST_SIZE * lti.curvature_unit), product
 
 
-def _adjoint_terms(lti: Lti, outcome: Outcome, found: Recovered) -> Iterator[Array]:
-    """Yield the terms but mu, (n, T+1); eta_{-1} = eta_T = 0, and at T the gradient is that of the terminal cost."""
-    at, n, eta, eta_C = outcome.signals, lti.state_dim, found.eta, found.eta_C
-    end = np.zeros((n, 1))
-    yield np.hstack([end, eta])
-    yield np.hstack([-lti.A.T @ eta, end])
+def _adjoint_terms(lti: Lti, outcome: Outcome, found: Recovered, start: int, stop: int) -> Iterator[Array]:
+    """Yield the terms at start <= t < stop, (n, stop - start); at T, the gradient is that of the terminal cost."""
+    at, n, eta, eta_C, zero = outcome.signals, lti.state_dim, found.eta, found.eta_C, np.zeros(lti.state_dim)
+    yield found.on_rows[:n, start:stop]
+    yield np.hstack([zero[:, None], eta[:, : stop - 1]]) if start == 0 else eta[:, start - 1 : stop - 1]
+    yield _columns(-lti.A.T @ eta[:, start:stop], zero, 0, stop - start)
     if eta_C and (lti.state_cost or lti.P.any()):
-        yield np.hstack([lti.M[:n] @ at.y, (lti.P @ at.last)[:, None]])
+        yield _columns(lti.M[:n] @ at.y[:, start:stop], lti.P @ at.last, 0, stop - start)
     if eta_C and (lti.linear is not None or lti.p.any()):
-        linear = np.zeros((n, lti.horizon)) if lti.linear is None else lti.linear[:n]
-        yield np.hstack([linear, lti.p[:, None]])
+        yield _columns(np.zeros((n, lti.horizon)) if lti.linear is None else lti.linear[:n], lti.p, start, stop)
     if len(lti.F) > len(lti.M):
-        yield lti.F[len(lti.M) :, :n].T @ found.on_rows[len(lti.M) :]
+        yield lti.F[len(lti.M) :, :n].T @ found.on_rows[len(lti.M) :, start:stop]
     if found.rho_x.any():
-        yield time_signal(found.rho_x, lti.horizon + 1).T
+        yield time_signal(found.rho_x, lti.horizon + 1).T[:, start:stop]
+
+
+def _columns(inner: Array, last: Array, start: int, stop: int) -> Array:
+    """Return columns start .. stop - 1 of [inner, last]."""
+    some = inner[:, start:stop]
+    return some if some.shape[1] == stop - start else np.hstack([some, last[:, None]])

@@ -101,15 +101,19 @@ def prepare(structure: Structure, lti: Lti) -> Data:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """A point in time and frequency: it satisfies the dynamics and the control bands to rounding."""
+    """A point: it satisfies the dynamics and the control bands to rounding."""
 
     y: Array  # (x_t, u_t), (n+m, T)
     last: Array  # x_T
-    spectrum: ComplexArray  # of y, (n+m, bins)
 
 
-def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet) -> Signals:
-    """Return the optimum over all bins for given border variables and forces (docs/spectral.md, (3))."""
+def signals(
+    structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet
+) -> tuple[Signals, ComplexArray]:
+    """Return the optimum over all bins for given border variables and forces (docs/spectral.md, (3)), and its spectrum.
+
+    The spectrum is that of y, (n+m, bins).
+    """
     lti, spaces, border = data.lti, structure.spaces, structure.border
     spectrum = data.base.copy()
     if len(working) or multipliers.any():
@@ -117,7 +121,7 @@ def signals(structure: Structure, data: Data, theta: Array, multipliers: Array, 
     border.add(theta, spectrum)
     last = lti.end.copy()
     last[border.free_end] = theta[border.at_end]
-    return Signals(fft.irfft(spectrum, lti.horizon), last, spectrum)
+    return Signals(fft.irfft(spectrum, lti.horizon), last), spectrum
 
 
 def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:

@@ -41,7 +41,7 @@ class Violations:
         bounded = index[f] >= 0
         self.fixed = index[f[bounded]], t[bounded]
         self.fixed_keys = f * lti.horizon + t
-        self.excess, self.last, self.worst = np.zeros((len(self.rows), lti.horizon)), np.zeros(n), 0.0
+        self.excess, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
 
     def measure(self, y: Array, last: Array) -> float:
         """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
@@ -54,8 +54,8 @@ class Violations:
     def measure_values(self, values: Array, last: Array) -> float:
         """Measure what ``values`` returned, and last = x_T; return the worst excess."""
         lti, n = self.lti, self.lti.state_dim
-        np.subtract(values, self.upper, out=self.excess)
         below = self.lower - values
+        self.excess = np.subtract(values, self.upper, out=self.excess if self.excess.size else None)
         self.above = self.excess >= below
         np.maximum(self.excess, below, out=self.excess)
         self.excess /= self._row_scale
