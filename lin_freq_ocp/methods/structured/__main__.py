@@ -1,5 +1,6 @@
 """Compile the loops of the structured method ahead: ``python -m lin_freq_ocp.methods.structured``."""
 
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.compiled import loops, small
 
-loops(compiled=True)
+loops.KERNELS.prepare()
+small.KERNELS.prepare()

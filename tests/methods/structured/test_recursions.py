@@ -224,7 +224,7 @@ def test_columns_are_sweeps_side_by_side(chosen, seed):
 
 def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
     pytest.importorskip("numba", reason="the extra fast is not installed")
-    from lin_freq_ocp.methods.structured.kkt import compiled
+    from lin_freq_ocp.methods.structured.kkt.compiled import loops as compiled
 
     assert isinstance(loops(), compiled.CompiledLoops)
     assert isinstance(loops(patient=False), compiled.CompiledLoops)  # compiled by now

@@ -94,7 +94,7 @@ class BandedRegulator(BlockRegulator):
         return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion of compiled.py finds."""
+        """Return what the Riccati recursion of compiled/loops.py finds."""
         if self._found is None:
             B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
             stages, n, k = B.shape

@@ -97,7 +97,7 @@ def loops(compiled: bool | None = None, patient: bool = True) -> Loops:
     """
     if compiled is False or (compiled is None and find_spec("numba") is None):
         return BandedLoops()
-    from lin_freq_ocp.methods.structured.kkt.compiled import KERNELS, CompiledLoops
+    from lin_freq_ocp.methods.structured.kkt.compiled.loops import KERNELS, CompiledLoops
 
     if compiled is None and not patient and not KERNELS.ready:
         return BandedLoops()

@@ -27,6 +27,7 @@ REALS = tuple(types.Array(types.float64, dimensions, "C", readonly=True) for dim
 
 WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in range(4))
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
+WRITTEN_INDICES = types.Array(types.intp, 1, "C")
 
 
 class _Statistics(Protocol):

@@ -13,7 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
-from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
+from lin_freq_ocp.methods.structured.kkt.compiled.compilation import INDICES, REALS, WRITTEN, Kernels, jit
 
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""

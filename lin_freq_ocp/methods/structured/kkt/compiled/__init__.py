@@ -1,0 +1,1 @@
+"""The loops of the structured method, compiled by numba."""
