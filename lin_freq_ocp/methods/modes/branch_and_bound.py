@@ -37,9 +37,9 @@ from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 # Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
-ROUNDING_EVERY, ROUNDING_SELDOM = 5, 40
+ROUNDING_EVERY, ROUNDING_SELDOM = 5, 20
 TRIED_TOGETHER = 8  # sequences, likewise
-SPLIT_TOGETHER = 8  # nodes, as reaches are propagated side by side; more solve nodes that a better sequence closes
+SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
 
 OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
 
@@ -94,7 +94,8 @@ class BranchAndBound:
     def _next(self) -> list[OpenNode]:
         """Take the nodes with the least bounds; as long as no sequence was found, dive: take the newest."""
         if self._best is not None:
-            return [heapq.heappop(self._heap) for _ in range(min(SPLIT_TOGETHER, len(self._heap)))]
+            count = min(SPLIT_TOGETHER, 1 + len(self._heap) // SPLIT_TOGETHER, len(self._heap))
+            return [heapq.heappop(self._heap) for _ in range(count)]
         newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
         taken = self._heap.pop(newest)
         heapq.heapify(self._heap)

@@ -99,7 +99,7 @@ class ModeRelaxation:
         values, right = self._template.values.copy(), self._template.right.copy()
         rows, columns = np.zeros(len(right), dtype=bool), np.ones(self._at.count, dtype=bool)
         for part in self._host_rows:
-            rows[part.rows] = True
+            part.of(rows)[:] = True
         self._take_boxes(rows, right, reach, single | self.bounds_where_several)
         one, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
         self._rows.one_map.take(rows, one)
@@ -151,8 +151,8 @@ class ModeRelaxation:
         if self._bounds is None:
             return None
         full, rows = self._filled(duals), self._rows
-        region = np.maximum(full[rows.one_region.rows] + full[rows.share_region.rows], 0.0)
-        links, others = self._scaled_adjoint(full), full[self._host_rows[0].rows].ravel()
+        region = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
+        links, others = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
         found, rest = self._bounds.phi(reach, StageDuals(links, others, region.reshape(self._stages.limits.shape)))
         return found / self._scaling.cost, self.cost(rest)
 
@@ -185,7 +185,7 @@ class ModeRelaxation:
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of the duals of a member."""
         full, rows, program = self._filled(duals), self._rows, self._program
-        region = full[rows.one_region.rows] + full[rows.share_region.rows]
+        region = rows.one_region.of(full) + rows.share_region.of(full)
         of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
         host = self._sides.dual(len(program.lower), np.concatenate([of_equations, of_inequalities, -of_cones]))
         host[program.rows[Block.DYNAMICS]] = self._scaled_adjoint(full).ravel()
@@ -206,7 +206,7 @@ class ModeRelaxation:
 
     def _scaled_adjoint(self, full: Array) -> Array:
         rows, shape = self._rows, self._stages.offsets.shape
-        return full[rows.one_map.rows].reshape(shape).sum(axis=1) + full[rows.share_map.rows]
+        return rows.one_map.of(full).reshape(shape).sum(axis=1) + rows.share_map.of(full)
 
     def _add_host_rows(self, template: RowTemplate) -> None:
         """Add the rows of the host program beyond dynamics and boxes: spectra and terms."""
@@ -250,9 +250,8 @@ class ModeRelaxation:
                 (~equal & (high < UNBOUNDED), ~equal & (low > -UNBOUNDED), equal),
                 strict=True,
             ):
-                mask = mask & taken[:, None]
-                rows[group.rows[mask]] = True
-                right[group.rows[mask]] = value[mask]
+                group.of(rows)[:] = mask & taken[:, None]
+                group.of(right)[:] = value
 
     def _several_columns(self, columns: Mask, many: Mask) -> None:
         """Take the variables of modes where several are left."""
@@ -274,7 +273,7 @@ class ModeRelaxation:
             (groups.share_equal, -(lower + upper) / 2, equal),
         ):
             part.take(rows, many, mask)
-            values[part.entries[:, k:]] = bound.reshape(-1, k)
+            part.coefficients(values)[:, k:] = bound.reshape(-1, k)
         groups.cone.take(rows, many)
 
     def _bounded(self, bounds: Array, needed: Mask) -> Array:

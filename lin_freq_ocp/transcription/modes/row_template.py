@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Sense(Enum):
@@ -25,17 +29,30 @@ class Sense(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """The groups of one kind: their rows in the template, (groups, size), and the positions of their coefficients."""
+    """The groups of one kind: ``rows`` (groups, size) of the template, all in turn, and so their ``entries``."""
 
     rows: Indices
     entries: Indices
 
     def take(self, rows: Mask, chosen: Mask, within: Mask | None = None) -> None:
-        """Set ``rows`` in the ``chosen`` groups (any shape of as many), of their rows only those ``within``."""
-        mask = np.broadcast_to(chosen.reshape(-1, 1), self.rows.shape)
+        """Choose ``rows`` in the ``chosen`` groups (any shape of as many), of their rows only those ``within``."""
+        own = self.of(rows)
+        own[:] = chosen.reshape(-1, 1)
         if within is not None:
-            mask = mask & within.reshape(self.rows.shape)
-        rows[self.rows[mask]] = True
+            own &= within.reshape(own.shape)
+
+    def of(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return what belongs to these groups, (groups, size), as a view."""
+        return _view(rows, self.rows)
+
+    def coefficients(self, values: Array) -> Array:
+        """Return the coefficients of these groups, (groups, entries), as a view."""
+        return _view(values, self.entries)
+
+
+def _view(whole: NDArray[Scalar], places: Indices) -> NDArray[Scalar]:
+    first = int(places[0, 0]) if places.size else 0
+    return whole[first : first + places.size].reshape(places.shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ class StageBounds:
     def __init__(self, stages: ModeStages, hessians: Array, last: Array, price: Array, rows: Array, right: Array):
         """Take Hessians (T, k, k) and (n, n), prices (T+1, k) and rows (q, T+1, k) in natural units."""
         n = len(last)
-        self._stages, self._price, self._rows, self._right = stages, price, rows, right
+        self._stages, self._price, self._rows, self._right = stages, price, rows.reshape(len(rows), price.size), right
         self._cost, self._last, self._n = Quadratic(hessians[:, None]), Quadratic(last), n
         finite = np.isfinite(stages.limits)
         self._limits = np.where(finite, stages.limits, 0.0)
@@ -72,7 +72,7 @@ class StageBounds:
     def phi(self, reach: Reach, duals: StageDuals) -> tuple[Array, float]:
         """Return phi (T, modes), inf for modes that are not allowed, and the rest of the bound."""
         stages, n, eta = self._stages, self._n, duals.links
-        slope = self._price + np.tensordot(duals.rows, self._rows, axes=1)
+        slope = self._price + (duals.rows @ self._rows).reshape(self._price.shape)
         slope[1:, :n] += eta
         own = slope[:-1, None] - (eta[:, None, None] @ stages.maps)[:, :, 0]
         own += (duals.regions[:, :, None] @ stages.rows)[:, :, 0]
