@@ -33,7 +33,7 @@ settings_option = click.option(
 backend_option = click.option(
     "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
 )
-METHOD_HELP = "auto; spectral or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
+METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
 method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
 tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
 time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")

@@ -18,8 +18,9 @@ from lin_freq_ocp.methods.structured.solver import solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.choice import structured_first
 from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
-from lin_freq_ocp.solving.method import Request, seconds_left
+from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
@@ -166,12 +167,15 @@ class Structured:
 
 @dataclass(frozen=True)
 class LinearAuto:
-    """The Fourier-domain method where it applies and its answer is proven, else the sparse program.
+    """The Fourier-domain method where it applies and its answer is proven, else the structured or the sparse one.
+
+    Which of these two comes first is measured (``solving/choice.py``); the other is tried where that ends without an
+    answer. ``result.reason`` says why the method was taken.
 
     Attributes
     ----------
     tolerance : float, optional
-        As for ``Spectral`` and ``Convex``.
+        As for ``Spectral``, ``Structured`` and ``Convex``.
     backend : str
         If not "auto": the sparse program with this solver.
     """
@@ -183,29 +187,44 @@ class LinearAuto:
     takes_start: ClassVar[bool] = False
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Solve with one method, or with two in turn, and judge the answers."""
-        convex = Convex(self.backend, self.tolerance)
+        """Solve with the methods in turn until an answer is proven."""
+        convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
         if self.backend != "auto":
             return convex.solve(problem, request)
-        end, first, refused = time.perf_counter() + request.time_limit, None, ""
-        try:
-            first = Spectral(self.tolerance).solve(problem, request)
-        except UnsupportedError as error:
-            refused = str(error)
-        if first is not None and _final(first):
-            return first
-        left = _left(end)
-        try:
-            second = convex.solve(problem, request if left is None else replace(request, time_limit=left))
-        except UnsupportedError as error:
-            if first is not None:
-                return first
-            if str(error) in refused:
-                raise
-            raise UnsupportedError(f"{error} Before that: {refused}") from None
-        if first is None or (first.status == Status.INFEASIBLE and second.status == Status.OPTIMAL):
-            return second
-        return first if _rank(first) > _rank(second) else second
+        end, large = time.perf_counter() + request.time_limit, structured_first(problem)
+        best: Outcome | None = None
+        refusals = list[str]()
+        for method in (Spectral(self.tolerance), *((structured, convex) if large else (convex, structured))):
+            left = _left(end)
+            try:
+                outcome = method.solve(problem, request if left is None else replace(request, time_limit=left))
+            except UnsupportedError as error:
+                refusals += [] if str(error) in refusals else [str(error)]
+                continue
+            if best is None or _better(outcome, best):
+                why = _why(method, refusals, large, best)
+                best = replace(outcome, reason=why)
+            if _final(outcome) or (_rank(best) > 0 and not isinstance(method, Spectral)):
+                break
+        if best is None:
+            raise UnsupportedError(" Before that: ".join(reversed(refusals)))
+        return best
+
+
+def _why(method: Method, refusals: list[str], large: str, before: Outcome | None) -> str:
+    """Return why the answer of a method is taken."""
+    if before is not None:
+        return f"{before.method} ended as {before.status}"
+    if isinstance(method, Spectral):
+        return "time-invariant dynamics, with constraints that the Fourier-domain method takes"
+    return "; ".join([*refusals[:1], *([large] if large and isinstance(method, Structured) else [])])
+
+
+def _better(outcome: Outcome, best: Outcome) -> bool:
+    """Whether an answer replaces that of a method before it."""
+    if best.status == Status.INFEASIBLE and outcome.status == Status.OPTIMAL:
+        return True
+    return _rank(outcome) >= _rank(best) and outcome.status != Status.LIMIT and outcome.message != ONLY_PRACTICAL
 
 
 def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:

@@ -113,6 +113,8 @@ class Outcome:
         The bound that the judge verified of the tree.
     explanation : Explanation or None
         If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the least change that helps.
+    reason : str
+        Why "auto" took the method; empty if it was asked for.
     """
 
     problem: OptimalControlProblem
@@ -133,6 +135,7 @@ class Outcome:
     tree: ModeTree | None = None
     tree_bound: TreeBound | None = None
     explanation: Explanation | None = None
+    reason: str = ""
 
     @property
     def primal(self) -> bool:
@@ -177,6 +180,6 @@ class Outcome:
         lines += [] if self.certificate is None else [str(self.certificate)]
         if self.tree is not None and self.tree_bound is not None:
             lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
-        lines.append(f"method    {self.solver}")
+        lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

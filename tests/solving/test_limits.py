@@ -168,7 +168,7 @@ def test_the_fourier_domain_method_refuses_what_does_not_fit(monkeypatch: pytest
     small_memory(monkeypatch, 1e6)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: method 'spectral' with horizon = 20000"):
         lfo.SpectralSolver(problem)
-    with pytest.raises(lfo.errors.UnsupportedError, match=r"dense rows.*Before that: memory: method 'spectral'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"dense rows.*'structured'.*memory: method 'spectral'"):
         lfo.solve(problem)
 
 

@@ -30,6 +30,7 @@ OPTIONS = {
 TAKEN = {
     ("linear", "auto"): {"backend", "tolerance"},
     ("linear", "spectral"): {"tolerance"},
+    ("linear", "structured"): {"tolerance"},
     ("linear", "convex"): {"backend", "tolerance"},
     ("piecewise-affine", "auto"): {"tolerance", "gap", "node_limit", "executor", "start"},
     ("piecewise-affine", "branch_and_bound"): {"tolerance", "gap", "node_limit", "executor", "start"},
@@ -43,6 +44,7 @@ METHODS = sorted({method for _, method in TAKEN})
 
 OBJECTS = {
     "spectral": lfo.solvers.Spectral(tolerance=1e-4),
+    "structured": lfo.solvers.Structured(tolerance=1e-4),
     "convex": lfo.solvers.Convex(backend="osqp", tolerance=1e-4),
     "branch_and_bound": lfo.solvers.BranchAndBound(gap=1e-4, node_limit=3),
     "enumerate": lfo.solvers.Enumeration(gap=1e-4, node_limit=3),

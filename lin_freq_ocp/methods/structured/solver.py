@@ -18,7 +18,9 @@ from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.system.memory import require_memory
 
+MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 
 
@@ -36,6 +38,7 @@ def solve_structured(
     or too many rows that couple times.
     """
     require_convex(problem)
+    _require_memory(problem)
     started = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit
     assembly, recursions = stages_of(problem), loops(compiled, patient=time_limit is None)
@@ -49,6 +52,13 @@ def solve_structured(
         if revised is None:
             return
         assembly = revised
+
+
+def _require_memory(problem: OptimalControlProblem) -> None:
+    entries = problem.state_dim + problem.control_dim
+    size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
+    what = f"method 'structured' with horizon = {problem.horizon}"
+    require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
 
 
 def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:
