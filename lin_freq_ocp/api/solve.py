@@ -47,8 +47,8 @@ def solve(
         An object with its options: ``Spectral``, ``Structured``, ``Convex`` (linear dynamics); ``BranchAndBound``,
         ``Enumeration``, ``MixedInteger`` (piecewise-affine); ``Nonsmooth`` (piecewise-smooth). Or its shorthand,
         "spectral", "structured", "convex", "branch_and_bound", "enumerate", "miqp" or "nonsmooth", whose options are
-        the keywords below. "auto": linear dynamics, spectral where it applies and its answer is proven, else structured for large
-        problems and convex for small ones (``result.reason`` says why); piecewise-affine, branch and bound;
+        the keywords below. "auto": linear dynamics, spectral where it applies and its answer is proven, else structured
+        for large problems and convex for small ones (``result.reason`` says why); piecewise-affine, branch and bound;
         piecewise-smooth, nonsmooth with a global bound (up to three states), on which it spends 10 s or what the time
         limit leaves.
     backend : str
