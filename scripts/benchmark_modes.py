@@ -5,11 +5,11 @@
     python scripts/benchmark_modes.py --list
 
 All contenders run in one process with one thread, one after the other, with the same relative gap and time limit.
-Writing the problem down for the solver is timed with the solve; constructing the OptimalControlProblem is not. Every
-sequence found is solved again as a convex program, and that is the cost shown: *claimed* is how far the contender's own
-figure for it was off. *bound* is the contender's, relative to the best cost of all: a bound above it, or a cost above
-it from who calls its answer optimal, is marked WRONG. Bounds of mixed-integer solvers are claims; that of branch and
-bound is computed by the judge from the multipliers of every leaf.
+Ratios are of seconds of the process. Writing the problem down for the solver is timed with the solve; constructing the
+OptimalControlProblem is not. Every sequence found is solved again as a convex program, and that is the cost shown:
+*claimed* is how far the contender's own figure for it was off. *bound* is the contender's, relative to the best cost of
+all: a bound above it, or a cost above it from who calls its answer optimal, is marked WRONG. Bounds of mixed-integer
+solvers are claims; that of branch and bound is computed by the judge from the multipliers of every leaf.
 
 ``--nodes`` prints what a node of our search takes, everything in it, and its parts; ``--layers`` what the search takes
 without each of the means that make it fast. Both are in seconds of the process, as other loads disturb the clock.
@@ -34,6 +34,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))  # for helpers.checks,
 import cvxpy as cp
 import numpy as np
 from benchmark import duration, machine
+from benchmark_nodes import layers, nodes
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -41,15 +42,11 @@ from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
-from lin_freq_ocp.backends.clarabel_ import solve_form
-from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.claims import SolverClaim
-from lin_freq_ocp.methods.modes import branch_and_bound
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
-from lin_freq_ocp.methods.modes.search import TOLERANCES, SearchLimits, relaxed
+from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 GAP, LIMIT = 1e-6, 60.0
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit
@@ -189,6 +186,8 @@ class Row:
     Attributes
     ----------
     seconds : float
+    busy : float
+        Seconds of the process, which other loads disturb less.
     cost : float or None
         Of its sequence, solved again.
     claimed : float or None
@@ -200,6 +199,7 @@ class Row:
     case: str
     contender: str
     seconds: float
+    busy: float
     cost: float | None
     claimed: float | None
     bound: float | None
@@ -209,17 +209,17 @@ class Row:
 
 def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: float, gap: float) -> Row:
     """Run one contender."""
-    started = time.perf_counter()
+    started, busy = time.perf_counter(), time.process_time()
     answer = CONTENDERS[name](problem, limit, gap)
-    seconds = time.perf_counter() - started
+    seconds, busy = time.perf_counter() - started, time.process_time() - busy
     if answer.sequence is None:
-        return Row(case, name, seconds, None, None, answer.bound, answer.status)
+        return Row(case, name, seconds, busy, None, None, answer.bound, answer.status)
     outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, "")
     again = resolved(problem, outcome)
     if again.cost is None:
-        return Row(case, name, seconds, None, None, answer.bound, answer.status, again.message)
+        return Row(case, name, seconds, busy, None, None, answer.bound, answer.status, again.message)
     claimed = None if answer.claimed is None else (answer.claimed - again.cost) / max(1.0, abs(again.cost))
-    return Row(case, name, seconds, again.cost, claimed, answer.bound, answer.status)
+    return Row(case, name, seconds, busy, again.cost, claimed, answer.bound, answer.status)
 
 
 def judged(rows: list[Row], gap: float) -> list[Row]:
@@ -242,10 +242,21 @@ def judged(rows: list[Row], gap: float) -> list[Row]:
 
 def table_of(case: str, rows: list[Row]) -> Table:
     """Return the rows of one case."""
-    first = rows[0].seconds
+    first = rows[0].busy
     best = min((row.cost for row in rows if row.cost is not None), default=None)
     table = Table(title=case)
-    for heading in ("", "time", f"x {rows[0].contender}", "cost", "claimed", "bound", "gap", "status", "remark"):
+    for heading in (
+        "",
+        "time",
+        "of the process",
+        f"x {rows[0].contender}",
+        "cost",
+        "claimed",
+        "bound",
+        "gap",
+        "status",
+        "remark",
+    ):
         table.add_column(heading, justify="left" if heading in ("", "status", "remark") else "right")
     for row in rows:
         figures = (f"{row.cost:.8f}" if row.cost is not None else "",)
@@ -253,78 +264,8 @@ def table_of(case: str, rows: list[Row]) -> Table:
         figures += (f"{row.bound:.8f}" if row.bound is not None else "",)
         gap = None if best is None or row.cost is None or row.bound is None else (row.cost - row.bound) / abs(best)
         figures += (f"{gap:.1e}" if gap is not None else "",)
-        ratio = f"{row.seconds / first:.3g}"
-        table.add_row(row.contender, duration(row.seconds), ratio, *figures, row.status, row.words)
-    return table
-
-
-def part_seconds(work: Callable[[], object], times: int = 20) -> str:
-    """Return milliseconds of the process that a call takes."""
-    started = time.process_time()
-    for _ in range(times):
-        work()
-    return f"{1e3 * (time.process_time() - started) / times:.2f}"
-
-
-def nodes(horizons: tuple[int, ...] = (20, 40), count: int = 200) -> Table:
-    """Return what a node takes: in a search of so many with the check of its tree, and the parts at the root."""
-    parts = "reach of 8, each", "set-up", "relaxation", "bound of its duals"
-    table = Table("milliseconds", "a node, everything in it", "of it the check", *parts, "relaxations")
-    for (short, name), horizon in ((system, horizon) for system in SYSTEMS.items() for horizon in horizons):
-        problem = _case(name, horizon)()
-        started = time.process_time()
-        outcome = BranchAndBound(problem, SearchLimits(nodes=count)).run()
-        searched = time.process_time()
-        tree_bound(problem, outcome.tree)
-        ended, solved = time.process_time(), max(outcome.nodes, 1)
-        relaxation = ModeRelaxation(problem)
-        everything = np.ones((horizon, len(problem.piecewise.modes)), dtype=bool)
-        root = relaxation.reach.from_start(everything)
-        assert root is not None
-        answer, form = relaxed(relaxation, root), relaxation.member(root).form
-        assert answer.duals is not None
-        eight = [(root, 0, root.allowed[0])] * 8
-        cells = (
-            f"{float(part_seconds(lambda eight=eight, own=relaxation: own.reach.after(eight))) / 8:.2f}",
-            part_seconds(lambda root=root, own=relaxation: own.member(root)),
-            part_seconds(lambda form=form: solve_form(form, TOLERANCES[0], None)),
-            part_seconds(lambda root=root, own=relaxation, duals=answer.duals: own.proven(root, duals)),
-        )
-        whole, check = (f"{1e3 * seconds / solved:.2f}" for seconds in (ended - started, ended - searched))
-        table.add_row(f"{short}-{horizon}", whole, check, *cells, f"{outcome.nodes}")
-    return table
-
-
-class SolvedToTheEnd(ModeRelaxation):
-    """Every relaxation is solved, as if duals on the way proved nothing."""
-
-    @property
-    def proves(self) -> bool:
-        """Return False."""
-        return False
-
-
-def layers(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], limit: float, gap: float) -> Table:
-    """Return seconds of the process and relaxations of our search, and without each of its means."""
-    variants: dict[str, tuple[type[ModeRelaxation], dict[str, int]]] = {
-        "all": (ModeRelaxation, {}),
-        "relaxations solved to the end": (SolvedToTheEnd, {}),
-        "reaches each alone": (ModeRelaxation, {"SPLIT_TOGETHER": 1, "TRIED_TOGETHER": 1}),
-        "rounded as often as at first": (ModeRelaxation, {"ROUNDING_SELDOM": branch_and_bound.ROUNDING_EVERY}),
-    }
-    table = Table("seconds, relaxations", *variants)
-    for name, build in cases.items():
-        cells = list[str]()
-        for relaxation, constants in variants.values():
-            before = {constant: getattr(branch_and_bound, constant) for constant in constants}
-            for constant, value in constants.items():
-                setattr(branch_and_bound, constant, value)
-            started = time.process_time()
-            outcome = BranchAndBound(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
-            cells.append(f"{time.process_time() - started:.2f}, {outcome.nodes}")
-            for constant, value in before.items():
-                setattr(branch_and_bound, constant, value)
-        table.add_row(name, *cells)
+        ratio = f"{row.busy / first:.3g}"
+        table.add_row(row.contender, duration(row.seconds), duration(row.busy), ratio, *figures, row.status, row.words)
     return table
 
 
@@ -378,7 +319,8 @@ def main() -> None:
         if options.relaxations:
             console.print(relaxations(cases, options.limit_s, options.gap))
         if options.nodes:
-            console.print(nodes())
+            both = {f"{short}-{T}": _case(name, T) for short, name in SYSTEMS.items() for T in (20, 40)}
+            console.print(nodes(both))
         if options.layers:
             console.print(layers(cases, options.limit_s, options.gap))
         if options.relaxations or options.nodes or options.layers:

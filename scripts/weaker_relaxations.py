@@ -22,6 +22,11 @@ from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, S
 class HullRelaxation(ModeRelaxation):
     """Shares of modes, and the cost of their sum."""
 
+    @property
+    def proves(self) -> bool:
+        """Return False: what duals prove stage by stage is the perspective relaxation's."""
+        return False
+
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         super()._take_several(rows, values, right, reach, many)
         rows[self._rows.cone.rows] = False

@@ -294,6 +294,18 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
         assert result.tree_bound.covers
 
 
+@pytest.mark.parametrize("executor", [None, Here()])
+def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor):
+    monkeypatch.setattr(parts, "PARTS", 4)
+    problem, seen = library.buck_affine(horizon=10, control_spectrum="freq"), []
+    cold = lfo.solve(problem)
+    warm = lfo.solve(problem, start=cold.sequence, progress=seen.append, executor=executor)
+    assert seen[0].nodes <= 3 + problem.horizon  # the sequence, its flips, and the root
+    assert seen[0].cost == pytest.approx(cold.cost, rel=1e-6)
+    assert warm.cost == pytest.approx(cold.cost, rel=1e-9)
+    assert len(warm.tree.nodes) <= 1.5 * len(cold.tree.nodes)
+
+
 def test_an_error_of_the_search_itself_is_raised(monkeypatch):
     monkeypatch.setattr(parts, "PARTS", 6)
     with pytest.raises(ZeroDivisionError):
