@@ -48,7 +48,7 @@ def _require_memory(lti: Lti) -> None:
     dimension, rows = len(lti.M), len(lti.F)
     free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
     spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
-    in_time = 8 * rows * rows + 9 * rows + 2 * rows
+    in_time = 4 * rows * (rows + 1) + 9 * rows + 2 * rows
     require_memory(
         f"method 'spectral' with horizon = {lti.horizon}, {lti.state_dim} states and {lti.control_dim} controls",
         TEMPORARIES * (spectra + in_time) * lti.horizon,
