@@ -60,7 +60,7 @@ class KeptSpace:
     def curvature(self, Phi: Array, v: Array, nu: Array | None = None) -> Array:
         """Return the gradient in v of 1/2 y'Phi y, plus that of nu times the rows."""
         y, _ = self.simulated(v)
-        of_y = np.einsum("tij,tj->ti", Phi, y)
+        of_y = self.loops.times(Phi, y)
         if nu is None:
             return self.gradient(of_y)
         priced, prices = self.priced(nu)

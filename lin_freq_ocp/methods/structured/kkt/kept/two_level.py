@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.kept.second_level import Excess, SecondLevel
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 
-REDUCTION = 1e-10  # of the residual in one solution, so that seldom another is needed
+REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
 MOST_ITERATIONS = 100  # 5 to 15 are common
 PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
 
