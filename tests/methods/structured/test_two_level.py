@@ -5,7 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.second_level import CLIP, LEAST_EXCESS, clip
+from lin_freq_ocp.methods.structured.kkt.kept.excess import CLIP, LEAST_EXCESS, clip
 from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
 from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops

@@ -1,20 +1,23 @@
 """The reduced system of the kept side by dense factors.
 
 M comes from one sweep forward and one backward for each column. E'E is added to it for the rows with C = 0: that leaves
-the solution alone, and makes it definite where only these rows hold the starts.
+the solution alone, and makes it definite where only these rows hold the starts. Large weights are rows as well.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg as la
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.blocks import OpenLoop
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
+from lin_freq_ocp.methods.structured.kkt.kept.excess import Noise, rows_of
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 
 COLUMNS = 128  # of M at once
 CACHED_BYTES = 3e8  # of the signals of the coefficients that are kept between steps
+PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
 
 
@@ -22,7 +25,7 @@ class DenseReduced:
     """Cholesky factors of M + rho E'E and of the Schur complement of the rows."""
 
     def __init__(self, space: KeptSpace):
-        self._space, self._E = space, space.rows()
+        self._space, self._E, self._noise = space, space.rows(), Noise(space)
         kept = space.coefficients.count
         self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
         cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
@@ -30,21 +33,27 @@ class DenseReduced:
 
     def factor(self, Phi: Array, C: Array) -> None:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
-        M, E = self._hessian(Phi), self._E
+        clipped, excess = self._noise.clipped(Phi)
+        M, E = self._hessian(clipped), self._E
         self._exact = ~C.any(axis=1)
         held = E[self._exact]
         self._weight = WEIGHT * float(np.diag(M).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
         M += self._weight * (held.T @ held)
         self._M = Cholesky(M)
-        self._ME = self._M.solve(E.T)
-        self._S = Cholesky(E @ self._ME + C)
+        self._B = np.concatenate([rows_of(excess, self._space), E])
+        self._MB = self._M.solve(self._B.T)
+        self._C = la.block_diag(np.diag(1 / excess.weights), C)
+        self._S = Cholesky(self._B @ self._MB + self._C)
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""
-        E, exact = self._E, self._exact
-        v = self._M.solve(r + self._weight * (E[exact].T @ e[exact]))
-        nu = self._S.solve(E @ v - e)
-        return v - self._ME @ nu, nu
+        exact, count = self._exact, len(self._B) - len(e)
+        v = self._M.solve(r + self._weight * (self._E[exact].T @ e[exact]))
+        right, nu = np.concatenate([np.zeros(count), e]), np.zeros(len(self._B))
+        for _ in range(PROJECTIONS if len(nu) else 0):
+            more = self._S.solve(self._B @ v - self._C @ nu - right)
+            v, nu = v - self._MB @ more, nu + more
+        return v, nu[count:]
 
     def _hessian(self, Phi: Array) -> Array:
         space, kept = self._space, self._space.coefficients.count

@@ -6,37 +6,21 @@ a regulator gives
 
     N' H^-1 N = (H_kk - H_ks H_ss^-1 H_sk)^-1.
 
-If the weights are within a ratio q, both differ by 1 - ((q - 1)/(q + 1))^2 at most (Wielandt's inequality). A weight on
-a direction a of y_t counts as a'S a, where S is the covariance of y_t under white noise in the stopped coefficients:
-a weight on a position hardly couples them, a weight on the control does. What exceeds the clip, few directions, is left
-to the rows. Jumps of the state, with a price of rho, stand for the starts: (starts - ends)^2 rho is added to H.
+If the weights are within a ratio q, both differ by 1 - ((q - 1)/(q + 1))^2 at most (Wielandt's inequality); hence the
+clip of excess.py. Jumps of the state, with a price of rho, stand for the starts: (starts - ends)^2 rho is added to H.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace, break_times
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.methods.structured.kkt.kept.excess import control_weights
+from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 
-CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
-LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
-MOST_DIRECTIONS = 300  # beyond the clip; the largest are taken
-NOISES = 4  # signals for the covariance
-NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the kept coefficients
 JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
 BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
 MOST_COLUMNS = 64
-
-
-class Excess(NamedTuple):
-    """Directions a of y_t and their weights."""
-
-    times: Indices
-    directions: Array  # (directions, nz)
-    weights: Array
 
 
 class SecondLevel:
@@ -45,7 +29,6 @@ class SecondLevel:
     def __init__(self, space: KeptSpace, height: float):
         self._space, n, m, T = space, space.states, space.controls, space.horizon
         self._height = height  # largest squared column of the rows of starts and x_T
-        self._covariances = _covariances(space)
         per = -(-n // m)  # stages for a jump, of m components each
         jumps = np.zeros(T + 1, dtype=np.intp)
         jumps[space.breaks] = per
@@ -62,19 +45,16 @@ class SecondLevel:
         per_column = 8 * stages * len(self._entries)
         self._block = int(np.clip(BLOCK_BYTES / per_column, 8, MOST_COLUMNS))
 
-    def factor(self, Phi: Array) -> Excess:
-        """Factor the clipped regulator; return what was clipped."""
+    def factor(self, clipped: Array) -> None:
+        """Factor the regulator of clipped weights (T+1, nz, nz)."""
         space, n, m = self._space, self._space.states, self._space.controls
-        level = np.median(Phi[:-1, range(n, n + m), range(n, n + m)], axis=0)
-        level = np.maximum(level, np.finfo(float).eps * max(float(level.max()), np.finfo(float).tiny))
-        clipped, excess = clip(Phi, np.einsum("j,jab->ab", 1 / level, self._covariances))
-        rho = JUMP_WEIGHT * float(level.mean()) / (1 + self._height)
+        clipped, level = clipped.copy(), float(control_weights(clipped, n).mean())
+        rho = JUMP_WEIGHT * level / (1 + self._height)
         clipped[-1, space.terminal, space.terminal] += rho
         expanded = np.zeros((len(self._A), n + m, n + m))
         expanded[self._at] = clipped
         expanded[self._jumps[:, None], np.arange(n, n + m), np.arange(n, n + m)] = rho
         self._regulator = space.loops.factor(self._A, self._B, expanded, space.fixed)
-        return excess
 
     def solve(self, r: Array) -> Array:
         """Return the approximate M^-1 r."""
@@ -107,51 +87,3 @@ class SecondLevel:
                 own[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
                 own[:, kept + space.continuity :] = -Y[0, space.free].T
         return found
-
-
-def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Excess]:
-    """Return Phi without the excess of its largest weights, and the directions of these, ``most`` at most.
-
-    Directions are columns of Cholesky factors, the noisiest diagonal entry first: large weights on single entries, such
-    as bounds, do not touch the digits of the others.
-    """
-    rest, noise, every = Phi[:-1].copy(), np.diag(S), np.arange(len(Phi) - 1)
-    times, directions, weights, limits = [every[:0]], [rest[:0, 0]], [rest[:0, 0, 0]], [rest[:0, 0, 0]]
-    for _ in noise:
-        diagonal = np.einsum("tii->ti", rest[every]) * noise
-        every, pivot = every[diagonal.max(1) > CLIP], diagonal.argmax(1)[diagonal.max(1) > CLIP]
-        columns = rest[every, :, pivot]
-        weight = columns[np.arange(len(every)), pivot]
-        columns = columns / weight[:, None]
-        rest[every] -= weight[:, None, None] * columns[:, :, None] * columns[:, None, :]
-        rest[every, pivot], rest[every, :, pivot] = 0.0, 0.0
-        times.append(every)
-        directions.append(columns)
-        weights.append(weight)
-        limits.append(np.minimum(weight, CLIP / np.einsum("ta,ab,tb->t", columns, S, columns)))
-    peeled = Excess(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
-    limit = np.concatenate(limits)
-    chosen = np.argsort(limit / peeled.weights)[:most]
-    chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_EXCESS)])
-    left = peeled.weights.copy()
-    left[chosen] = limit[chosen]
-    clipped = Phi.copy()
-    clipped[:-1] = rest
-    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
-    return clipped, Excess(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
-
-
-def _covariances(space: KeptSpace) -> Array:
-    """Return for every control the mean covariance of y under unit white noise in its stopped coefficients."""
-    n, m, T = space.states, space.controls, space.horizon
-    random, still = np.random.default_rng(0), np.zeros((T + 1, n))
-    breaks = break_times(space.A, NOISE_GROWTH)
-    starts = np.zeros((len(breaks), n))
-    found = np.zeros((m, n + m, n + m))
-    for j in np.flatnonzero(space.coefficients.banded):
-        for signal in space.coefficients.stopped(int(j), random.standard_normal((NOISES, T))):
-            y = np.zeros((T + 1, n + m))
-            y[:-1, n + j] = signal
-            space.loops.forward(space.A, space.B, still, breaks, starts, y)
-            found[j] += y[:-1].T @ y[:-1] / (NOISES * T)
-    return found

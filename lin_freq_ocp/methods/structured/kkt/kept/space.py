@@ -57,14 +57,10 @@ class KeptSpace:
         z = self.coefficients.analysis(gw[:, :, None])[0]
         return np.concatenate([z, (of_starts + prices).ravel(), p[0, self.free]])
 
-    def curvature(self, Phi: Array, v: Array, nu: Array | None = None) -> Array:
-        """Return the gradient in v of 1/2 y'Phi y, plus that of nu times the rows."""
+    def curvature(self, Phi: Array, v: Array) -> Array:
+        """Return the gradient in v of 1/2 y'Phi y."""
         y, _ = self.simulated(v)
-        of_y = self.loops.times(Phi, y)
-        if nu is None:
-            return self.gradient(of_y)
-        priced, prices = self.priced(nu)
-        return self.gradient(of_y + priced, prices)
+        return self.gradient(self.loops.times(Phi, y))
 
     def values(self, y: Array, ends: Array) -> Array:
         """Return what y adds to the rows when its simulations start from zero."""
