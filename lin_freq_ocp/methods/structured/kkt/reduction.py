@@ -44,7 +44,7 @@ class StepSystem:
             _of_values(cone) if part.heads is None else (cone.block_squares(0), cone.block_squares(0, inverse=True))
             for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)
         ]
-        unequal = system.cones[INEQUALITIES].w[:, 0] ** 2
+        unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
         blocks, inverses = tuple(one[0] for one in balls), tuple(one[1] for one in balls)
         self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), blocks, inverses))

@@ -34,7 +34,8 @@ class System:
             *(part.right for part in coupling.balls),
         ]
         self.cones = {STAGES: Cone(present, stages.cones)}
-        self.cones[INEQUALITIES] = Cone(np.ones(self.b[INEQUALITIES].shape, dtype=bool), ())
+        if coupling.inequalities:
+            self.cones[INEQUALITIES] = Cone(np.ones(self.b[INEQUALITIES].shape, dtype=bool), ())
         for i, part in enumerate(coupling.balls):
             shape = len(part.radius), 1 + part.dim
             self.cones[BALLS + i] = Cone(np.ones(shape, dtype=bool), (1 + part.dim,))
