@@ -95,8 +95,9 @@ class _Dense:
 
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""
-        matrix = np.asfortranarray(self.A + np.diag(w))
-        self._lower, failed = dpotrf(matrix, lower=1, overwrite_a=1, clean=0)
+        matrix = self.A.copy()
+        matrix[np.diag_indices_from(matrix)] += w
+        self._lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
         return failed == 0
 
     def solve(self, r: Array) -> Array:
