@@ -8,6 +8,7 @@ checks it); and the iteration may stop at a dual objective beyond a cutoff.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,17 @@ def solve_small(
     return Embedding(system, StepSystem(system, stopped_side(stages, plain)), targets).run()
 
 
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """A point and what is known of it."""
+
+    numbers: Numbers
+    errors: Errors
+    step: int
+    y: Array
+    z: Array
+
+
 class _Solve:
     """One solve; flat arrays and numbers as in compiled/small.py."""
 
@@ -97,25 +109,30 @@ class _Solve:
 
     def run(self) -> Answer:
         """Iterate until the targets, a ray, the cutoff, or a stall."""
-        best: Answer | None = None
         self._kernels.advance(self._data, self._point, self._residuals, self._numbers, True, False)
-        refine = False
+        refine, best = False, self._best(self._record(0))
         for step in range(self._most + 1):
-            numbers = self._kernels.Numbers(*self._numbers.tolist())
-            errors = self._errors(numbers)
-            end = self._ended(numbers, errors)
+            record = self._record(step)
+            end = self._ended(record)
             if end is not None:
-                unit = {End.INFEASIBLE: -numbers.bz, End.UNBOUNDED: -numbers.hy}.get(end, numbers.tau)
-                return self._answer(end, errors, step, unit)
-            if best is None or errors.merit(self._targets) < best.errors.merit(self._targets):
-                best = self._answer(End.STALLED, errors, step, numbers.tau)
+                return self._answer(end, record)
+            if record.errors.merit(self._targets) < best.errors.merit(self._targets):
+                best = self._best(record)
+            numbers, errors = record.numbers, record.errors
             vanishing = numbers.tau < VANISHED * min(1.0, numbers.kappa)
-            if (step - best.steps > STALLED and not vanishing) or not np.isfinite(sum(errors)):
+            if (step - best.step > STALLED and not vanishing) or not np.isfinite(sum(errors)):
                 break
             self._kernels.advance(self._data, self._point, self._residuals, self._numbers, False, refine)
             refine |= self._inexact(numbers)
-        assert best is not None
-        return best
+        return self._answer(End.STALLED, best)
+
+    @staticmethod
+    def _best(record: _Record) -> _Record:
+        return replace(record, y=record.y.copy(), z=record.z.copy())
+
+    def _record(self, step: int) -> _Record:
+        numbers = self._kernels.Numbers(*self._numbers.tolist())
+        return _Record(numbers, self._errors(numbers), step, *self._point[:2])
 
     def _errors(self, numbers: Numbers) -> Errors:
         tau = numbers.tau
@@ -130,8 +147,9 @@ class _Solve:
     def _bound(numbers: Numbers) -> float:
         return -0.5 * numbers.yPy / numbers.tau**2 - numbers.bz / numbers.tau
 
-    def _ended(self, numbers: Numbers, errors: Errors) -> End | None:
+    def _ended(self, record: _Record) -> End | None:
         """Return how the iteration ends at a point, if it does."""
+        numbers, errors = record.numbers, record.errors
         vanishing = numbers.tau / min(1.0, numbers.kappa)
         if errors.merit(self._targets) <= 1:
             return End.OPTIMAL
@@ -151,14 +169,16 @@ class _Solve:
         left, least = EXPECTED * max(now.left, 0.0), self._targets.residual * now.tau
         return now.size_f_y > left * before.size_f_y + least or now.size_f_z > left * before.size_f_z + least
 
-    def _answer(self, end: End, errors: Errors, steps: int, unit: float) -> Answer:
-        stages, (T, n), (y, z, _) = self._stages, (self._stages.horizon, self._stages.states), self._point
-        z = z / unit
+    def _answer(self, end: End, record: _Record) -> Answer:
+        stages, T, n = self._stages, self._stages.horizon, self._stages.states
+        numbers = record.numbers
+        unit = {End.INFEASIBLE: -numbers.bz, End.UNBOUNDED: -numbers.hy}.get(end, numbers.tau)
+        y, z = record.y / unit, record.z / unit
         of_stages = np.zeros(stages.g.shape)
         of_stages[self._where] = z[self._start : self._stop]
         eta, initial = z[: (T + 1) * n].reshape(T + 1, n), z[(T + 1) * n : self._start]
         rows = [eta, initial, of_stages, z[self._stop :], np.zeros((0, 1))]
-        return Answer(end, (y / unit).reshape(stages.h.shape), rows, errors, steps)
+        return Answer(end, y.reshape(stages.h.shape), rows, record.errors, record.step)
 
 
 def _present_rows(stages: Stages) -> tuple[Indices, Indices]:

@@ -51,7 +51,7 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
 
 
 def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy")
+    decorate = numba.njit(cache=cache, fastmath={"contract", "nsz"}, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
