@@ -168,11 +168,12 @@ def relaxed(
 def _decided(relaxation: ModeRelaxation, member: Member, solution: Solution, enough: Decision) -> Relaxed | None:
     """Return the relaxation of a node that a rough solution decides: closed by its duals, or to be split."""
     z, y = solution.z, solution.y
-    if solution.claim is not Claim.STOPPED or z is None or y is None:
+    if solution.claim not in (Claim.STOPPED, Claim.SOLVED) or z is None or y is None:
         return None
     duals = member.duals(y, 1.0)
     bound = relaxation.proven(member.reach, duals)
-    if not enough.several and relaxation.objective(bound) <= enough.cutoff:
+    split = enough.several and solution.claim is Claim.STOPPED
+    if not split and relaxation.objective(bound) <= enough.cutoff:
         return None
     return Relaxed(member.reach, bound, duals, *relaxation.point(member, z))
 
