@@ -6,6 +6,8 @@ x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once co
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from scipy.linalg import lapack
 
@@ -113,6 +115,8 @@ class BandedRegulator(BlockRegulator):
 
 class BandedLoops:
     """All loops by NumPy and LAPACK."""
+
+    compiled: ClassVar[bool] = False
 
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
         """Factor the stages."""

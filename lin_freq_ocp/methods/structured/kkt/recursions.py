@@ -22,7 +22,7 @@ Interface:
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.banded import BandedLoops
@@ -51,6 +51,8 @@ class Loops(Protocol):
 
     In open loop the states start anew from ``starts`` at ``breaks``, (K,) increasing times within 1 .. T.
     """
+
+    compiled: ClassVar[bool]
 
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> Regulator:
         """Factor the stages: A (T+1, n, n), B (T+1, n, k), Phi (T+1, nz, nz) positive semidefinite, fixed (n,)."""

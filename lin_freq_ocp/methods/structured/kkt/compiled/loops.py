@@ -9,6 +9,8 @@ Riccati recursion in Joseph form, from P_{T+1} = 0, p_{T+1} = 0; nothing is subt
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
@@ -342,6 +344,8 @@ class CompiledRegulator(BlockRegulator):
 
 class CompiledLoops:
     """All loops by numba."""
+
+    compiled: ClassVar[bool] = True
 
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> CompiledRegulator:
         """Factor the stages."""
