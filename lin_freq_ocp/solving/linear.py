@@ -152,8 +152,9 @@ class Structured:
         excluded = _excluded_at_ends(problem, "structured", self.tolerance)
         if excluded is not None:
             return excluded
-        first: Outcome | None = None
+        first, doubtful = None, False
         for candidate in solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem)):
+            doubtful = candidate.status in ("unbounded", "numerical_error")
             if candidate.status == "unbounded":
                 candidate = _if_feasible(problem, candidate, _left(end))
             outcome = judged(problem, candidate, "structured", None, self.tolerance)
@@ -162,6 +163,8 @@ class Structured:
             if _final(outcome):
                 break
         assert first is not None  # there is an answer
+        if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
+            first = _with_proof(first, self.tolerance, end)
         return _at_no_cost(first, self.tolerance, end)
 
 
@@ -290,6 +293,18 @@ def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit:
     """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the candidate."""
     diagnosis = solve_convex(problem, PROVER, None, time_limit)
     return diagnosis if diagnosis.status in ("infeasible", "unbounded") else candidate
+
+
+def _with_proof(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
+    """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
+    try:
+        diagnosis = solve_convex(outcome.problem, PROVER, None, _left(end))
+    except UnsupportedError:  # it does not fit into memory
+        return outcome
+    if diagnosis.status not in ("infeasible", "unbounded"):
+        return outcome
+    found = judged(outcome.problem, diagnosis, outcome.method, None, tolerance)
+    return found if _rank(found) == 2 else outcome
 
 
 def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:

@@ -1,7 +1,8 @@
 """A random linear problem by every method that takes it: verdicts and costs are compared.
 
-Where two costs differ, the answer whose gap is larger is the less accurate. A verdict that is proven by a bound, a ray
-or a direction is compared with those of the others; a local optimum beside it is no error, but counted.
+Where two costs differ by more than 1e-8, and by far more than the gap of the better answer, the other is less accurate.
+A verdict that is proven by a bound, a ray or a direction is compared with those of the others; a local optimum beside
+it is no error, but counted.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.testing.conformance import FAMILIES
 
 KINDS = "convex", "linear", "lti", "infeasible", "mixed"  # families of linear problems, in turn
+KNOWN = 1e-6  # gap of the best answer above which the optimal cost is not known
+FAR = 10  # multiple of the best answer's error beyond which a difference is another's
 AGREEMENT = 1e-8  # difference of two costs, relative to the sum of absolute terms, up to which they agree
 SECONDS = 60.0  # for every method
 
@@ -41,7 +44,7 @@ ERRORS = Verdict.LESS_ACCURATE, Verdict.NONE, Verdict.CONTRADICTS, Verdict.UNVER
 
 @dataclass(frozen=True)
 class Answer:
-    """How one method ended; ``error`` is its gap, or what its residuals are worth, relative to ``scale``."""
+    """How one method ended; ``error`` is its gap, or what its residuals are worth, in units of the cost."""
 
     status: str
     message: str
@@ -54,6 +57,11 @@ class Answer:
     def solved(self) -> bool:
         """Whether there is an optimum, local or global."""
         return self.status in ("optimal", "locally_optimal")
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an optimum, and its cost is known."""
+        return self.solved and self.error <= KNOWN * self.scale
 
     @property
     def proven(self) -> bool:
@@ -72,7 +80,7 @@ class Outcome:
     @property
     def passed(self) -> bool:
         """Whether the structured method is right, with both kinds of loops."""
-        return not any(self.verdicts[name] in ERRORS for name in ("structured", "plain"))
+        return not any(self.verdicts[name] in ERRORS for name in ("structured", "plain") if name in self.verdicts)
 
     @property
     def notable(self) -> bool:
@@ -110,6 +118,7 @@ def compared(seed: int, answers: dict[str, Answer]) -> Outcome:
     solved = [one for one in answers.values() if one.solved]
     proven = [one for one in answers.values() if one.proven and one.verified]
     best = min([one for one in proven if one.solved] or solved, key=lambda one: one.error, default=None)
+    best = best if best is not None and best.known else None
     return Outcome(seed, answers, {name: _verdict(one, best, proven) for name, one in answers.items()})
 
 
@@ -133,7 +142,7 @@ def _verdict(one: Answer, best: Answer | None, proven: list[Answer]) -> Verdict:
 def _differs(one: Answer, best: Answer) -> bool:
     assert one.cost is not None
     assert best.cost is not None
-    return abs(one.cost - best.cost) > AGREEMENT * max(one.scale, best.scale)
+    return abs(one.cost - best.cost) > max(AGREEMENT * max(one.scale, best.scale), FAR * best.error)
 
 
 def _solved(method: str) -> Callable[[lfo.OptimalControlProblem], Answer]:
@@ -142,6 +151,8 @@ def _solved(method: str) -> Callable[[lfo.OptimalControlProblem], Answer]:
             result = lfo.solve(problem, method=method, throw=False, time_limit=SECONDS)
         except lfo.errors.UnsupportedError as error:
             return Answer("refused", str(error))
+        except Exception as error:  # whatever it is, it must not end a run over many problems
+            return Answer(type(error).__name__, str(error))
         return _answer(problem, result)
 
     return solve
@@ -154,8 +165,8 @@ def _answer(problem: lfo.OptimalControlProblem, result: lfo.results.Result) -> A
         return Answer(status, result.message, verified=verified)
     if status == "unbounded" or certificate is None:
         return Answer(status, result.message)
-    worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else 0.0
-    error = np.inf if certificate.gap is None else max(abs(certificate.gap), worth)
+    apart = np.inf if certificate.lower_bound is None else abs(certificate.cost - certificate.lower_bound)
+    error = max(apart, certificate.worth_of_residuals)
     return Answer(status, result.message, certificate.cost, certificate.cost_scale, error)
 
 

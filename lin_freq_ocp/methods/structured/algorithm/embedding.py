@@ -35,6 +35,7 @@ INTERIOR = 1e-2  # distance of the first point to the boundary, relative to its 
 MOVED = 0.1  # of the size, the distance to which it is moved; at least 1
 RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hides the rest
 ROUGH_RAY = 1e-5  # the same where the iteration stalled
+LEAST_TERMS = 1e-4  # of the objective's absolute terms where y is 1: what the gap is relative to, at least
 VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
 
 
@@ -60,7 +61,7 @@ class Targets:
 
 
 class Errors(NamedTuple):
-    """Relative residuals and gap of y/tau."""
+    """Relative residuals of y/tau, and the gap relative to the objective's absolute terms."""
 
     primal: float
     dual: float
@@ -140,6 +141,12 @@ class Embedding:
         self._h, self._b = self.system.stages.h, self.system.b
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
         self._degree = self.system.degree + 1
+        typical = np.ones(self._h.shape)
+        self._least_terms = LEAST_TERMS * self._terms(typical, _dot(typical, self.system.curvature(typical))) or 1.0
+
+    def _terms(self, y: Array, yPy: float) -> float:
+        """Return the sum of the absolute terms of the objective."""
+        return abs(self.system.stages.constant) + 0.5 * yPy + _dot(np.abs(self._h), np.abs(y))
 
     @property
     def _cones(self) -> dict[int, Cone]:
@@ -200,7 +207,7 @@ class Embedding:
         errors = Errors(
             largest(f_z) / tau / (of_b + largest([point.y]) / tau),
             largest([f_y]) / tau / (of_h + max(curved, largest(point.z)) / tau),
-            abs(primal - dual) / max(1.0, min(abs(primal), abs(dual))),
+            abs(primal - dual) / max(self._least_terms, self._terms(point.y / tau, yPy / tau**2)),
         )
         ray = max(largest([Atz]), curved) / -bz if bz < 0 else np.inf
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf

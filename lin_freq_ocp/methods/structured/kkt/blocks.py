@@ -15,6 +15,7 @@ from math import ceil, sqrt
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 
 NARROW = 8
 """So few columns are solved for alone: finding the matrices of the blocks costs more."""
@@ -59,6 +60,7 @@ class ClosedLoop:
         """Find the matrices of the blocks."""
         self._gains, self.channels = gains, channels
         self._room: tuple[Array, Array] | None = None
+        self._free_cost = Cholesky(gains.P0[np.ix_(~gains.fixed, ~gains.fixed)])
         B, K = gains.B, gains.K
         stages, n, k = B.shape
         count = len(channels)
@@ -107,7 +109,7 @@ class ClosedLoop:
             p = self._p[i] @ down[i]
         np.matmul(self._w, down, out=up[:, n:])
         x, free = np.zeros((n, m)), ~self._gains.fixed
-        x[free] = -np.linalg.solve(self._gains.P0[np.ix_(free, free)], p[free])
+        x[free] = -self._free_cost.solve(p[free])
         for i in range(len(up)):
             up[i, :n] = x
             x = self._x[i] @ up[i]

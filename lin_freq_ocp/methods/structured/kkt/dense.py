@@ -11,7 +11,10 @@ LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that roun
 
 
 class Cholesky:
-    """M = D^-1 L L' D^-1, M shifted as far as it must be; only the mean of M and M' counts, and M is overwritten."""
+    """M = D^-1 L L' D^-1, M shifted as far as it must be; only the mean of M and M' counts, and M is overwritten.
+
+    The factor of a matrix that is not finite is not finite either.
+    """
 
     def __init__(self, M: Array):
         self._scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
@@ -23,7 +26,7 @@ class Cholesky:
             shifted = M.T.copy(order="F")
             shifted.flat[:: len(M) + 1] += shift
             self._factor, failed = la.lapack.dpotrf(shifted, lower=1, overwrite_a=1, clean=0)
-            if not failed:
+            if not failed or not np.isfinite(shift):
                 break
             shift *= 100
 
