@@ -178,12 +178,13 @@ def subtract_product(data: Data, factors: Factors, y: Array, z: Array, of_y: Arr
 
 @jit
 def solution(data: Data, factors: Factors, of_y: Array, of_z: Array, refine: bool) -> tuple[Array, Array]:
-    """Return (y, z) with P y + A'z = of_y, A y - W^2 z = of_z, refined once if asked for."""
-    y, z, of_y, of_z = np.zeros(len(of_y)), np.zeros(len(of_z)), of_y.copy(), of_z.copy()
-    for attempt in range(2 if refine else 1):
-        if attempt == 1:
-            subtract_product(data, factors, y, z, of_y, of_z)
-        solved(data, factors, of_y, of_z, y, z)
+    """Return (y, z) with P y + A'z = of_y, A y - W^2 z = of_z, refined twice if asked for."""
+    y, z = np.zeros(len(of_y)), np.zeros(len(of_z))
+    for attempt in range(3 if refine else 1):
+        left_y, left_z = of_y.copy(), of_z.copy()
+        if attempt > 0:
+            subtract_product(data, factors, y, z, left_y, left_z)
+        solved(data, factors, left_y, left_z, y, z)
     return y, z
 
 
