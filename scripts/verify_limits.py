@@ -9,11 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from benchmark_cases import bang_bang, fine_pendulum, oscillator, pendulum
 from rich.console import Console
 from rich.table import Table
+from structured_cases import masked as finely_masked
+from structured_cases import rate_limited, rendezvous, time_varying
 
 import lin_freq_ocp as lfo
 
@@ -58,6 +61,14 @@ CASES: tuple[tuple[str, Callable[[], lfo.OptimalControlProblem], str], ...] = (
     ("dynamics with a norm", lfo.library.norm_dynamics, "auto"),
 )
 
+LARGE = {"time-varying": time_varying, "rate-limited": rate_limited, "mask": finely_masked, "rendezvous": rendezvous}
+CASES += tuple(
+    (f"{name}, T = {horizon}", partial(make, horizon), method)
+    for name, make in LARGE.items()
+    for horizon in (4000, 20_000)
+    for method in ("structured", "auto", "convex", "spectral")
+)
+
 
 @dataclass(frozen=True)
 class Run:
@@ -81,6 +92,8 @@ def run(problem: lfo.OptimalControlProblem, method: str, limit: float) -> Run:
         result = lfo.solve(problem, method=method, time_limit=limit)
     except lfo.errors.SolveError as error:
         result = error.result
+    except lfo.errors.UnsupportedError:
+        return Run(limit, "refused", time.perf_counter() - started, 0.0)
     seconds = time.perf_counter() - started
     modes = result.tree is not None or result.method == "nonsmooth"
     judged = 0.0 if modes else result.seconds["certify"]  # over modes, that is the time of the proof

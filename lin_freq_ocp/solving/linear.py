@@ -152,17 +152,19 @@ class Structured:
         excluded = _excluded_at_ends(problem, "structured", self.tolerance)
         if excluded is not None:
             return excluded
-        first, doubtful = None, False
+        first, doubtful, certified = None, False, 0.0
         for candidate in solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem)):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             if candidate.status == "unbounded":
                 candidate = _if_feasible(problem, candidate, _left(end))
             outcome = judged(problem, candidate, "structured", None, self.tolerance)
+            certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
                 first = outcome
             if _final(outcome):
                 break
         assert first is not None  # there is an answer
+        first = replace(first, seconds=first.seconds | {"certify": certified})
         if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
             first = _with_proof(first, self.tolerance, end)
         return _at_no_cost(first, self.tolerance, end)

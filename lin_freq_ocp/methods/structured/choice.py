@@ -28,6 +28,8 @@ COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
 ITERATIONS = 7e-6  # seconds for one entry of y of one stage in all iterations of conjugate gradients of a step
 DIRECTIONS = 100  # of large weights, a common number
 FLOP = 1e-10  # seconds for a multiplication in products and factors of dense matrices
+STAGE = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
+PLAIN_STAGE = 1e-4  # seconds for a stage in a step by loops that are not compiled
 LARGEST_BYTES = 1e9  # of a dense matrix and its factor, or of the columns that conjugate gradients keep
 
 
@@ -55,6 +57,10 @@ class Sizes:
             found["two-level"] = iterations + FLOP * (self.kept * directions**2 + directions**3 / 3)
         return found
 
+    def fine_seconds(self, rows: int, rank: int) -> float:
+        """Return the seconds of a step, or of its set-up, with so many rows of low rank."""
+        return self._dense(rank + self.rows - rows) + 3 * FLOP * rows * rank**2
+
     def _dense(self, columns: int) -> float:
         return COLUMN * self.horizon * self.entries * columns + FLOP * columns**3 / 3
 
@@ -72,6 +78,18 @@ def sizes_of(stages: Stages) -> Sizes:
     kept = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
     left = starts + len(coupling.terminal) + sum(len(part.at) for part in rest)
     return Sizes(T, stages.H.shape[1], coupling.count, kept, left, len(bands))
+
+
+def step_seconds(stages: Stages, loops: Loops) -> float:
+    """Return about how many seconds a step takes, or the set-up before it."""
+    sizes, fine = sizes_of(stages), fine_rows(Response(stages, loops))
+    if fine is None:
+        coupled = min(sizes.seconds().values(), default=0.0)
+    else:
+        least = min(part.rows.oversampling for part in stages.coupling.balls if part.rows.oversampling > 1)
+        coupled = sizes.fine_seconds(len(fine), len(fine) // least)
+    alone = STAGE * sizes.entries**2 if loops.compiled else PLAIN_STAGE
+    return coupled + sizes.horizon * alone
 
 
 def choose_side(stages: Stages, loops: Loops) -> Side:

@@ -11,7 +11,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.algorithm.small import is_small, solve_small
-from lin_freq_ocp.methods.structured.choice import choose_side
+from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
@@ -25,6 +25,7 @@ from lin_freq_ocp.system.memory import require_memory
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 SMALL = 5e5  # stages times squares of rows that couple times, up to which ``solve_small`` is faster
 SWEEPS = 8  # rows that are as many as a step's other sweeps
+LATE = 2.0  # an estimated step may take so many times as long
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 
 
@@ -48,12 +49,16 @@ def solve_structured(
     assembly, recursions = stages_of(problem), loops(compiled, patient=time_limit is None)
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
     setup = time.perf_counter() - started
+    needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
+    if time_limit is not None and time.perf_counter() + needed > end:
+        yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
+        return
     while True:
         answer = _solved(assembly, recursions, targets, excludes)
         seconds = {"setup": setup, "solve": time.perf_counter() - started - setup}
         yield _candidate(answer, assembly.recovery, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
-        if revised is None:
+        if revised is None or time.perf_counter() + needed > end:
             return
         assembly = revised
 
@@ -88,7 +93,9 @@ def _fits_small(stages: Stages) -> bool:
 def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:
     if not np.isfinite(answer.y).all():
         return Candidate("numerical_error", message="the first step is not finite", seconds=seconds)
-    message = f"{answer.end.value} after {answer.steps} steps"
+    message, errors = f"{answer.end.value} after {answer.steps} steps", answer.errors
+    if answer.end is End.TIME:
+        message += f": relative residuals of {max(errors.primal, errors.dual):.0e}, a gap of {errors.gap:.0e}"
     if answer.end is End.INFEASIBLE:
         return Candidate("infeasible", ray=recovery.multipliers(answer.z, 0.0), message=message, seconds=seconds)
     if answer.end is End.UNBOUNDED:

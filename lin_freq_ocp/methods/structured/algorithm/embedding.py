@@ -160,7 +160,9 @@ class Embedding:
     def _iterated(self) -> Answer:
         best: Answer | None = None
         try:
+            clock = time.perf_counter()
             point = self._first_point()
+            last = time.perf_counter() - clock  # a step takes about as long
             for step in count():
                 clock = time.perf_counter()
                 found = self._measured(point)
@@ -172,10 +174,10 @@ class Embedding:
                 stalled = step - best.steps > STALLED and not self._vanishing(point)
                 if stalled or step == MOST_STEPS or not np.isfinite(found.errors.primal):
                     return self._rough_ray(point, found, step) or best
-                point = self._next(point, found)
-                now = time.perf_counter()
-                if now + (now - clock) > self.targets.end:
+                if clock + last > self.targets.end:
                     return replace(best, end=End.TIME)
+                point = self._next(point, found)
+                last = time.perf_counter() - clock
         except KeyboardInterrupt:
             if best is None:
                 raise
