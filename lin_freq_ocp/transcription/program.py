@@ -208,7 +208,8 @@ class Program:
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
         violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
-        outside = max((_outside_cone((Az - self.lower)[cone]) for cone in self.cones), default=0.0)
+        above = Az - self.lower
+        outside = max((_outside_cone(above[cone]) for cone in self.cones), default=0.0)
         outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
         bound, carried = self._bound_of(y)
         impossible = ~carried & (y != 0)

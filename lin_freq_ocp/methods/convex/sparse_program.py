@@ -52,7 +52,8 @@ def convex_candidates(
     started = time.perf_counter()
     rows = dense_rows(problem)
     if time_limit is not None and rows.seconds > time_limit + GRACE:
-        message = f"time limit of {time_limit:.3g} s; its {rows.count} dense rows need about {rows.seconds:.2g} s"
+        program = f"a program of {rows.variables} variables with {rows.count} dense rows"
+        message = f"time limit of {time_limit:.3g} s; {program} needs about {rows.seconds:.2g} s"
         yield Candidate("limit", message=message, seconds={"setup": 0.0, "solve": 0.0})
         return
     transcription = LinearTranscription(problem)

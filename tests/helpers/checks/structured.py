@@ -15,6 +15,7 @@ from unittest.mock import patch
 import numpy as np
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.methods.structured import solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
@@ -167,7 +168,14 @@ def _answer(problem: lfo.OptimalControlProblem, result: lfo.results.Result) -> A
         return Answer(status, result.message)
     apart = np.inf if certificate.lower_bound is None else abs(certificate.cost - certificate.lower_bound)
     error = max(apart, certificate.worth_of_residuals)
-    return Answer(status, result.message, certificate.cost, certificate.cost_scale, error)
+    return Answer(status, result.message, certificate.cost, max(certificate.cost_scale, _rounding(problem)), error)
+
+
+def _rounding(problem: lfo.OptimalControlProblem) -> float:
+    """Return the rounding of the quadratic cost at the sizes in the data."""
+    x, u = stated_sizes(problem)
+    in_x, in_u = np.broadcast_to(x, (problem.horizon + 1, len(x))), np.broadcast_to(u, (problem.horizon, len(u)))
+    return float(np.finfo(float).eps * problem.quadratic.magnitudes().value(in_x, in_u))
 
 
 def _structured(compiled: bool | None) -> Callable[[lfo.OptimalControlProblem], Answer]:
