@@ -17,7 +17,7 @@ SAYS = {
     "long_horizons": "10000 steps by method spectral",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
-    "wall": "cost      95.820020, no trajectory below 95.820019",
+    "wall": "cost      95.820020, no trajectory below 95.82001",
 }
 
 

@@ -176,7 +176,7 @@ BAD_PARAMETERS = {
 BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
-        "method: got 'magic'; expected 'auto', 'spectral', 'convex', 'branch_and_bound', 'enumerate', 'miqp' or "
+        "method: got 'magic'; expected 'auto', 'spectral', 'structured', 'convex', 'branch_and_bound', 'enumerate', 'miqp' or "
         "'nonsmooth'.",
     ),
     "backend of a method without": (

@@ -32,7 +32,7 @@ def files(tmp_path_factory):
         (("pendulum", "--method", "convex"), 0, "optimal", ("convex", "clarabel")),
         (("pendulum", "--backend", "clarabel"), 0, "optimal", ("convex", "clarabel")),
         (("two_mass_spring",), 0, "optimal", ("spectral", None)),
-        (("elliptic_rendezvous",), 0, "optimal", ("convex", "clarabel")),
+        (("elliptic_rendezvous",), 0, "optimal", ("structured", None)),
         (
             ("pendulum", "--backend", "osqp", "--method", "convex", "--tolerance", "1e-8"),
             0,

@@ -112,8 +112,8 @@ def require_words(summary):
     assert summary["version"] == lfo.__version__
     assert summary.get("status", "optimal") in ("optimal", "locally_optimal", *ERRORS)
     if "method" in summary:
-        assert summary["method"] in ("spectral", "convex")
-        assert (summary["backend"] is None) == (summary["method"] == "spectral")
+        assert summary["method"] in ("spectral", "structured", "convex")
+        assert (summary["backend"] is None) == (summary["method"] != "convex")
     assert summary["bound"] in ("rigorous", "numerical", None)
     assert (summary["bound"] is None) == (summary["lower_bound"] is None) == (summary["gap"] is None)
     if summary["gap"] is not None:
