@@ -176,8 +176,8 @@ BAD_PARAMETERS = {
 BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
-        "method: got 'magic'; expected 'auto', 'spectral', 'structured', 'convex', 'branch_and_bound', 'enumerate', 'miqp' or "
-        "'nonsmooth'.",
+        "method: got 'magic'; expected 'auto', 'spectral', 'structured', 'convex', 'branch_and_bound', 'enumerate', "
+        "'miqp' or 'nonsmooth'.",
     ),
     "backend of a method without": (
         ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),

@@ -10,7 +10,7 @@ import numpy as np
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.algorithm.small import is_small, solve_small
+from lin_freq_ocp.methods.structured.algorithm.small import is_small, small_is_compiled, solve_small
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
@@ -76,7 +76,7 @@ def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: C
     def believed(z: Values) -> bool:
         return excludes(recovery.multipliers(z, 0.0))
 
-    if recursions.compiled and _fits_small(stages):
+    if recursions.compiled and _fits_small(stages) and small_is_compiled():
         answer = solve_small(stages, targets, compiled=True)
         if answer.end is End.OPTIMAL or (answer.end is End.INFEASIBLE and believed(answer.z)):
             return answer

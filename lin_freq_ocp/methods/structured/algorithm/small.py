@@ -48,6 +48,15 @@ def is_small(stages: Stages) -> bool:
     return not stages.coupling.inequalities and not stages.coupling.balls
 
 
+def small_is_compiled() -> bool:
+    """Whether the code of ``solve_small`` is compiled and cached; it takes longer than most solves."""
+    if find_spec("numba") is None:
+        return False
+    from lin_freq_ocp.methods.structured.kkt.compiled import small
+
+    return small.KERNELS.ready
+
+
 def solve_small(
     stages: Stages,
     targets: Targets | None = None,
