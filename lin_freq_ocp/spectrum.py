@@ -3,12 +3,14 @@
 from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 
 __all__ = [
     "EnergyBound",
     "LinearConstraint",
     "MagnitudeBound",
     "OutputSpectrum",
+    "Spectrogram",
     "band_pass",
     "high_pass",
     "low_pass",

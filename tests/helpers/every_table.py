@@ -36,6 +36,10 @@ GOOD: dict[str, Any] = {
         {"kind": "stop_band", "bins": [3, -3]},
         {"kind": "magnitude_bound", "limit_db": -3.0, "reference": 2.0, "band": {"kind": "high_pass", "cutoff": 1.0}},
         {"kind": "linear_constraint", "coefficients": [[[1.0]]] * 8, "constant": [0.0], "penalty": 1.0},
+        {
+            **{"kind": "spectrogram", "bound": {"kind": "energy_bound", "limit": 9.0, "bins": [1]}},
+            **{"length": 4, "hop": 2, "past": [[0.0], [0.1]]},
+        },
     ],
     "state_spectrum": {
         **{"kind": "energy_bound", "limit": 30.0, "bins": [1], "component": "speed"},

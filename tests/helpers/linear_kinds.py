@@ -27,6 +27,7 @@ REFERENCES = lfo.QuadraticCost(
     u_ref=np.outer(WAVE[:-1], [0.3, 0.2]),
 )
 HALF = [0.3, 0.2]
+PAST = 0.1 * np.column_stack([WAVE, -WAVE])[:6]
 
 
 def _problem(**fields: object) -> lfo.OptimalControlProblem:
@@ -90,6 +91,20 @@ KINDS: dict[str, Callable[[], lfo.OptimalControlProblem]] = {
         control_spectrum=lfo.MagnitudeBound(0.5, bins=[2, 3, 4], oversampling=3), dynamics=VARYING
     ),
     "zero mask": lambda: _problem(control_spectrum=lfo.MagnitudeBound([0.0, 0.2], bins=[0, 2], component=1)),
+    "spectrogram": lambda: _problem(
+        control_spectrum=lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.3, bins=[1, 2], component=0), 4, 1, PAST)
+    ),
+    "past and future": lambda: _problem(
+        control_spectrum=[
+            lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.6, bins=[2, 3], component=1), past=PAST),
+            lfo.spectrum.Spectrogram(lfo.spectrum.EnergyBound(0.3, bins=[1, 2], component=0, window="hann"), past=PAST),
+        ]
+    ),
+    "soft spectrogram": lambda: _problem(
+        state_spectrum=lfo.spectrum.Spectrogram(
+            lfo.spectrum.EnergyBound(0.05, bins=[1], component=0, penalty=0.4), 5, past=PAST
+        )
+    ),
     "output mask": lambda: _problem(
         output_spectrum=lfo.spectrum.OutputSpectrum([[1.0, 0.5]], [[0.3, 0.0]], lfo.MagnitudeBound(0.5, bins=[0, 1]))
     ),

@@ -16,7 +16,7 @@ from lin_freq_ocp.formulas.definitions import EXACT
 from lin_freq_ocp.formulas.nodes import written
 from lin_freq_ocp.interchange.problem_file import toml_file
 from lin_freq_ocp.interchange.problem_file.toml_file import INLINE_LIMIT
-from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, notch
+from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
 from lin_freq_ocp.testing.random_mixed import FEATURES, problem_of, random_model
 
 T, N, M = 12, 3, 2
@@ -129,6 +129,10 @@ FEATURES_ALONE: dict[str, dict[str, Any]] = {
     "bands among bounds": {"control_spectrum": [EnergyBound(0.1, bins=[3]), LOW, lfo.stop_band(bins=[1])]},
     "linear constraint": {"control_spectrum": LinearConstraint(RNG.normal(size=(T, 2, M)), [0.1, 1 / 3])},
     "soft linear constraint": {"state_spectrum": LinearConstraint(RNG.normal(size=(T + 1, 1, N)), penalty=0.7)},
+    "spectrogram": {
+        "state_spectrum": Spectrogram(EnergyBound(0.2, bins=[2], window="hann"), 5, 2, RNG.normal(size=(3, N)))
+    },
+    "past and future": {"control_spectrum": Spectrogram(lfo.MagnitudeBound(0.3, band=LOW, component=1))},
     "outputs of states": {"output_spectrum": OutputSpectrum(F, constraints=EnergyBound(0.1, bins=[6]))},
     "outputs of controls": {"output_spectrum": OutputSpectrum(D=np.ones((1, M)), constraints=[LOW])},
     "outputs of both": {
@@ -152,9 +156,15 @@ def problem_with(**given: Any) -> lfo.OptimalControlProblem:
 def assert_same_arrays(one: Any, other: Any) -> None:
     """Compare two dataclasses of arrays and plain values, field by field."""
     assert type(one) is type(other)
-    mine, theirs = asdict(one), asdict(other)
+    assert_same_fields(asdict(one), asdict(other))
+
+
+def assert_same_fields(mine: dict[str, Any], theirs: dict[str, Any]) -> None:
     assert mine.keys() == theirs.keys()
     for field, value in mine.items():
+        if isinstance(value, dict):
+            assert_same_fields(value, theirs[field])
+            continue
         assert np.shape(value) == np.shape(theirs[field]), field
         assert np.array_equal(np.asarray(value), np.asarray(theirs[field])), field
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
+from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 
 N, M = 3, 2
@@ -54,7 +55,18 @@ def sum_map(rng: np.random.Generator, T: int) -> SumMap:
     return SumMap(Phi, Psi, rng.standard_normal(DIM))
 
 
-MAPS = (stage_map, spectrum_map, together, sum_map)
+def spectrogram_map(rng: np.random.Generator, T: int, together: bool = False) -> SpectrogramMap:
+    frame = spectrum_map(rng, int(rng.integers(1, T + 1)), together)
+    length, samples, past = frame.samples, frame.length(T), rng.standard_normal(int(rng.integers(0, 8)))
+    starts = np.arange(-min(len(past), length - 1), samples - length + 1, int(rng.integers(1, 4)))
+    return SpectrogramMap(frame, starts, past)
+
+
+def windows_together(rng: np.random.Generator, T: int) -> SpectrogramMap:
+    return spectrogram_map(rng, T, together=True)
+
+
+MAPS = (stage_map, spectrum_map, together, sum_map, spectrogram_map, windows_together)
 
 
 def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -71,10 +83,23 @@ def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
             for g, t in enumerate(one.times if matrix is not None else ()):
                 v[g] += (matrix if matrix.ndim == 2 else matrix[g]) @ signal[t]
         return v
-    y = np.zeros(len(one.window))
+    if isinstance(one, SpectrogramMap):
+        frame = one.spectrum
+        whole = np.append(one.past, plain_signal(frame, x, u, frame.length(len(u))))
+        cut = [whole[len(one.past) + s :][: frame.samples] for s in one.starts]
+        return np.concatenate([plain_spectrum(frame, y, s) for y, s in zip(cut, one.starts, strict=True)])
+    return plain_spectrum(one, plain_signal(one, x, u, len(one.window)))
+
+
+def plain_signal(one: SpectrumMap, x: np.ndarray, u: np.ndarray, samples: int) -> np.ndarray:
+    y = np.zeros(samples)
     for row, signal in ((one.C, x), (one.D, u)):
-        y += 0 if row is None else signal[: len(y)] @ row
-    waves = np.exp(-2j * np.pi * np.outer(one.bins, np.arange(len(y))) / one.points)
+        y += 0 if row is None else signal[:samples] @ row
+    return y
+
+
+def plain_spectrum(one: SpectrumMap, y: np.ndarray, first: int = 0) -> np.ndarray:
+    waves = np.exp(-2j * np.pi * np.outer(one.bins, first + np.arange(len(y))) / one.points)
     spectrum = waves @ (one.window * y)
     if not one.together:
         return np.column_stack([spectrum.real, spectrum.imag])
@@ -115,8 +140,8 @@ def test_pull_back_is_the_adjoint_of_values(make, seed, T):
 def test_sizes_bound_the_absolute_values(make, seed, T):
     rng = np.random.default_rng(seed)
     one, (x, u) = make(rng, T), signals(rng, T)
-    if isinstance(one, SpectrumMap):  # the norm of the signal, which every bin has on average
-        bound = one.sizes(x, u) * np.sqrt(len(one.window))
+    if isinstance(one, (SpectrumMap, SpectrogramMap)):  # the norm of the signal, which every bin has on average
+        bound = one.sizes(x, u) * np.sqrt(one.samples if isinstance(one, SpectrumMap) else one.spectrum.samples)
     else:
         bound = one.sizes(x, u)
     assert (np.abs(one.values(x, u)) <= bound * (1 + 1e-12)).all()
@@ -124,6 +149,31 @@ def test_sizes_bound_the_absolute_values(make, seed, T):
     shapes = x.shape, u.shape
     for pulled, size in zip(one.pull_back(multipliers, shapes), one.pulled_sizes(multipliers, shapes), strict=True):
         assert (np.abs(pulled) <= size * (1 + 1e-12) + 1e-12).all()
+
+
+@pytest.mark.parametrize("make", MAPS)
+@given(seed=SEEDS, T=st.integers(1, 12))
+@quick
+def test_rows_are_the_map_as_a_matrix(make, seed, T):
+    rng = np.random.default_rng(seed)
+    one, (x, u) = make(rng, T), signals(rng, T)
+    matrix, constant = one.rows(T, N, M)
+    values = matrix @ np.concatenate([x.ravel(), u.ravel()]) + constant
+    np.testing.assert_allclose(values.reshape(one.shape), one.values(x, u), atol=1e-11)
+
+
+@given(seed=SEEDS, T=st.integers(1, 12), joint=st.booleans())
+@quick
+def test_a_single_window_is_a_spectrum_of_the_horizon_plus_a_constant(seed, T, joint):
+    rng = np.random.default_rng(seed)
+    several, (x, u) = spectrogram_map(rng, T, joint), signals(rng, T)
+    one = SpectrogramMap(several.spectrum, several.starts[:1], several.past)
+    form, frame = one.spectrum_form(N, M), one.spectrum
+    assert form is not None or several.starts[0] + frame.samples > frame.points
+    if form is not None:
+        later = SpectrumMap(frame.C, frame.D, form.window, form.points, form.bins, joint)
+        constant = one.values(np.zeros_like(x), np.zeros_like(u))
+        np.testing.assert_allclose(one.values(x, u), later.values(x, u) + constant, atol=1e-11)
 
 
 @pytest.mark.parametrize("make", MAPS)

@@ -36,6 +36,7 @@ def outputs(C=None, D=None, constraints=None, names=None) -> lfo.spectrum.Output
     return lfo.spectrum.OutputSpectrum(C, D, lfo.low_pass(1) if constraints is None else constraints, names)
 
 
+Windows = lfo.spectrum.Spectrogram
 L1, LInf, Quadratic = lfo.costs.L1Cost, lfo.costs.LInfCost, lfo.QuadraticCost
 Mask, Energy, Equation, Rows = (
     lfo.MagnitudeBound,
@@ -129,6 +130,30 @@ MASKS = {
     ),
     "penalty": (lambda: mask(1, penalty=0), "MagnitudeBound.penalty", "0", "above zero"),
     "oversampling": (lambda: mask(1, oversampling=1.5), "MagnitudeBound.oversampling", "1.5", "a whole number"),
+}
+
+SPECTROGRAMS = {
+    "a band": (lambda: Windows(lfo.low_pass(1)), "Spectrogram.bound", "Band(", "a MagnitudeBound or an EnergyBound"),
+    "hop alone": (lambda: Windows(mask(1), hop=2), "Spectrogram.hop", "2", "a length"),
+    "hop": (lambda: Windows(mask(1), 4, 0), "Spectrogram.hop", "0", "a whole number"),
+    "length": (lambda: Windows(mask(1), 2.5), "Spectrogram.length", "2.5", "a whole number"),
+    "past": (lambda: Windows(mask(1), past=[[[1.0]]]), "Spectrogram.past", "(1, 1, 1)", "(P, components)"),
+    "empty past": (lambda: Windows(mask(1), past=[]), "Spectrogram.past", "(0,)", "(P, components)"),
+    "unknown past": (lambda: Windows(mask(1), past=[np.nan]), "Spectrogram.past[0]", "nan", "finite"),
+    "components": (
+        lambda: states(Windows(mask(1), past=[1, 2])),
+        "state_spectrum.past",
+        "shape (2, 1)",
+        "shape (2, 2)",
+    ),
+    "too long": (
+        lambda: controls(Windows(mask(1), 9)),
+        "control_spectrum[0].length",
+        "9 samples",
+        "at least one window",
+    ),
+    "bins": (lambda: controls(Windows(mask(1, bins=[5]), 4)), "control_spectrum[0].bound.bins", "bin 5", "0 .. 3"),
+    "limits": (lambda: controls(Windows(mask([1, 2]), 4)), "control_spectrum[0].bound.limit", "(2,)", "or 1"),
 }
 
 ENERGIES_AND_EQUATIONS = {
@@ -286,6 +311,7 @@ ALL = {
         "cost": COSTS,
         "mask": MASKS,
         "energy and equation": ENERGIES_AND_EQUATIONS,
+        "spectrogram": SPECTROGRAMS,
         "output": OUTPUTS,
         "set": SETS,
     }.items()

@@ -18,6 +18,7 @@ from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, Second
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, LinearConstraint, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
@@ -114,6 +115,9 @@ SPECTRUM.records |= {
     "energy_bound": Record(EnergyBound, own="stop_band", values=_bound, bins=BINS, band=BANDS),
     "linear_constraint": Record(LinearConstraint),
 }
+BOUNDS = Kinds("mask or energy bound")
+BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
+SPECTRUM.records["spectrogram"] = Record(Spectrogram, bound=BOUNDS)
 OUTPUTS = Record(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
 
 NORM_COSTS = Kinds("cost")

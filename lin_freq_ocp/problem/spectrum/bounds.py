@@ -29,11 +29,11 @@ from lin_freq_ocp.arrays import (
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import AffineMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.text.phrases import AT_MOST, datum, first_few, number, price, short_name
 
 NO_LOWER_MASK = (
@@ -43,7 +43,7 @@ NO_LOWER_MASK = (
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class _SpectrumBound(FrequencyConstraint):
+class SpectrumBound(FrequencyConstraint):
     """The bins, window and price that MagnitudeBound and EnergyBound share."""
 
     label: ClassVar[str]
@@ -90,18 +90,31 @@ class _SpectrumBound(FrequencyConstraint):
     def limits(self, count: int, field: str) -> Array:
         """Return the limit of the norm of each of ``count`` points of the grid, or of all together."""
 
+    @abstractmethod
+    def widened(self, amount: float) -> SpectrumBound:
+        """Return it with a higher limit."""
+
     @property
     @abstractmethod
     def factor(self) -> float:
         """Return the limit on the grid per unit of the given limit, or of its root."""
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        for name, spectrum, limits in self.spectra(signal, field):
+            yield self.term(name, signal.kind, spectrum, limits, source)
+
+    def spectra(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array]]:
+        """Yield the name and the spectrum of each bounded component, and the limits of its groups, (groups,) or ()."""
         for name, C, D in signal.rows(field, self.component):
             bins = self.bins(signal.length, signal.sampling_time, field)
             window, points = self.samples(signal.length, field), self.oversampling * signal.length
             spectrum = SpectrumMap(C, D, window, points, bins, self.together)
-            ball = NormBall(2, self.limits(len(bins), field), weight_of(self.penalty))
-            yield Term(f"{self.label} on {name}", signal.kind, spectrum, ball, source, self.factor)
+            yield name, spectrum, self.limits(len(bins), field)
+
+    def term(self, name: str, kind: TermKind, values: AffineMap, limits: Array, source: tuple[str, int]) -> Term:
+        """Return the term of a component: its values, group by group, are bounded by these limits."""
+        ball = NormBall(2, limits, weight_of(self.penalty))
+        return Term(f"{self.label} on {name}", kind, values, ball, source, self.factor)
 
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
         """Return the same bounds, each on a single component."""
@@ -145,7 +158,7 @@ class _SpectrumBound(FrequencyConstraint):
         return np.flatnonzero(grid)
 
 
-class MagnitudeBound(_SpectrumBound):
+class MagnitudeBound(SpectrumBound):
     """|uhat_k| <= limit at the bins that a band would remove (a mask).
 
     Parameters
@@ -242,7 +255,7 @@ class MagnitudeBound(_SpectrumBound):
         return float(np.cos(np.pi / (2 * self.oversampling))) if self.between else 1.0
 
 
-class EnergyBound(_SpectrumBound):
+class EnergyBound(SpectrumBound):
     """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove; each pair of conjugate bins once.
 
     Parameters

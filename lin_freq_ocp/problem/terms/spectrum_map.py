@@ -67,7 +67,7 @@ class SpectrumMap(AffineMap):
 
     def spectrum_form(self, n: int, m: int) -> SpectrumForm:
         parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
-        kept = self._kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
+        kept = self.kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
         return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
 
     @property
@@ -80,9 +80,8 @@ class SpectrumMap(AffineMap):
         return float(5 * np.log2(self.points) + 10)
 
     def values(self, x: Array, u: Array) -> Array:
-        spectrum = fft.rfft(self.window * self._signal(x, u), n=self.points)[self.bins]
-        pairs = np.stack([spectrum.real, spectrum.imag], axis=1)
-        return pairs.reshape(-1)[self._kept][None] if self.together else pairs
+        spectrum = fft.rfft(self.window * self.signal(x, u)[: self.samples], n=self.points)[self.bins]
+        return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         pairs = self.pairs(weights)
@@ -91,7 +90,7 @@ class SpectrumMap(AffineMap):
         spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
         factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
         signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
-        return self._spread(signal, shapes)
+        return self.spread(signal, shapes)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         t = np.arange(len(self.window))
@@ -99,40 +98,53 @@ class SpectrumMap(AffineMap):
         waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * self.window
         waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
         waves = waves.reshape(-1, len(t))
-        waves = waves[self._kept] if self.together else waves
-        of_x, of_u = _signal_rows(waves, self.C, horizon + 1, n), _signal_rows(waves, self.D, horizon, m)
+        waves = waves[self.kept] if self.together else waves
+        of_y = sp.csr_array(waves)
+        of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
         return joined_rows(of_x, of_u), np.zeros(len(waves))
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
-        y = self._magnitudes()._signal(np.abs(x), np.abs(u))
+        y = self.magnitudes().signal(np.abs(x), np.abs(u))[: self.samples]
         return np.full(self.shape, np.sqrt(((self.window * y) ** 2).sum()))
 
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return self._magnitudes()._spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
+        return self.magnitudes().spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
+
+    def grouped(self, pairs: Array) -> Array:
+        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
+        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.together else pairs
 
     def pairs(self, values: Array) -> Array:
         if not self.together:
             return values
-        pairs = np.zeros(2 * len(self.bins), dtype=values.dtype)
-        pairs[self._kept] = values[0]
+        pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
+        pairs[:, self.kept] = values
         return pairs.reshape(-1, 2)
 
-    def _magnitudes(self) -> SpectrumMap:
+    def magnitudes(self) -> SpectrumMap:
+        """Return the map with the absolute values of the coefficients."""
         of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return replace(self, C=of_x, D=of_u)
 
     @property
-    def _kept(self) -> Mask:
+    def kept(self) -> Mask:
+        """Which of (Re, Im) of each bin are values of a map ``together``, (2 bins,)."""
         kept = np.ones((len(self.bins), 2), dtype=bool)
         kept[self.real, 1] = False
         return kept.ravel()
 
-    def _signal(self, x: Array, u: Array) -> Array:
-        parts = [signal @ row for row, signal in ((self.C, x), (self.D, u)) if row is not None]
-        return sum((part[: len(self.window)] for part in parts[1:]), parts[0][: len(self.window)])
+    def length(self, horizon: int) -> int:
+        """Return the number of samples of the signal over a horizon."""
+        return horizon + (self.D is None)
 
-    def _spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
+    def signal(self, x: Array, u: Array) -> Array:
+        """Return y, (samples,)."""
+        parts = [part[: self.length(len(u))] @ row for row, part in ((self.C, x), (self.D, u)) if row is not None]
+        return sum(parts[1:], parts[0])
+
+    def spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return what a change of y by the first samples of a signal is worth in x and u."""
         of_x, of_u = (np.zeros(shape, dtype=signal.dtype) for shape in shapes)
         for row, part in ((self.C, of_x), (self.D, of_u)):
             if row is not None:
@@ -140,9 +152,10 @@ class SpectrumMap(AffineMap):
         return of_x, of_u
 
 
-def _signal_rows(waves: Array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
-    """Return the rows on one signal, (rows, samples * columns)."""
+def signal_rows(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
+    """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
+    count, total = of_y.shape[0], samples * columns
     if row is None:
-        return sp.csr_array((len(waves), samples * columns))
-    rows = sp.csr_array(sp.kron(sp.csr_array(waves), row[None]))
-    return sp.csr_array((rows.data, rows.indices, rows.indptr), shape=(len(waves), samples * columns))
+        return sp.csr_array((count, total))
+    rows = sp.csr_array(sp.kron(of_y, row[None]))
+    return sp.csr_array((rows.data, rows.indices, rows.indptr), shape=(count, total))
