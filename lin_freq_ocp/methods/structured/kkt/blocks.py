@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
+from scipy.linalg import blas
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
@@ -22,6 +23,10 @@ NARROW = 8
 
 CALL = 500
 """What a call costs beside a product of dense matrices, in multiplications a column; measured."""
+
+
+ROWS = 512
+"""Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
 
 
 def block_length(n: int, inputs: float) -> int:
@@ -54,29 +59,34 @@ class Gains:
 
 
 class ClosedLoop:
-    """A factored regulator as a map of gradients on ``channels`` to the solution there, c = 0."""
+    """A factored regulator as a map of gradients on ``channels`` to the solution there, c = 0.
+
+    The map is -N'N: the sweep from the end backwards gives N_t = U_t (r_w + B'p_{t+1}) in the entries of w that are
+    driven, where U_t'U_t is their block of S_t^-1, and a last row for free entries of x_0.
+    """
 
     def __init__(self, gains: Gains, channels: Indices):
-        """Find the matrices of the blocks."""
+        """Find the matrices of the blocks of the backward sweep."""
         self._gains, self.channels = gains, channels
-        self._room: tuple[Array, Array] | None = None
         self._free_cost = Cholesky(gains.P0[np.ix_(~gains.fixed, ~gains.fixed)])
         B, K = gains.B, gains.K
         stages, n, k = B.shape
         count = len(channels)
-        b = min(stages, block_length(n, sqrt(k * max(1, count))))
-        self._times = np.arange(-(-stages % b), stages).reshape(-1, b)
-        entries = np.zeros((n + k, count))
-        entries[channels, np.arange(count)] = 1.0
+        self._entries = np.zeros((n + k, count))
+        self._entries[channels, np.arange(count)] = 1.0
+        driven = np.flatnonzero(self._entries[n:].any(axis=1) | B.any(axis=(0, 1)))
         root = np.linalg.inv(gains.L)
-        inverse = root.swapaxes(1, 2) @ root
-        Ac = passing(gains.Ac)
-        down = np.concatenate([-inverse @ B.swapaxes(1, 2), Ac.swapaxes(1, 2)], axis=1)
-        inputs = np.concatenate([-inverse @ entries[n:], entries[:n] + K.swapaxes(1, 2) @ entries[n:]], axis=1)
-        self._w, self._p = self._lift(down, inputs, k, range(b)[::-1])
-        up = np.concatenate([entries[:n].T + entries[n:].T @ K, Ac], axis=1)
-        inputs = np.concatenate([np.broadcast_to(entries[n:].T, (stages, count, k)), B], axis=1)
-        self._y, self._x = self._lift(up, inputs, count, range(b))
+        of_w, of_x, U, self._W = self._entries[n:], self._entries[:n], root[:, :, driven], -root.swapaxes(1, 2)
+        if len(driven) < k:
+            Q, U = np.linalg.qr(U)
+            self._W = self._W @ Q
+        self._b = b = min(stages, block_length(n, sqrt(max(1, len(driven) * count))))
+        self._times = np.arange(-(-stages % b), stages).reshape(-1, b)
+        down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), passing(gains.Ac).swapaxes(1, 2)], axis=1)
+        inputs = np.concatenate([U @ of_w[driven], of_x + K.swapaxes(1, 2) @ of_w], axis=1)
+        self._N, self._p = self._lift(down, inputs, len(driven), range(b)[::-1])
+        self._up: tuple[Array, Array] | None = None
+        self._room: Array | None = None
 
     def _lift(self, step: Array, inputs: Array, outputs: int, order: range) -> tuple[Array, Array]:
         """Return outputs of all stages, and the state after a block, by the state before it and by inputs."""
@@ -92,28 +102,55 @@ class ClosedLoop:
             found[:, s], state = both[:, :outputs], both[:, outputs:]
         return found.reshape(blocks, b * outputs, n + b * each), state.copy()
 
+    def _backward(self, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return what enters each block, (blocks, n + b channels, m), and p_0, (n, m)."""
+        n, m = E.shape
+        blocks, size = self._p.shape[::2]
+        if self._room is None or self._room.shape[2] != m:
+            self._room = np.zeros((blocks, size, m))
+        room, first, count = self._room, self._b - (self._times.size - len(R)), R.shape[1]
+        room[0, size - first * count :] = R[:first].reshape(first * count, m)
+        room[1:, n:] = R[first:].reshape(blocks - 1, size - n, m)
+        p = E
+        for i in range(blocks - 1, -1, -1):
+            room[i, :n] = p
+            p = self._p[i] @ room[i]
+        return room, p
+
+    def gram(self, R: Array, E: Array) -> Array:
+        """Return N'N, (m, m), for gradients R (T+1, channels, m), and E (n, m) on x_T."""
+        room, p = self._backward(R, E)
+        last = self._free_cost.whitened(p[~self._gains.fixed])
+        found = np.asfortranarray(last.T @ last)
+        rows = self._N.shape[1]
+        for first in range(0, len(room), per := -(-ROWS // rows)):
+            N = (self._N[first : first + per] @ room[first : first + per]).reshape(-1, room.shape[2])
+            found = blas.dsyrk(1.0, N.T, beta=1.0, c=found, lower=1, overwrite_c=1)
+        return np.tril(found) + np.tril(found, -1).T
+
     def responses(self, R: Array, E: Array) -> tuple[Array, Array]:
         """Return the solution on the channels, and x_T, for gradients R (T+1, channels, m), and E (n, m) on x_T."""
+        of_y, of_x = self._upward()
+        room, p = self._backward(R, E)
         n, m = E.shape
-        missing = self._times.size - len(R)
-        if self._room is None or self._room[0].shape[2] != m:
-            self._room = (np.zeros((*self._p.shape[::2], m)), np.empty((*self._x.shape[::2], m)))
-        down, up = self._room
-        first = self._times.shape[1] - missing
-        count = R.shape[1]
-        down[0, n + missing * count :] = R[:first].reshape(first * count, m)
-        down[1:, n:] = R[first:].reshape(len(down) - 1, down.shape[1] - n, m)
-        p = E
-        for i in range(len(down) - 1, -1, -1):
-            down[i, :n] = p
-            p = self._p[i] @ down[i]
-        np.matmul(self._w, down, out=up[:, n:])
         x, free = np.zeros((n, m)), ~self._gains.fixed
         x[free] = -self._free_cost.solve(p[free])
+        up = np.empty((len(room), of_x.shape[2], m))
+        np.matmul(self._N, room, out=up[:, n:])
         for i in range(len(up)):
             up[i, :n] = x
-            x = self._x[i] @ up[i]
-        return (self._y @ up).reshape(self._times.size, count, m)[missing:], x
+            x = of_x[i] @ up[i]
+        return (of_y @ up).reshape(self._times.size, -1, m)[self._times.size - len(R) :], x
+
+    def _upward(self) -> tuple[Array, Array]:
+        """Return the matrices of the blocks of the forward sweep, which takes N."""
+        if self._up is None:
+            B, K, W = self._gains.B, self._gains.K, self._W
+            of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
+            up = np.concatenate([of_x + of_w @ K, passing(self._gains.Ac)], axis=1)
+            inputs = np.concatenate([of_w @ W, B @ W], axis=1)
+            self._up = self._lift(up, inputs, len(of_w), range(self._b))
+        return self._up
 
 
 class BlockRegulator(ABC):
@@ -133,9 +170,20 @@ class BlockRegulator(ABC):
         """Return the responses on the channels, and x_T."""
         if R.shape[2] <= NARROW:
             return self._alone(channels, R, E)
+        return self._closed_loop(channels).responses(R, E)
+
+    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
+        """Return minus the gradients times their responses."""
+        if R.shape[2] <= NARROW:
+            Y, X = self._alone(channels, R, E)
+            found = -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
+            return (found + found.T) / 2
+        return self._closed_loop(channels).gram(R, E)
+
+    def _closed_loop(self, channels: Indices) -> ClosedLoop:
         if self._closed is None or not np.array_equal(self._closed.channels, channels):
             self._closed = ClosedLoop(self.gains(), channels)
-        return self._closed.responses(R, E)
+        return self._closed
 
     def _alone(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
         gains = self.gains()

@@ -24,7 +24,6 @@ from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
 
-COLUMNS = 256  # of the response at once
 STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
 SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
 WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
@@ -51,13 +50,15 @@ class FineRows:
         self._response, coupling = response, response.coupling
         self._fine, self._plain = fine, np.setdiff1d(np.arange(coupling.count), fine)
         self._chosen = [i for i, part in enumerate(coupling.balls) if part.rows.oversampling > 1 and part.heads is None]
-        self._set_basis()
-        self._of_plain = response.gradients(self._plain)
+        V, self._G = self._basis()
+        of_plain, end = response.gradients(self._plain)
+        none = np.zeros((len(end), V.shape[2]))
+        self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
 
     def factor(self, Phi: Array, compliance: Compliance) -> None:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
-        J, e = self._joint(), len(self._plain)
+        J, e = self._response.gram(*self._gradients), len(self._plain)
         self._add_plain(J, compliance)
         self._rows, self._cross = Cholesky(J[:e, :e]), J[:e, e:]
         self._eliminated = self._rows.solve(self._cross)
@@ -91,8 +92,8 @@ class FineRows:
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
         return self._response.step(gradient, c, x0, f, nu)
 
-    def _set_basis(self) -> None:
-        """Set V (T+1, channels, rank), orthonormal, by a random range, and G, so that the fine rows are G V'."""
+    def _basis(self) -> tuple[Array, Array]:
+        """Return V (T+1, channels, rank), orthonormal, by a random range, and G, so that the fine rows are G V'."""
         response, rng = self._response, np.random.default_rng(0)
         families = [(rows, at) for rows, at in response.families if np.isin(at[0], self._fine)]
         rank = SPARE + sum(rows.count // rows.oversampling for rows, _ in families)
@@ -101,22 +102,8 @@ class FineRows:
         for rows, _ in families:
             rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
         basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
-        self._V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
-        self._G = np.concatenate([rows.forward(self._V) for rows, _ in families])
-
-    def _joint(self) -> Array:
-        """Return J."""
-        response, e, rank = self._response, len(self._plain), self._V.shape[2]
-        J, flat = np.empty((e + rank, e + rank)), self._V.reshape(-1, rank)
-        zero = np.zeros((response.stages.states, rank))
-        for a in range(0, rank, COLUMNS):
-            block = slice(a, min(rank, a + COLUMNS))
-            Y, end = response.responses(np.ascontiguousarray(self._V[:, :, block]), zero[:, block])
-            J[e:, e:][:, block] = -(flat.T @ Y.reshape(len(flat), -1))
-            J[:e, e:][:, block] = -response.forward(Y, end)[self._plain]
-        Y, end = response.responses(*self._of_plain)
-        J[:e, :e], J[e:, :e] = -response.forward(Y, end)[self._plain], J[:e, e:].T
-        return J
+        V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
+        return V, np.concatenate([rows.forward(V) for rows, _ in families])
 
     def _add_plain(self, J: Array, compliance: Compliance) -> None:
         """Add C_e."""

@@ -12,6 +12,7 @@ Interface:
     Loops.factor(A, B, Phi, fixed) -> Regulator
     Regulator.solve(r, c, x0) -> y, eta, lam0
     Regulator.responses(channels, R, E) -> Y, X
+    Regulator.gram(channels, R, E) -> -R'Y - E'X
     Loops.gram(H, G, weights, points, cones) -> Phi
     Loops.times(M, v) -> M_t v_t, Loops.transposed_times(M, v) -> M_t'v_t
     Loops.forward(A, B, c, breaks, starts, y) -> ends
@@ -43,6 +44,10 @@ class Regulator(Protocol):
 
         R (T+1, channels, m) are gradients on these entries, each of them named once; E (n, m) is added on x_T.
         """
+        ...
+
+    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
+        """Return minus the gradients times their responses, (m, m), symmetric and positive semidefinite."""
         ...
 
 

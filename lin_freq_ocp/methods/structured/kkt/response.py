@@ -52,9 +52,9 @@ class Response:
         nu[: len(terminal)] += self._weights[terminal] * (y[-1, terminal] - f[: len(terminal)])
         return Step(y, eta, initial, nu)
 
-    def responses(self, signals: Array, end: Array) -> tuple[Array, Array]:
-        """Return -P of gradients on channels (T+1, channels, k) and on x_T (n, k), as signals and x_T."""
-        return self._regulator.responses(self.coupling.channels, signals, end)
+    def gram(self, signals: Array, end: Array) -> Array:
+        """Return the products of gradients on channels (T+1, channels, k) and on x_T (n, k) in P, (k, k)."""
+        return self._regulator.gram(self.coupling.channels, signals, end)
 
     def empty(self, count: int) -> Array:
         """Return signals of zeros, (T+1, channels, count)."""

@@ -1,4 +1,4 @@
-"""The side of the rows that couple times: their Schur complement, S = F P F' + C, by columns of the response."""
+"""The side of the rows that couple times: their Schur complement, S = F P F' + C, by sums of squares."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Side, Step
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
-COLUMNS = 256  # of the response at once: enough for vector instructions, few enough for the memory
-CACHED_BYTES = 1e9  # of columns of F that are kept between steps
-
 
 def stopped_side(stages: Stages, loops: Loops) -> Side:
     """Return the side: with rows on a fine grid by their low rank, else dense."""
@@ -27,19 +24,13 @@ class StoppedSide:
     """The dense Schur complement on all rows that couple times."""
 
     def __init__(self, response: Response):
-        self._response, coupling = response, response.coupling
-        self._count = coupling.count
-        self._blocks = [np.arange(a, min(self._count, a + COLUMNS)) for a in range(0, self._count, COLUMNS)]
-        size = 8 * len(response.stages.H) * len(coupling.channels) * self._count
-        self._gradients = {i: response.gradients(rows) for i, rows in enumerate(self._blocks) if size <= CACHED_BYTES}
+        self._response, self._count = response, response.coupling.count
+        self._rows = response.gradients(np.arange(self._count))
 
     def factor(self, Phi: Array, compliance: Compliance) -> None:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
-        response, S = self._response, np.empty((self._count, self._count))
-        response.factor(Phi)
-        for i, rows in enumerate(self._blocks):
-            gradients = self._gradients[i] if i in self._gradients else response.gradients(rows)
-            S[:, rows] = -response.forward(*response.responses(*gradients))
+        self._response.factor(Phi)
+        S = self._response.gram(*self._rows)
         compliance.add_to(S)
         self._schur = Cholesky(S)
 
