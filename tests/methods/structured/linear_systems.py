@@ -43,7 +43,7 @@ def random_coupling(rng, T, n, controls, others):
     end = np.zeros(len(terminal))
     if not others:
         coupling = Coupling(channels, terminal, end, tuple(equations))
-        return coupling, Compliance(np.full(coupling.count, 1e-12), (), ())
+        return coupling, Compliance(np.full(coupling.count, 1e-12), ())
     equations.insert(int(rng.integers(0, 2)), Equations(random_rows(rng, 1, T, channels, n), np.zeros(1)))
     inequalities = Inequalities(random_rows(rng, 2, T, channels, n), np.zeros(2))
     first = (channels == 0) * 1.0
@@ -56,9 +56,7 @@ def random_coupling(rng, T, n, controls, others):
     roots = rng.standard_normal((2, 2, 2)), rng.standard_normal((1, 3, 3))
     squares = tuple(root @ root.swapaxes(1, 2) for root in roots)
     return coupling, Compliance(
-        np.concatenate([np.full(coupling.equation_count, 1e-12), rng.random(2)]),
-        squares,
-        tuple(np.linalg.inv(one) for one in squares),
+        np.concatenate([np.full(coupling.equation_count, 1e-12), rng.random(2)]), squares, (np.linalg.inv(roots[0]),)
     )
 
 

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
-from scipy.linalg import blas
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 
 NARROW = 8
 """So few columns are solved for alone: finding the matrices of the blocks costs more."""
@@ -118,15 +117,14 @@ class ClosedLoop:
         return room, p
 
     def gram(self, R: Array, E: Array) -> Array:
-        """Return N'N, (m, m), for gradients R (T+1, channels, m), and E (n, m) on x_T."""
+        """Return the lower triangle of N'N, (m, m), for gradients R (T+1, channels, m), and E (n, m) on x_T."""
         room, p = self._backward(R, E)
-        last = self._free_cost.whitened(p[~self._gains.fixed])
-        found = np.asfortranarray(last.T @ last)
-        rows = self._N.shape[1]
-        for first in range(0, len(room), per := -(-ROWS // rows)):
-            N = (self._N[first : first + per] @ room[first : first + per]).reshape(-1, room.shape[2])
-            found = blas.dsyrk(1.0, N.T, beta=1.0, c=found, lower=1, overwrite_c=1)
-        return np.tril(found) + np.tril(found, -1).T
+        found = gram(self._free_cost.whitened(p[~self._gains.fixed]))
+        per = -(-ROWS // max(1, self._N.shape[1]))
+        for first in range(0, len(room), per):
+            part = slice(first, first + per)
+            found = gram((self._N[part] @ room[part]).reshape(-1, room.shape[2]), found)
+        return found
 
     def responses(self, R: Array, E: Array) -> tuple[Array, Array]:
         """Return the solution on the channels, and x_T, for gradients R (T+1, channels, m), and E (n, m) on x_T."""
@@ -173,11 +171,10 @@ class BlockRegulator(ABC):
         return self._closed_loop(channels).responses(R, E)
 
     def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return minus the gradients times their responses."""
+        """Return the lower triangle of minus the gradients times their responses."""
         if R.shape[2] <= NARROW:
             Y, X = self._alone(channels, R, E)
-            found = -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
-            return (found + found.T) / 2
+            return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
         return self._closed_loop(channels).gram(R, E)
 
     def _closed_loop(self, channels: Indices) -> ClosedLoop:

@@ -20,9 +20,10 @@ import numpy as np
 import scipy.linalg as la
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
+from lin_freq_ocp.methods.structured.model.coupling import Balls
 
 STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
 SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
@@ -35,7 +36,7 @@ def fine_rows(response: Response) -> Indices | None:
     first += sum(part.rows.count for part in response.coupling.inequalities)
     for part in response.coupling.balls:
         count = part.rows.count + (0 if part.heads is None else part.heads.count)
-        if part.rows.oversampling > 1 and part.heads is None:
+        if _is_fine(part):
             found.append(first + np.arange(count))
             rank += count // part.rows.oversampling
         first += count
@@ -49,7 +50,8 @@ class FineRows:
     def __init__(self, response: Response, fine: Indices):
         self._response, coupling = response, response.coupling
         self._fine, self._plain = fine, np.setdiff1d(np.arange(coupling.count), fine)
-        self._chosen = [i for i, part in enumerate(coupling.balls) if part.rows.oversampling > 1 and part.heads is None]
+        self._chosen = [_is_fine(part) for part in coupling.balls]
+        self._of_hard = [fine for part, fine in zip(coupling.balls, self._chosen, strict=True) if part.heads is None]
         V, self._G = self._basis()
         of_plain, end = response.gradients(self._plain)
         none = np.zeros((len(end), V.shape[2]))
@@ -59,34 +61,33 @@ class FineRows:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
         J, e = self._response.gram(*self._gradients), len(self._plain)
-        self._add_plain(J, compliance)
-        self._rows, self._cross = Cholesky(J[:e, :e]), J[:e, e:]
-        self._eliminated = self._rows.solve(self._cross)
-        S = J[e:, e:] - self._cross.T @ self._eliminated
-        self._stiffness = [compliance.stiffness[i] for i in self._chosen]
-        self._H = self._G @ Cholesky(S).root
+        of_plain = tuple(ball for ball, fine in zip(compliance.balls, self._chosen, strict=True) if not fine)
+        Compliance(compliance.rows, of_plain).add_to(J[:e, :e])
+        self._rows, self._cross = Cholesky(J[:e, :e]), J[e:, :e]
+        self._eliminated = self._rows.solve(self._cross.T)
+        self._H = Cholesky(J[e:, e:] - self._cross @ self._eliminated).rooted(self._G)
+        self._roots = [roots for roots, fine in zip(compliance.roots, self._of_hard, strict=True) if fine]
         self._split()
-        M = self._H.T @ self._times_stiffness(self._H)
+        self._stiff_H = self._rooted(self._H)
+        M = gram(self._stiff_H)
         M.flat[:: len(M) + 1] += 1.0
-        self._M = Cholesky(M)
-        if self._strong.any():
-            of_strong = self._M.whitened(self._H[self._strong].T)
-            T = of_strong.T @ of_strong
-            T += la.block_diag(*self._strong_blocks(compliance))
+        self._M, self._strong_H = Cholesky(M), self._H[self._strong]
+        if len(self._strong_H):
+            T = gram(self._M.whitened(self._strong_H.T))
+            Compliance(np.zeros(0), self._strong_blocks(compliance)).add_to(T)
             self._T = Cholesky(T)
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
         missing = self._response.missing(gradient, c, x0, f)
         alone = self._rows.solve(missing[self._plain])
-        r = missing[self._fine] - self._G @ (self._cross.T @ alone)
-        of_weak = self._H.T @ self._times_stiffness(r[:, None])[:, 0]
+        r = missing[self._fine] - self._G @ (self._cross @ alone)
+        of_weak = self._stiff_H.T @ self._rooted(r[:, None])[:, 0]
         a, strong = self._M.solve(of_weak), np.zeros(0)
-        if self._strong.any():
-            H = self._H[self._strong]
-            strong = self._T.solve(r[self._strong] - H @ a)
-            a = self._M.solve(of_weak + H.T @ strong)
-        of_fine = self._times_stiffness((r - self._H @ a)[:, None])[:, 0]
+        if len(self._strong_H):
+            strong = self._T.solve(r[self._strong] - self._strong_H @ a)
+            a = self._M.solve(of_weak + self._strong_H.T @ strong)
+        of_fine = self._rooted(self._rooted((r - self._H @ a)[:, None]))[:, 0]
         of_fine[self._strong] = strong
         nu = np.empty(len(missing))
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
@@ -105,41 +106,38 @@ class FineRows:
         V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
         return V, np.concatenate([rows.forward(V) for rows, _ in families])
 
-    def _add_plain(self, J: Array, compliance: Compliance) -> None:
-        """Add C_e."""
-        blocks = [np.diag(compliance.rows)]
-        for i, ball in enumerate(compliance.balls):
-            if i not in self._chosen:
-                blocks.append(la.block_diag(*ball))
-        J[: len(self._plain), : len(self._plain)] += la.block_diag(*blocks)
-
     def _split(self) -> None:
         """Set which of the fine rows are strong, (rows,)."""
-        response = (self._H * self._H).sum(1)
+        response = np.einsum("ij,ij->i", self._H, self._H)
         strong, first = list[Mask](), 0
-        for blocks in self._stiffness:
-            balls, d = blocks.shape[:2]
+        for roots in self._roots:
+            balls, d = roots.shape[:2]
             own = response[first : first + balls * d].reshape(balls, d).max(1)
-            strong.append(np.repeat(np.abs(blocks).sum(2).max(1) * own > STRONG, d))
+            strong.append(np.repeat((roots * roots).sum((1, 2)) * own > STRONG, d))
             first += balls * d
         self._strong = np.concatenate(strong)
 
-    def _strong_blocks(self, compliance: Compliance) -> list[Array]:
-        """Return the compliances of the strong rows, ball by ball."""
+    def _strong_blocks(self, compliance: Compliance) -> tuple[Array, ...]:
+        """Return the compliances of the strong rows, family by family."""
         found, first = list[Array](), 0
-        for i in self._chosen:
-            balls, d = compliance.balls[i].shape[:2]
-            found += list(compliance.balls[i][self._strong[first : first + balls * d : d]])
+        for ball, fine in zip(compliance.balls, self._chosen, strict=True):
+            if fine:
+                balls, d = ball.shape[:2]
+                found.append(ball[self._strong[first : first + balls * d : d]])
+                first += balls * d
+        return tuple(found)
+
+    def _rooted(self, v: Array) -> Array:
+        """Return R v for rows (rows, k), R'R = C_w^-1, zero in the strong ones."""
+        found, first = np.empty_like(v), 0
+        for roots in self._roots:
+            balls, d = roots.shape[:2]
+            own = slice(first, first + balls * d)
+            np.matmul(roots, v[own].reshape(balls, d, -1), out=found[own].reshape(balls, d, -1))
             first += balls * d
+        found[self._strong] = 0.0
         return found
 
-    def _times_stiffness(self, v: Array) -> Array:
-        """Return C_w^-1 v for rows (rows, k), zero in the strong ones."""
-        parts, first = list[Array](), 0
-        for blocks in self._stiffness:
-            balls, d = blocks.shape[:2]
-            parts.append((blocks @ v[first : first + balls * d].reshape(balls, d, -1)).reshape(balls * d, -1))
-            first += balls * d
-        result = np.concatenate(parts)
-        result[self._strong] = 0.0
-        return result
+
+def _is_fine(part: Balls) -> bool:
+    return part.rows.oversampling > 1 and part.heads is None

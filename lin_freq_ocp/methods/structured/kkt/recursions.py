@@ -47,7 +47,7 @@ class Regulator(Protocol):
         ...
 
     def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return minus the gradients times their responses, (m, m), symmetric and positive semidefinite."""
+        """Return the lower triangle of minus the gradients times their responses, (m, m), positive semidefinite."""
         ...
 
 

@@ -40,14 +40,12 @@ class StepSystem:
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         diagonal = np.arange(Phi.shape[1])
         Phi[:, diagonal, diagonal] += REGULARISATION
-        balls = [
-            _of_values(cone) if part.heads is None else (cone.block_squares(0), cone.block_squares(0, inverse=True))
-            for part, cone in zip(system.coupling.balls, self._ball_cones(), strict=True)
-        ]
+        balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
+        squares = [_of_values(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
+        roots = [_root_of_values(cone) for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
-        blocks, inverses = tuple(one[0] for one in balls), tuple(one[1] for one in balls)
-        self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), blocks, inverses))
+        self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
     def solve(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         """Return (y, z), refined as long as the residual falls."""
@@ -114,12 +112,17 @@ def largest(parts: Values) -> float:
     return found if np.isfinite(found) else np.inf
 
 
-def _of_values(cone: Cone) -> tuple[Array, Array]:
-    """Return the compliance of the values of hard balls, and its inverse, (balls, d, d)."""
+def _of_values(cone: Cone) -> Array:
+    """Return the compliance of the values of hard balls, (balls, d, d)."""
     v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
-    product, size = v[:, :, None] * v[:, None, :], (v * v).sum(1)[:, None, None]
-    unit = np.eye(v.shape[1])
-    return square * (unit - 2 / (1 + 2 * size) * product), (unit + 2 * product) / square
+    return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
+
+
+def _root_of_values(cone: Cone) -> Array:
+    """Return the symmetric root of its inverse, (I + 2 v v')^(1/2)/eta."""
+    v = cone.w[:, 1:]
+    along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
+    return (np.eye(v.shape[1]) + along[:, None, None] * v[:, :, None] * v[:, None, :]) / cone.eta[:, 0, None, None]
 
 
 def _head_ratio(cone: Cone) -> Array:

@@ -53,7 +53,7 @@ class Response:
         return Step(y, eta, initial, nu)
 
     def gram(self, signals: Array, end: Array) -> Array:
-        """Return the products of gradients on channels (T+1, channels, k) and on x_T (n, k) in P, (k, k)."""
+        """Return the lower triangle of R'P R of gradients R on channels (T+1, channels, k) and on x_T (n, k)."""
         return self._regulator.gram(self.coupling.channels, signals, end)
 
     def empty(self, count: int) -> Array:

@@ -19,11 +19,15 @@ from lin_freq_ocp.arrays import Array, Indices
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """C and its inverse: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls."""
+    """C: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls.
+
+    ``roots``, (balls, d, d) for every family of hard balls, are R with R'R = C^-1, which inverting C would lose near
+    the boundary.
+    """
 
     rows: Array
     balls: tuple[Array, ...]
-    stiffness: tuple[Array, ...]  # the inverses of ``balls``, which inversion would lose near the boundary
+    roots: tuple[Array, ...] = ()
 
     def add_to(self, S: Array, chosen: Indices | None = None) -> None:
         """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
