@@ -36,6 +36,7 @@ LAYERS = {
     "first working set": (solver, "first_working_set", nothing),
     "its held samples": (first_set, "_may_be_held", lambda lti: False),
     "its shorter horizon": (first_set, "_shortened_horizon", lambda lti: lti.horizon),
+    "model of other ends": (solver.SpectralSolver, "_model_between", nothing),
     "model of the whole horizon": (structure.Structure, "whole_horizon", nothing),
     "rows near the working rows": (exchange, "around", nothing),
     "nearly active samples": (violations, "NEARLY_ACTIVE", 0.0),
@@ -84,6 +85,7 @@ def solves(case: str) -> Iterator[Solve]:
     elif case == "re-solve 240":
         problem = FAMILIES["pendulum"].problem(240)
         kept = lfo.SpectralSolver(problem)
+        kept.solve()
         kept.solve()
         yield from (partial(kept.solve, other.initial_state.lower) for other in moved(problem, 10))
     else:

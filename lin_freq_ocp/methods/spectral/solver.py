@@ -20,6 +20,7 @@ from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.algorithm.ends_model import EndsModel, ends_model
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, Stop, deadline
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, residuals, trajectory
@@ -212,18 +213,38 @@ class SpectralSolver:
                     f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
                 ) from None
         self._coarser: dict[int, Structure] = {}
+        self._solves = 0
+        self._ends_model: EndsModel | None = None
         self.setup_seconds = time.perf_counter() - started
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
-        exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
-        answer = self._measured(exchange, exchange.run())
+        model = self._model_between(lti)
+        known = None if model is None else model.at(lti)
+        if model is None or known is None:
+            exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
+            answer = self._measured(exchange, exchange.run())
+        else:
+            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
+            ray = model.refuting(*known)
+            answer = self._measured(exchange, exchange.run() if ray is None else exchange.refuted(ray))
+            if ray is None and answer.outcome.ray is not None:
+                model.keep(answer.outcome.ray)
         if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
             exchange.slope_tolerance = tol.STRICT_SLOPE
             second = self._measured(exchange, exchange.run())
             answer = second if second.accurate else answer
         return answer
+
+    def _model_between(self, lti: Lti) -> EndsModel | None:
+        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
+        self._solves += 1
+        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
+            return None
+        if self._solves == 2:
+            self._ends_model = ends_model(self._structure, self._lti)
+        return self._ends_model
 
     def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
         found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
@@ -269,7 +290,8 @@ class SpectralSolver:
                 raise ProblemError(
                     field, "other fixed components than in the problem", "the same ones", "Make a new SpectralSolver."
                 )
-        if not all(np.array_equal(a, b) for a, b in zip(self._lti.fixed_points, lti.fixed_points, strict=True)):
+        points = zip(self._lti.fixed_points, lti.fixed_points, strict=True)
+        if not all(old is new or np.array_equal(old, new) for old, new in points):
             raise ProblemError(
                 "bounds", "other values fixed by lower == upper", "the same ones", "Make a new SpectralSolver."
             )

@@ -167,7 +167,7 @@ class Point(Box):
         point = one_component(real_array("Point", value), 1)
         if point.ndim != 1:
             raise ProblemError("Point", f"shape {point.shape}", "one number per component")
-        super().__init__(point, point)
+        assign(self, lower=frozen(point), upper=frozen(point))
 
     @property
     def value(self) -> Array:

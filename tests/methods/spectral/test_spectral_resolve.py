@@ -172,6 +172,31 @@ def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
         assert cost_of(solution) == pytest.approx(cost_of(scratch), rel=1e-10)
 
 
+def test_a_ray_refutes_the_next_infeasible_start_without_a_round_and_no_feasible_start():
+    problem = lfo.library.pendulum()
+    solver, start = lfo.SpectralSolver(problem), problem.initial_state.lower
+    solver.solve()
+    found = [solver.solve(initial_state=start + np.array([0, 0, speed, 0])) for speed in (-0.6, -0.7, 0.01)]
+    assert [one.status for one in found] == ["infeasible", "infeasible", "optimal"]
+    assert found[0].rounds > 0 == found[1].rounds
+    for one in found[:2]:
+        assert prove_infeasible(one.problem, one.ray).bound.kind == "rigorous"
+
+
+@pytest.mark.parametrize("terminal", [None, lfo.Box(END - 0.05, END + 0.05), lfo.Box(END, [*END[:2], np.inf])])
+def test_ends_that_move_together_are_solved_as_from_scratch(terminal):
+    problem = base_problem(terminal_state=terminal, state_spectrum=lfo.stop_band(bins=[4], component=1))
+    solver = lfo.SpectralSolver(problem)
+    for scale in (1.0, 0.9, 0.8, 1.1):
+        moved = {"initial_state": scale * START}
+        if scale == 1.1 and terminal is not None:
+            moved["terminal_state"] = lfo.Box(0.9 * terminal.lower, 0.9 * terminal.upper)
+        again, fresh = solver.solve(**moved), lfo.SpectralSolver(problem.with_ends(**moved)).solve()
+        assert again.status == fresh.status == "optimal"
+        assert cost_of(again) == pytest.approx(cost_of(fresh), rel=1e-10)
+        assert again.residuals.worst < 1e-10
+
+
 def test_an_end_in_another_box_is_another_bound():
     problem = base_problem(terminal_state=lfo.Box(END - 0.05, END + 0.05))
     single, wider = lfo.SpectralSolver(problem), lfo.Box(END - 0.05, END + 0.3)

@@ -16,7 +16,14 @@ import numpy as np
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, regularised_ray, row_ray
-from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Signals, Structure, equation_residual, signals
+from lin_freq_ocp.methods.spectral.algorithm.structure import (
+    Data,
+    Signals,
+    Structure,
+    Unforced,
+    equation_residual,
+    signals,
+)
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
 from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
@@ -24,6 +31,7 @@ from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
 
+INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
 QP_SECONDS = 1e-10  # of a small QP, measured, over the cube of its rows ...
 LARGE_QP = 1000  # ... of which this many take 0.1 s: it is not begun if less time is left
@@ -60,11 +68,21 @@ class Outcome:
 class Exchange:
     """One solve: the point, its working rows, and the rules of a round."""
 
-    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
+    def __init__(
+        self,
+        structure: Structure,
+        data: Data,
+        first: Rows | None,
+        tolerance: float,
+        stop: Stop,
+        violations: Violations | None = None,
+        unforced: Unforced | None = None,
+    ):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
-        self.violations = Violations(data.lti)
+        self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
+        self.unforced = None if self.whole is None else unforced
         self.first = None if first is None else bounded(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
@@ -75,8 +93,10 @@ class Exchange:
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
         self.unconstrained, self.soft = structure.unconstrained, self.border.soft
         self.ray: Ray | None = None
+        self._known_cost: float | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        self._evaluate()
+        if self.unforced is None:
+            self._evaluate()
 
     def run(self) -> Outcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
@@ -90,7 +110,7 @@ class Exchange:
             diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
             self._step(ask=diverging or count % RAY_ROUNDS == 0)
             if self.ray is not None:
-                return self._outcome("infeasible", "no trajectory satisfies all constraints")
+                return self._outcome("infeasible", INFEASIBLE)
             if self._optimal(added):
                 return self._outcome("optimal")
             if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > tol.UNBOUNDED_SIZE:
@@ -102,6 +122,12 @@ class Exchange:
         if self._accurate():
             return self._outcome("optimal")
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
+
+    def refuted(self, ray: Ray) -> Outcome:
+        """Return the outcome for a known ray."""
+        self.ray = ray
+        self._evaluate()
+        return self._outcome("infeasible", INFEASIBLE)
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
@@ -129,21 +155,18 @@ class Exchange:
         self.__dict__.pop("spectrum", None)
         point = self.theta, self.multipliers, self.working
         self.signals, self.spectrum = signals(self.structure, self.data, *point)
+        self._known_cost = None
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         self.violations.measure(self.signals.y, self.signals.last)
         self.values = self.working.values(self.signals.y, self.signals.last)
-
-    def _slope(self) -> Array:
-        """Return the derivative of the Lagrangian in theta."""
         on_rows = self.working.coupling[: self.border.size] @ self.working.weights
-        return self.data.h + self.border.H @ self.theta + self.border.E.T @ self.multipliers + on_rows
+        self.slope = self.data.h + self.border.H @ self.theta + self.border.E.T @ self.multipliers + on_rows
 
     def _step(self, ask: bool) -> None:
         """Correct the defects of the present point, with the best weights of the working rows."""
         working, border = self.working, self.border
-        right = np.concatenate([-self._slope(), self.residual])
-        whole = None if ask or self.whole is None else self._whole_step(self.whole, right)
-        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(right, ask)
+        whole = None if ask or self.whole is None else self._whole_step(self.whole)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self._defects(), ask)
         self.ray = ray
         if ray is not None:
             return
@@ -154,19 +177,31 @@ class Exchange:
         if self._relative_residual() > tol.EQUATION_CONFLICT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
-    def _whole_step(self, whole: WholeHorizon, right: Array) -> tuple[Array, Array, None] | None:
-        """Return the step of the border and weights from rounds on all values; None if a small QP was inaccurate."""
-        working, step = self.working, self.border.inverse @ right
+    def _defects(self) -> Array:
+        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
+        return np.concatenate([-self.slope, self.residual])
+
+    def _without_rows(self, whole: WholeHorizon) -> Unforced:
+        """Return the step to the point without working rows, and its values."""
+        working, step = self.working, self.border.inverse @ self._defects()
         base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
         if len(working):
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
             base += whole.response(indices, mu)
             step += whole.through[:, indices] @ mu
+        return Unforced(step, base)
+
+    def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
+        """Return the step of the border and weights from rounds on all values; None if a small QP was inaccurate."""
+        working, known = self.working, self.unforced is not None
+        (step, base), self.unforced = self.unforced or self._without_rows(whole), None
         start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
         found = exchanged(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
         if not found.accurate:
+            if known:
+                self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
             self.values = working.values(self.signals.y, self.signals.last)
             return None
@@ -232,22 +267,27 @@ class Exchange:
         terms = np.abs(self.data.h) + np.abs(working.coupling[: border.size]) @ working.weights
         terms += np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
-        return float(np.abs(self._slope()).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
+        return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
     def _cannot_decrease(self) -> bool:
         """Whether moves of the border variables as large as the point, and as 1, hardly decrease the cost."""
-        decrease = float(np.abs(self._slope()) @ (1 + np.abs(self.theta)))
+        decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
         return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
 
     def _flat(self) -> bool:
         """Whether the cost hardly decreases along the border variables, without working rows or by such moves."""
-        slope, border = self._slope(), self.border
+        slope, border = self.slope, self.border
         if not border.size:
             return True
         gain = abs(float(slope @ border.inverse[: border.size, : border.size] @ slope))
         return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
 
     def _cost(self) -> float:
+        if self._known_cost is None:
+            self._known_cost = self._computed_cost()
+        return self._known_cost
+
+    def _computed_cost(self) -> float:
         lti, at = self.data.lti, self.signals
         last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
         linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))

@@ -38,7 +38,7 @@ def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | Non
     dependent = structure.border.dependent
     y = -dependent @ (dependent.T @ residual)
     largest = float(np.abs(y).max(initial=0.0))
-    return None if largest == 0 else _verified(structure, data, WorkingSet(structure.border), y / largest)
+    return None if largest == 0 else verified(structure, data, WorkingSet(structure.border), y / largest)
 
 
 def row_ray(
@@ -73,7 +73,7 @@ def row_ray(
     else:
         return None
     weights /= weights.max()
-    return _verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
+    return verified(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
 
 
 def regularised_ray(
@@ -87,7 +87,8 @@ def regularised_ray(
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
 
-def _verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
+def verified(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
+    """Return the ray if it proves that these data are infeasible."""
     border, lti = structure.border, data.lti
     force, _ = forces(structure, lti, y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300

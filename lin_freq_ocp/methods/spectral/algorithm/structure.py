@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
@@ -12,6 +13,7 @@ from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 from lin_freq_ocp.system.memory import require_memory
@@ -97,6 +99,21 @@ def prepare(structure: Structure, lti: Lti) -> Data:
     if linear is not None:
         base -= spaces.project(linear[:, None])[:, 0]
     return Data(lti, base, linear, h, border.right_hand_side(lti, jump))
+
+
+class Unforced(NamedTuple):
+    """The point without working rows: theta and multipliers of the equations together, and all bounded values."""
+
+    step: Array
+    values: Array
+
+
+def unforced(structure: Structure, data: Data, violations: Violations, whole: WholeHorizon) -> Unforced:
+    """Return the point without working rows, to the accuracy of K_b."""
+    theta = np.zeros(structure.border.size)
+    at, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    step = structure.border.inverse @ np.concatenate([-data.h, equation_residual(structure, data, theta, at)])
+    return Unforced(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
 
 
 @dataclass(frozen=True, eq=False)

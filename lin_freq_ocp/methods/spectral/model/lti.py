@@ -63,8 +63,14 @@ class Lti:
         start, end = (_point(box) / x for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
+        other = self.at_points(start, end)
+        assign(other, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+        return other
+
+    def at_points(self, start: Array, end: Array) -> Lti:
+        """Return the problem with other values of the fixed components of its ends."""
         other = copy(self)
-        assign(other, start=start, end=end, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+        assign(other, start=start, end=end)
         return other
 
     @cached_property

@@ -7,6 +7,7 @@ S for all of them, and mu their multipliers, positive at upper and negative at l
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ class WholeHorizon:
         self.coupling[border.at_end, self._inner + border.free_end] = 1.0
         self.through = border.inverse @ self.coupling
         self._spaces = border.kernels.of_rows(rows)
+        self.tabulated = False
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
@@ -52,8 +54,21 @@ class WholeHorizon:
         weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
         return ActiveSetDuals(indices, rows.sign[once], weights)
 
+    @cached_property
+    def table(self) -> Array:
+        """S of all values, (values, values): for many solves, if they are few enough."""
+        T, kernels = self._border.lti.horizon, self._border.kernels.table
+        S = self.coupling.T @ self.through
+        lags = np.arange(T)[:, None] - np.arange(T)
+        for i, f in enumerate(self.rows):
+            for j, g in enumerate(self.rows):
+                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += kernels[f, g][lags]
+        return (S + S.T) / 2
+
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
+        if self.tabulated:
+            return self.table[index[:, None], index]
         t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
@@ -65,6 +80,9 @@ class WholeHorizon:
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
+        if self.tabulated:
+            acting = mu.nonzero()[0]
+            return mu[acting] @ self.table[index[acting]]
         pulses = np.zeros(len(self.t))
         pulses[index] = mu
         pulses = pulses[: self._inner].reshape(len(self.rows), -1)
