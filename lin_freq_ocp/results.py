@@ -2,6 +2,7 @@
 
 from lin_freq_ocp.analysis.sensitivities import Sensitivities
 from lin_freq_ocp.api.compare import Comparison
+from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
 from lin_freq_ocp.api.sweep import Sweep
@@ -13,6 +14,7 @@ from lin_freq_ocp.status import Status
 
 __all__ = [
     "Certificate",
+    "ClosedLoop",
     "Comparison",
     "Cure",
     "Explanation",

@@ -110,9 +110,15 @@ def solve(
     if throw and result.status == Status.INFEASIBLE:
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
         result = explained(result, min(left, EXPLAIN_SECONDS))
-    if throw and result.status in ERRORS:
-        raise ERRORS[result.status](_complaint(result), result)
+    if throw:
+        raise_for(result)
     return result
+
+
+def raise_for(result: Result) -> None:
+    """Raise the error of a result whose status is neither "optimal" nor "locally_optimal"."""
+    if result.status in ERRORS:
+        raise ERRORS[result.status](_complaint(result), result)
 
 
 def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:

@@ -2,92 +2,44 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import version
-from io import BytesIO
 from pathlib import Path
 
-import matplotlib as mpl
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report import proof
+from lin_freq_ocp.report.drawing import Drawing, drawing_of, rendered, save_page
 from lin_freq_ocp.report.figures import figures
 from lin_freq_ocp.report.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.figures.plot_data import PlotData
-from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.system.atomic import write_bytes, write_text, writing
 from lin_freq_ocp.text.phrases import number
-
-PIXELS_PER_INCH = 150
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure, ready for the page and for files of its own: ``name``.svg and ``name``.png."""
-
-    name: str
-    title: str
-    caption: str
-    svg: str
-    png: bytes
-
-    @property
-    def inline(self) -> Markup:
-        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
-        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
-        view_box = re.search(r'viewBox="[^"]*"', body)
-        content = body[body.index(">") + 1 :].replace("xlink:href", "href")
-        content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", content)
-        for color, variable in (THEMED | THEMED_TINTS).items():
-            content = content.replace(color, f"var(--{variable})")
-        view = Markup(view_box[0] if view_box else "")
-        return Markup('<svg role="img" aria-label="{}" {}>').format(self.title, view) + Markup(content)
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    folder = Path(folder)
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     drawings = draw(comparison)
-    for drawing in drawings:
-        write_text(folder / f"{drawing.name}.svg", drawing.svg)
-        write_bytes(folder / f"{drawing.name}.png", drawing.png)
-    path = folder / "index.html"
-    write_text(path, render(comparison, drawings))
-    return path
+    return save_page(Path(folder), render(comparison, drawings), drawings)
 
 
 def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
     """Return all figures that the comparison has something to show in."""
-    return tuple(_drawing(*parts) for parts in _figures(comparison))
+    return tuple(drawing_of(*parts) for parts in _figures(comparison))
 
 
 def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
-    environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     constrained, result = has_frequency_constraint(problem), comparison.constrained
-    return environment.get_template("page.html.jinja").render(
+    return rendered(
+        "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding(comparison),
         tiles=tiles(comparison),
@@ -174,17 +126,6 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
             "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
         )
         yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
-
-
-def _drawing(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    figure.set_dpi(PIXELS_PER_INCH)
-    svg, png = BytesIO(), BytesIO()
-    FigureCanvasAgg(figure).print_png(png)
-    figure.set_layout_engine("none")  # keeps the layout that was found
-    # Names of shapes do not change from run to run, and text looks the same on every machine.
-    with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
 
 
 def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:

@@ -30,7 +30,7 @@ from lin_freq_ocp.text.phrases import NOTHING, number
 @pytest.fixture(autouse=True, scope="module")
 def _coarse_images():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.report.page.PIXELS_PER_INCH", 60)
+        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
         yield
 
 

@@ -58,6 +58,10 @@ class FrequencyConstraint(ABC):
         """Return it with a limit that is higher by an amount, if it has one."""
         return self
 
+    def softened(self, penalty: float) -> FrequencyConstraint:
+        """Return it with a price per unit of excess, unless it has one already, or knows none."""
+        return self
+
 
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # of states or controls, as a problem has them
 

@@ -120,6 +120,9 @@ class SpectrumBound(FrequencyConstraint):
         """Return the same bounds, each on a single component."""
         return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
 
+    def softened(self, penalty: float) -> Self:
+        return self if self.penalty is not None else self._with(penalty=penalty)
+
     def _with(self, **fields: object) -> Self:
         changed = copy(self)
         assign(changed, **fields)
@@ -372,6 +375,9 @@ class LinearConstraint(FrequencyConstraint):
 
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
+
+    def softened(self, penalty: float) -> LinearConstraint:
+        return self if self.penalty is not None else LinearConstraint(self.coefficients, self.constant, penalty)
 
     def describe(self, names: Sequence[str]) -> str:
         rows = self.coefficients.shape[1]

@@ -77,17 +77,15 @@ class Spectrogram(FrequencyConstraint):
             raise ProblemError("Spectrogram.past", f"shape {before.shape}", "an array (P, components)", advice)
         if before is not None and before.ndim == 1:
             before = before[:, None]
+        if hop is not None:
+            step = positive_integer("Spectrogram.hop", hop)
+        if samples is not None and step is not None and step > samples:
+            raise ProblemError("Spectrogram.hop", f"{step}", f"at most the length of a window, {samples}")
         assign(
-            self,
-            bound=bound,
-            length=samples,
-            hop=step if hop is None else positive_integer("Spectrogram.hop", hop),
-            past=before,
-            component=bound.component,
-            penalty=bound.penalty,
+            self, bound=bound, length=samples, hop=step, past=before, component=bound.component, penalty=bound.penalty
         )
 
-    def with_past(self, past: ArrayLike) -> Spectrogram:
+    def with_past(self, past: ArrayLike | None) -> Spectrogram:
         """Return the same constraint behind other samples of the past."""
         return Spectrogram(self.bound, self.length, self.hop, past)
 
@@ -103,6 +101,9 @@ class Spectrogram(FrequencyConstraint):
 
     def widened(self, amount: float) -> Spectrogram:
         return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past)
+
+    def softened(self, penalty: float) -> Spectrogram:
+        return Spectrogram(self.bound.softened(penalty), self.length, self.hop, self.past)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         count, samples = len(signal.names), signal.length

@@ -1,0 +1,247 @@
+"""Receding-horizon control as users call it, and the closed loop that it returns."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from io import StringIO
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.arrays import Array, positive_integer, real_array
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.loop.controller import Controller
+from lin_freq_ocp.loop.plant import plant_of
+from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.loop.window import REFERENCES, Preview
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.system.atomic import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@final
+class ClosedLoop(LoopRecord):
+    """A control loop that has run, with the fields and arrays of ``LoopRecord``.
+
+    Methods
+    -------
+    plot()
+        A figure of states, controls, their spectra over time, and the times of the steps.
+    save(folder)
+        Write a report page.
+    to_csv(path)
+        Write a row for each step.
+
+    Examples
+    --------
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40))
+    >>> loop = controller.run([0.0, 0.0], steps=3)
+    >>> loop.states.shape, loop.controls.shape
+    ((4, 2), (3, 1))
+    """
+
+    def plot(self) -> Figure:
+        """Return a figure of the states, the controls, their spectra over time, and the times of the steps."""
+        from lin_freq_ocp.report.figures.loop import loop_figure  # Matplotlib is slow to import
+
+        return loop_figure(self)
+
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Write a self-contained HTML page and its figures into a folder; return the page's path."""
+        from lin_freq_ocp.report.loop_page import save_loop_report  # Matplotlib is slow to import
+
+        return save_loop_report(self, Path(folder))
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write a row for each step, with its state, control, status, cost, gap and times."""
+        rows, text = self.table, StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else ["step"])
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(Path(path), text.getvalue())
+
+    def __repr__(self) -> str:
+        ended = f", stopped: {self.stopped}" if self.stopped else ""
+        return f"ClosedLoop({len(self.steps)} steps of {self.problem.name or 'a problem'}{ended})"
+
+
+@final
+class RecedingHorizon:
+    """Model predictive control: at every step the problem is solved from the measured state, and its plan begun.
+
+    The state set does not hold at the first state, which is measured. Frequency constraints hold over the horizon of
+    each plan; those of a ``Spectrogram`` hold over samples that were applied or measured before, too, and its windows
+    stand still in time. docs/receding_horizon.md says what follows for the closed loop.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        Its initial state is replaced by the measured one. The past of a spectrogram is that before the first step.
+    method : str or Method
+        As for ``solve``. With "auto" and "spectral" the Fourier-domain method is set up once where it applies.
+    soft : mapping of str to float, optional
+        What gives way at a step without a solution: fields of the problem ("state_set", "terminal_state", "stage_rows",
+        "control_spectrum", "state_spectrum", "output_spectrum") and the penalty of each per unit of excess. Penalties
+        above the multipliers are exact.
+    delay : {0, 1}
+        1: the control of a step acts one step after its measurement. Before the first it is zero.
+    time_limit : float, optional
+        Seconds for each solve. A step without an answer in this time continues the plan of the step before.
+
+    Raises
+    ------
+    ProblemError
+        If an option does not fit the problem.
+    UnsupportedError
+        If the method does not exist, or is not for this problem.
+
+    References
+    ----------
+    Rawlings, Mayne and Diehl, "Model Predictive Control", 2nd edition, 2017. Hours, Zeilinger, Gondhalekar and Jones,
+    "Constrained spectrum control", IEEE Transactions on Automatic Control 60, 2015.
+
+    Examples
+    --------
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40))
+    >>> controller.step([0.0, 0.0]).shape
+    (1,)
+    """
+
+    def __init__(
+        self,
+        problem: OptimalControlProblem,
+        method: str | Method = "auto",
+        soft: Mapping[str, float] | None = None,
+        delay: int = 0,
+        time_limit: float | None = None,
+    ):
+        self._controller = Controller(problem, method, soft, delay, time_limit)
+
+    @property
+    def problem(self) -> OptimalControlProblem:
+        """Return the problem as it was given."""
+        return self._controller.problem
+
+    @property
+    def log(self) -> ClosedLoop:
+        """Return the steps until now."""
+        return shown_as(ClosedLoop, self._controller.record)
+
+    def step(
+        self,
+        state: ArrayLike,
+        references: Mapping[str, ArrayLike] | None = None,
+        bounds: Mapping[str, object] | None = None,
+        disturbance: ArrayLike | None = None,
+        applied: ArrayLike | None = None,
+    ) -> Array:
+        """Return the control (m,) for a measured state.
+
+        Parameters
+        ----------
+        state : (n,)
+            Measured; it may lie outside the state set.
+        references : mapping, optional
+            Over the coming horizon: "x_ref" and "u_ref", as in QuadraticCost.
+        bounds : mapping, optional
+            Over the coming horizon: "state_set" and "control_set", as in OptimalControlProblem.
+        disturbance : (n,) or (T, n), optional
+            What is expected to be added to the coming states (linear dynamics).
+        applied : (m,), optional
+            What has acted in place of the last control.
+
+        Raises
+        ------
+        ProblemError
+            If a measurement, a reference or a bound does not fit the problem. Nothing is recorded then.
+        InfeasibleError, LimitError, NumericalError, UnboundedError
+            If there is no plan, and none of the step before; with ``.result``.
+        """
+        step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
+        if step is None:
+            raise_for(shown_as(Result, outcome))
+            raise AssertionError("an outcome without a plan is an error")
+        return step.control
+
+    def run(
+        self,
+        initial_state: ArrayLike,
+        steps: int,
+        plant: object = None,
+        references: Mapping[str, ArrayLike] | None = None,
+        disturbance: ArrayLike | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> ClosedLoop:
+        """Run the loop with a plant, and return it with all steps before.
+
+        Parameters
+        ----------
+        initial_state : (n,)
+        steps : int
+        plant : callable, control.StateSpace, dynamics, or None
+            From x (n,) and u (m,) to the next state; a function of three takes the step first. None is the model.
+        references : mapping, optional
+            "x_ref" and "u_ref", of steps + T samples or more: each step sees its own horizon of them.
+        disturbance : (steps, n), optional
+            Added to what the plant returns; the controller does not know it.
+        progress : callable, optional
+            Called with the number of steps done and that of all, at first and after each step.
+
+        Returns
+        -------
+        ClosedLoop
+            After Ctrl-C, or a step without a plan, or a plant that fails: the steps until then, and why it stopped.
+
+        Raises
+        ------
+        ProblemError
+            If the initial state, the plant, the references or the disturbance do not fit the problem.
+        """
+        n, count = self.problem.state_dim, positive_integer("steps", steps)
+        next_state, horizon = plant_of(plant, self.problem), self.problem.horizon
+        noise = np.zeros((count, n)) if disturbance is None else real_array("disturbance", disturbance)
+        if noise.shape != (count, n):
+            raise ProblemError("disturbance", f"shape {noise.shape}", f"shape {(count, n)}")
+        known = _references(references, count, horizon)
+        x = self._controller.measured("initial_state", initial_state, n)
+        stopped, delay = "", self._controller.delay
+        acting = np.zeros(self.problem.control_dim)
+        try:
+            for k in range(count):
+                if progress is not None:
+                    progress(k, count)
+                seen = {name: rows[k + delay : k + delay + horizon + (name == "x_ref")] for name, rows in known.items()}
+                control = self.step(x, references=seen or None)
+                x = next_state(k, x, acting if delay else control) + noise[k]
+                acting = control
+            if progress is not None:
+                progress(count, count)
+        except KeyboardInterrupt:
+            stopped = "interrupted"
+        except LinFreqOCPError as error:
+            stopped = str(error)
+        return replace(self.log, final_state=x, stopped=stopped)
+
+
+def _references(given: Mapping[str, ArrayLike] | None, steps: int, horizon: int) -> dict[str, Array]:
+    """Return references with a row for each sample that some step sees."""
+    found: dict[str, Array] = {}
+    for name, value in (given or {}).items():
+        if name not in REFERENCES:
+            raise ProblemError(f"references.{name}", "an unknown key", " or ".join(REFERENCES))
+        rows = real_array(f"references.{name}", value)
+        if rows.ndim != 2 or len(rows) < steps + horizon:
+            expected = f"at least {steps + horizon} rows, one per sample"
+            raise ProblemError(f"references.{name}", f"shape {rows.shape}", expected)
+        found[name] = rows
+    return found

@@ -1,0 +1,1 @@
+"""A problem solved again at every step of a control loop."""

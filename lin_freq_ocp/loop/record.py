@@ -1,0 +1,154 @@
+"""What happened in a control loop, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.status import Status
+
+
+class Source(StrEnum):
+    """Where the control of a step comes from."""
+
+    PLAN = "plan"  # of the problem of this step
+    SOFTENED = "softened problem"  # as that of this step has no solution
+    BEST_POINT = "best point"  # at the limit, with every constraint satisfied
+    PREVIOUS_PLAN = "previous plan"  # as this step has no plan
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step of a control loop.
+
+    Attributes
+    ----------
+    state : (n,)
+        Measured.
+    control : (m,)
+        Returned; with a delay, for the next step.
+    status : Status
+        Of the problem of this step, before anything was softened.
+    source : Source
+        Where the control comes from.
+    method : str
+        Of the answer.
+    cost, gap : float
+        Of the plan, and how far it can be above the optimum, relative; nan if it is not known.
+    satisfied : bool
+        Whether the conditions of the maximum principle hold.
+    excess : dict
+        By how much softened constraints are exceeded by the plan, by their names.
+    solve_seconds, certify_seconds : float
+        Wall time without, and of, the certificate.
+    plan : Trajectory or None
+        From this step on.
+    """
+
+    state: Array
+    control: Array
+    status: Status
+    source: Source
+    method: str
+    cost: float
+    gap: float
+    satisfied: bool
+    solve_seconds: float
+    certify_seconds: float
+    excess: dict[str, float] = field(default_factory=dict[str, float])
+    plan: Trajectory | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRecord:
+    """The steps of a control loop.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+        As it was given to the controller.
+    steps : sequence of Step
+    final_state : (n,) or None
+        After the last step, if it is known.
+    stopped : str
+        Why the loop ended before all its steps; empty if it did not.
+    """
+
+    problem: OptimalControlProblem
+    steps: Sequence[Step]
+    final_state: Array | None = None
+    stopped: str = ""
+
+    @property
+    def states(self) -> Array:
+        """Return the measured states, (steps, n), and the final one, if it is known, (steps + 1, n)."""
+        last = [] if self.final_state is None else [self.final_state]
+        return np.array([*(step.state for step in self.steps), *last]).reshape(-1, self.problem.state_dim)
+
+    @property
+    def controls(self) -> Array:
+        """Return the controls of the steps, (steps, m)."""
+        return np.array([step.control for step in self.steps]).reshape(-1, self.problem.control_dim)
+
+    @property
+    def costs(self) -> Array:
+        """Return the cost of the plan of each step, (steps,)."""
+        return np.array([step.cost for step in self.steps])
+
+    @property
+    def gaps(self) -> Array:
+        """Return the relative gap of the plan of each step, (steps,); nan where it is not known."""
+        return np.array([step.gap for step in self.steps])
+
+    @property
+    def solve_seconds(self) -> Array:
+        """Return the wall time of each step without its certificate, (steps,)."""
+        return np.array([step.solve_seconds for step in self.steps])
+
+    @property
+    def certify_seconds(self) -> Array:
+        """Return the wall time of each certificate, (steps,)."""
+        return np.array([step.certify_seconds for step in self.steps])
+
+    @property
+    def satisfied(self) -> Mask:
+        """Return at which steps the conditions of the maximum principle hold, (steps,)."""
+        return np.array([step.satisfied for step in self.steps], dtype=bool)
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Return where the control of each step comes from."""
+        return tuple(step.source for step in self.steps)
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """Return the status of the problem of each step."""
+        return tuple(step.status for step in self.steps)
+
+    @property
+    def table(self) -> list[dict[str, object]]:
+        """Return a flat row for each step, for pandas.DataFrame."""
+        names = [*self.problem.state_names, *self.problem.control_names]
+        return [_row(k, step, names) for k, step in enumerate(self.steps)]
+
+
+def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
+    signals = zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)
+    return {
+        "step": k,
+        **dict(signals),
+        "status": str(step.status),
+        "source": str(step.source),
+        "method": step.method,
+        "cost": step.cost,
+        "gap": step.gap,
+        "excess": sum(step.excess.values()),
+        "solve_seconds": step.solve_seconds,
+        "certify_seconds": step.certify_seconds,
+    }
