@@ -53,7 +53,7 @@ class FineRows:
         self._chosen = [_is_fine(part) for part in coupling.balls]
         self._of_hard = [fine for part, fine in zip(coupling.balls, self._chosen, strict=True) if part.heads is None]
         V, self._G = self._basis()
-        of_plain, end = response.gradients(self._plain)
+        of_plain, end = response.rows.chosen(self._plain)
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
 
@@ -96,10 +96,11 @@ class FineRows:
     def _basis(self) -> tuple[Array, Array]:
         """Return V (T+1, channels, rank), orthonormal, by a random range, and G, so that the fine rows are G V'."""
         response, rng = self._response, np.random.default_rng(0)
-        families = [(rows, at) for rows, at in response.families if np.isin(at[0], self._fine)]
+        families = [(rows, at) for rows, at in response.coupling.families() if np.isin(at[0], self._fine)]
         rank = SPARE + sum(rows.count // rows.oversampling for rows, _ in families)
-        rank = min(rank, response.empty(1).size)
-        signals = response.empty(rank)
+        shape = len(response.stages.H), len(response.coupling.channels)
+        rank = min(rank, shape[0] * shape[1])
+        signals = np.zeros((*shape, rank))
         for rows, _ in families:
             rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
         basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]

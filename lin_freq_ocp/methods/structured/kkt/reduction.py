@@ -47,9 +47,11 @@ class StepSystem:
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
         self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
-    def solve(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
-        """Return (y, z), refined as long as the residual falls."""
+    def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
+        """Return (y, z), by default refined as long as the residual falls."""
         y, z = self._once(of_y, of_z)
+        if not refined:
+            return y, z
         target = REFINED * largest([of_y, *of_z])
         left = self._residual(of_y, of_z, y, z)
         error = largest([left[0], *left[1]])

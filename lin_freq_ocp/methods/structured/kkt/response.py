@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
 from lin_freq_ocp.methods.structured.kkt.side import Step
 from lin_freq_ocp.methods.structured.model.stages import Stages
@@ -22,7 +22,7 @@ class Response:
 
     def __init__(self, stages: Stages, loops: Loops):
         self.stages, self.coupling, self._loops = stages, stages.coupling, loops
-        self.families = tuple(stages.coupling.families())
+        self.rows = stages.coupled
         self._weights = np.zeros(stages.states)
         curvature = float(np.abs(np.einsum("tii->ti", stages.H[:-1])).max(initial=0.0))
         self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
@@ -37,16 +37,12 @@ class Response:
     def missing(self, gradient: Array, c: Array, x0: Array, f: Array) -> Array:
         """Return F y - f of the answer without the rows F."""
         y, _, _ = self._regulator.solve(self._to_end(gradient, f), c, x0)
-        return self.forward(y[:, self.coupling.channels, None], y[-1, : self.stages.states, None])[:, 0] - f
+        return self.rows.values(y) - f
 
     def step(self, gradient: Array, c: Array, x0: Array, f: Array, nu: Array) -> Step:
         """Return the answer with the multipliers nu of the rows F."""
         gradient, terminal = self._to_end(gradient, f), self.coupling.terminal
-        signals = self.empty(1)
-        for rows, at in self.families:
-            rows.add_adjoint(nu[at, None], signals)
-        gradient[:, self.coupling.channels] += signals[:, :, 0]
-        gradient[-1, terminal] += nu[: len(terminal)]
+        self.rows.add_adjoint(nu, gradient)
         y, eta, initial = self._regulator.solve(gradient, c, x0)
         nu = nu.copy()
         nu[: len(terminal)] += self._weights[terminal] * (y[-1, terminal] - f[: len(terminal)])
@@ -55,32 +51,6 @@ class Response:
     def gram(self, signals: Array, end: Array) -> Array:
         """Return the lower triangle of R'P R of gradients R on channels (T+1, channels, k) and on x_T (n, k)."""
         return self._regulator.gram(self.coupling.channels, signals, end)
-
-    def empty(self, count: int) -> Array:
-        """Return signals of zeros, (T+1, channels, count)."""
-        return np.zeros((len(self.stages.H), len(self.coupling.channels), count))
-
-    def gradients(self, chosen: Indices) -> tuple[Array, Array]:
-        """Return chosen rows of F as gradients on channels (T+1, channels, k) and on x_T (n, k)."""
-        terminal, signals = self.coupling.terminal, self.empty(len(chosen))
-        end = np.zeros((self.stages.states, len(chosen)))
-        of_end = np.flatnonzero(chosen < len(terminal))
-        end[terminal[chosen[of_end]], of_end] = 1.0
-        for rows, at in self.families:
-            inside = np.flatnonzero(np.isin(chosen, at, assume_unique=True))
-            if len(inside):
-                part = self.empty(len(inside))
-                rows.add_columns(np.searchsorted(at, chosen[inside]), part)
-                signals[:, :, inside] += part
-        return signals, end
-
-    def forward(self, signals: Array, end: Array) -> Array:
-        """Return F y of signals (T+1, channels, k) and x_T (n, k)."""
-        values = np.empty((self.coupling.count, signals.shape[2]))
-        values[: len(self.coupling.terminal)] = end[self.coupling.terminal]
-        for rows, at in self.families:
-            values[at] = rows.forward(signals)
-        return values
 
     def _to_end(self, gradient: Array, f: Array) -> Array:
         gradient, terminal = gradient.copy(), self.coupling.terminal

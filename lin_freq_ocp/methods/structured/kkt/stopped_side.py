@@ -25,7 +25,7 @@ class StoppedSide:
 
     def __init__(self, response: Response):
         self._response, self._count = response, response.coupling.count
-        self._rows = response.gradients(np.arange(self._count))
+        self._rows = response.rows.gradients
 
     def factor(self, Phi: Array, compliance: Compliance) -> None:
         """Prepare for Phi (T+1, n+k, n+k) and C."""

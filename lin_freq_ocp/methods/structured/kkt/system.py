@@ -22,7 +22,7 @@ class System:
 
     def __init__(self, stages: Stages, loops: Loops):
         self.stages, self.loops, coupling = stages, loops, stages.coupling
-        self.coupling, self._first = coupling, len(coupling.terminal)
+        self.coupling = coupling
         present, fixed = stages.present, stages.fixed
         limits = [part.limits for part in coupling.inequalities]
         self.b: Values = [
@@ -52,21 +52,17 @@ class System:
 
     def coupled(self, y: Array) -> Values:
         """Return the rows of A y that couple times."""
-        signals, coupling = y[:, self.coupling.channels, None], self.coupling
-        equations = [part.rows.forward(signals)[:, 0] for part in coupling.equations]
-        unequal = [part.rows.forward(signals) for part in coupling.inequalities]
-        balls: Values = []
+        values, coupling = self.stages.coupled.values(y), self.coupling
+        first = coupling.equation_count
+        last = first + sum(part.rows.count for part in coupling.inequalities)
+        found: Values = [values[:first], values[first:last, None]]
         for part in coupling.balls:
-            rows = np.zeros((len(part.radius), 1 + part.dim))
-            rows[:, 1:] = -part.rows.forward(signals).reshape(-1, part.dim)
-            if part.heads is not None:
-                rows[:, 0] = -part.heads.forward(signals)[:, 0]
-            balls.append(rows)
-        return [
-            np.concatenate([y[-1, coupling.terminal], *equations]),
-            np.concatenate([np.zeros((0, 1)), *unequal]),
-            *balls,
-        ]
+            balls, heads = len(part.radius), part.heads is not None
+            rows, first = np.zeros((balls, 1 + part.dim)), last
+            last += balls * (part.dim + heads)
+            rows[:, 1 - heads :] = -values[first:last].reshape(balls, -1)
+            found.append(rows)
+        return found
 
     def adjoint(self, z: Values) -> Array:
         """Return A'z, (T+1, n + k)."""
@@ -80,25 +76,13 @@ class System:
 
     def add_coupled(self, z: Values, gradient: Array) -> None:
         """Add the adjoint of the rows that couple times to a gradient (T+1, n + k)."""
-        coupling = self.coupling
-        if not coupling.count:
+        if not self.coupling.count:
             return
         equations, unequal, *balls = z
-        gradient[-1, coupling.terminal] += equations[: self._first]
-        signals = np.zeros((len(gradient), len(coupling.channels), 1))
-        first = self._first
-        for part in coupling.equations:
-            part.rows.add_adjoint(equations[first : first + part.rows.count, None], signals)
-            first += part.rows.count
-        first = 0
-        for part in coupling.inequalities:
-            part.rows.add_adjoint(unequal[first : first + part.rows.count], signals)
-            first += part.rows.count
-        for part, rows in zip(coupling.balls, balls, strict=True):
-            part.rows.add_adjoint(-rows[:, 1:].reshape(-1, 1), signals)
-            if part.heads is not None:
-                part.heads.add_adjoint(-rows[:, :1], signals)
-        gradient[:, coupling.channels] += signals[:, :, 0]
+        nu = [equations, unequal[:, 0]]
+        for part, rows in zip(self.coupling.balls, balls, strict=True):
+            nu.append(-rows[:, 0 if part.heads is not None else 1 :].ravel())
+        self.stages.coupled.add_adjoint(np.concatenate(nu), gradient)
 
     def curvature(self, y: Array) -> Array:
         """Return P y."""

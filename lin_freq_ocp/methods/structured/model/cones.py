@@ -39,24 +39,36 @@ class Cone:
         for block in self.blocks:
             self.w[:, block] = np.eye(1, block.stop - block.start)
         self.eta = np.ones((len(self.w), len(self.blocks)))
+        self._powers: dict[int, Array] = {}
 
     def scale(self, s: Array, z: Array) -> None:
         """Set the scaling of interior points s and z."""
         inside = slice(None), self.orthant
         of_s, of_z = (np.where(self._absent[inside], 1.0, v[inside]) for v in (s, z))
         self.w[inside] = np.sqrt(of_s / of_z)
+        self._powers = {}
         for i, block in enumerate(self.blocks):
             self._scale_block(i, block, s[:, block], z[:, block])
         self.lam = self.scaled(z, 1)
 
     def scaled(self, v: Array, power: int) -> Array:
         """Return W^power v, for the powers -2, -1, 1 and 2."""
+        if not self.blocks:
+            return v * self._power(power)
         result = np.empty_like(v)
-        result[:, self.orthant] = v[:, self.orthant] * self.w[:, self.orthant] ** power
+        result[:, self.orthant] = v[:, self.orthant] * self._power(power)
         for i, block in enumerate(self.blocks):
             result[:, block] = self._block_scaled(i, self.w[:, block], v[:, block], power)
         result[self._absent] = 0.0
         return result
+
+    def _power(self, power: int) -> Array:
+        """Return w^power of the orthant, zero where absent."""
+        if power not in self._powers:
+            w = self.w[:, self.orthant]
+            once = np.where(self.present[:, self.orthant], w if power > 0 else 1 / w, 0.0)
+            self._powers[power] = once if abs(power) == 1 else once * once
+        return self._powers[power]
 
     def product(self, a: Array, b: Array) -> Array:
         """Return the Jordan product, a o b."""
@@ -96,6 +108,21 @@ class Cone:
             steepest = max(steepest, float(((np.linalg.norm(across, axis=1) - along) / size).max(initial=0.0)))
         return 1.0 / steepest if steepest > 0 else np.inf
 
+    def into(self, v: Array, low: float, high: float) -> Array:
+        """Return the change of v that takes its spectral values into low .. high, as ``into`` does."""
+        change = np.zeros_like(v)
+        change[:, self.orthant] = into(v[:, self.orthant], low, high)
+        for block in self.blocks:
+            head, tail = v[:, block.start], v[:, block.start + 1 : block.stop]
+            size = np.linalg.norm(tail, axis=1)
+            upper, lower = into(head + size, low, high), into(head - size, low, high)
+            change[:, block.start] = (upper + lower) / 2
+            change[:, block.start + 1 : block.stop] = (
+                tail * ((upper - lower) / (2 * np.where(size > 0, size, 1)))[:, None]
+            )
+        change[self._absent] = 0.0
+        return change
+
     def margin(self, v: Array) -> float:
         """Return the distance to the boundary, negative outside."""
         least = float(v[:, self.orthant][self.present[:, self.orthant]].min(initial=np.inf))
@@ -112,15 +139,13 @@ class Cone:
         present = np.column_stack([self.present[:, head] for head in heads])
         return np.where(present, scales**-2.0, 0.0), np.ascontiguousarray(self.w[:, self.orthant.stop :])
 
-    def block_squares(self, i: int, inverse: bool = False) -> Array:
-        """Return W^2, or its inverse, of the i-th cone of every row, (N, d, d)."""
-        w = self.w[:, self.blocks[i]].copy()
-        if inverse:
-            w[:, 1:] *= -1
+    def block_squares(self, i: int) -> Array:
+        """Return W^2 of the i-th cone of every row, (N, d, d)."""
+        w = self.w[:, self.blocks[i]]
         square = 2 * w[:, :, None] * w[:, None, :]
         diagonal = np.arange(w.shape[1])
         square[:, diagonal, diagonal] += np.where(diagonal == 0, -1.0, 1.0)
-        return self.eta[:, i, None, None] ** (-2 if inverse else 2) * square
+        return self.eta[:, i, None, None] ** 2 * square
 
     def _scale_block(self, i: int, block: slice, s: Array, z: Array) -> None:
         absent = self._absent[:, block.start, None]
@@ -147,6 +172,11 @@ class Cone:
             result[:, 0] = twice * w[:, 0] - v[:, 0]
             result[:, 1:] = twice[:, None] * tail + v[:, 1:]
         return factor[:, None] * result
+
+
+def into(values: Array, low: float, high: float) -> Array:
+    """Return the changes that take values into low .. high; none falls by more than ``high``."""
+    return np.maximum(np.clip(values, low, high) - values, -high)
 
 
 def _square(head: Array, tail: Array) -> Array:

@@ -98,8 +98,10 @@ class SpectrumRows:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
         entry = np.flatnonzero(self.kept)[chosen]
         bins, imaginary = self.bins[entry // 2], entry % 2 == 1
-        angle = 2 * np.pi * ((np.arange(len(self.window))[:, None] * bins) % self.points) / self.points
-        waves = np.where(imaginary, -np.sin(angle), np.cos(angle)) * self.scale[entry // 2]
+        angles = 2 * np.pi * np.arange(self.points) / self.points
+        table = np.concatenate([np.cos(angles), -np.sin(angles)])
+        at = (np.arange(len(self.window))[:, None] * bins) % self.points + self.points * imaginary
+        waves = table[at] * self.scale[entry // 2]
         self._spread(waves * self.window[:, None], signals)
 
     @property

@@ -12,10 +12,12 @@ w_t holds the controls u_t, then slacks, on which no state depends. At t = T, A,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.methods.structured.model.all_rows import AllRows
 from lin_freq_ocp.methods.structured.model.coupling import Coupling
 
 
@@ -54,3 +56,8 @@ class Stages:
     def fixed(self) -> Mask:
         """Return which entries of x_0 are given, (n,)."""
         return ~np.isnan(self.initial)
+
+    @cached_property
+    def coupled(self) -> AllRows:
+        """Return all rows that couple times."""
+        return AllRows(self.coupling, len(self.A), self.states)
