@@ -4,8 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lin_freq_ocp.arrays import Array, Mask
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.trajectory import Multipliers
+
+
+@dataclass(frozen=True, eq=False)
+class PathMultipliers:
+    """What makes multipliers depend on the mode that follows.
+
+    ``vertices`` (T, modes, n) is added to eta_t where that mode follows at t + 1; none follows T - 1, whose are zero.
+    ``images`` (T, modes, modes, n), of either sign, are those of the box of the mode that follows (0: of x_T).
+    """
+
+    vertices: Array
+    images: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,11 +27,20 @@ class ModeMultipliers:
     """Multipliers that bound the cost of all sequences within a mask.
 
     ``multipliers`` are those of the theorem, with mu and nu zero: a bound minimises over boxes. eta_C = 0 for a proof
-    that there is no trajectory. ``region`` (T, modes, rows) >= 0 are those of G_i x_t + H_i u_t <= h_i of every mode.
+    that there is no trajectory. ``region`` (T, modes, rows) >= 0 are those of G_i x_t + H_i u_t <= h_i of every mode;
+    with ``paths``, (T, modes, modes, rows), as they depend on the mode that follows (0 at T - 1).
     """
 
     multipliers: Multipliers
     region: Array
+    paths: PathMultipliers | None = None
+
+    def region_along(self, sequence: Indices) -> Array:
+        """Return the region multipliers of the modes of a sequence, (T, rows)."""
+        times = np.arange(len(sequence))
+        if self.paths is None:
+            return self.region[times, sequence]
+        return self.region[times, sequence, np.append(sequence[1:], 0)]
 
 
 @dataclass(frozen=True, eq=False)

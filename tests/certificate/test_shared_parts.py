@@ -22,7 +22,7 @@ from lin_freq_ocp.transcription.linear import units
 library = lfo.library
 
 ALLOWED = {
-    "lin_freq_ocp.analysis.mode_tree": {"ModeMultipliers", "ModeTree"},
+    "lin_freq_ocp.analysis.mode_tree": {"ModeMultipliers", "ModeTree", "PathMultipliers"},
     "lin_freq_ocp.analysis.sizes": {"stated_sizes"},
 }
 """What the judge imports of the floor that searches and scalings stand on: plain data, and one size (docs/judge.md)."""

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.analysis.mode_reach import ModeReach
-from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
+from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
 from lin_freq_ocp.methods.modes.search import relaxed
@@ -142,8 +142,8 @@ def test_reach_holds_every_simulated_trajectory(kinks):
 
 @pytest.fixture(scope="module")
 def solved():
-    result = lfo.solve(library.buck_affine(horizon=6))
-    assert result.tree_bound.leaves > 5
+    result = lfo.solve(library.buck_affine(horizon=8))
+    assert result.tree_bound.leaves > 3
     return result
 
 
@@ -174,11 +174,11 @@ def test_a_leaf_with_other_multipliers_proves_less(solved, change):
     proof = nodes[weakest].proof
     given = proof.multipliers
     if change == "other problem":
-        problem = library.buck_affine(horizon=6, initial_state=[0.55])
+        problem = library.buck_affine(horizon=8, initial_state=[0.55])
     changed = {
-        "eta": ModeMultipliers(replace_eta(given, 1.1 * given.eta), proof.region),
-        "sign": ModeMultipliers(replace_eta(given, -given.eta), proof.region),
-        "region": ModeMultipliers(given, -proof.region - 1.0),
+        "eta": replace(proof, multipliers=replace_eta(given, 1.1 * given.eta)),
+        "sign": replace(proof, multipliers=replace_eta(given, -given.eta)),
+        "region": replace(proof, region=-proof.region - 1.0),
         "none": None,
         "other problem": proof,
     }[change]
@@ -206,7 +206,8 @@ def test_any_multipliers_bound_every_sequence_from_below(seed):
         if node.proof is not None:
             own = node.proof.multipliers
             eta = own.eta + 0.1 * rng.normal(size=own.eta.shape)
-            node = replace(node, proof=ModeMultipliers(replace_eta(own, eta), node.proof.region + rng.uniform(0, 0.1)))
+            region = node.proof.region + rng.uniform(0, 0.1)
+            node = replace(node, proof=replace(node.proof, multipliers=replace_eta(own, eta), region=region))
         nodes.append(node)
     assert tree_bound(problem, ModeTree(tuple(nodes))).value <= result.cost + 1e-9
 
@@ -225,7 +226,7 @@ def test_infeasible_is_proven_by_the_tree():
 
 
 def test_limits_leave_a_point_and_a_valid_bound():
-    problem = library.buck_affine(horizon=10, control_spectrum="freq")
+    problem = library.buck_affine(horizon=12, control_spectrum="freq")
     best = lfo.solve(problem).cost
     stopped = lfo.solve(problem, node_limit=15, throw=False)
     assert stopped.status == "limit"
@@ -241,7 +242,7 @@ def test_limits_leave_a_point_and_a_valid_bound():
 
 
 def test_an_interrupt_keeps_what_was_found():
-    problem = library.buck_affine(horizon=10, control_spectrum="freq")
+    problem = library.buck_affine(horizon=12, control_spectrum="freq")
     seen = []
 
     def interrupt(progress):
@@ -284,7 +285,7 @@ class Here(Executor):
 
 def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
     monkeypatch.setattr(parts, "PARTS", 6)
-    problem = library.buck_affine(horizon=10, control_spectrum="freq")
+    problem = library.buck_affine(horizon=12, control_spectrum="freq")
     alone, here, lossy = lfo.solve(problem), Here(), Here(lost=[0, 3])
     for executor in (here, lossy):
         result = lfo.solve(problem, executor=executor)
@@ -297,7 +298,7 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
 @pytest.mark.parametrize("executor", [None, Here()])
 def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor):
     monkeypatch.setattr(parts, "PARTS", 4)
-    problem, seen = library.buck_affine(horizon=10, control_spectrum="freq"), []
+    problem, seen = library.buck_affine(horizon=12, control_spectrum="freq"), []
     cold = lfo.solve(problem)
     warm = lfo.solve(problem, start=cold.sequence, progress=seen.append, executor=executor)
     assert seen[0].nodes <= 3 + problem.horizon  # the sequence, its flips, and the root
@@ -309,11 +310,11 @@ def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor):
 def test_an_error_of_the_search_itself_is_raised(monkeypatch):
     monkeypatch.setattr(parts, "PARTS", 6)
     with pytest.raises(ZeroDivisionError):
-        lfo.solve(library.buck_affine(horizon=10), executor=Here(lost=[0], error=ZeroDivisionError))
+        lfo.solve(library.buck_affine(horizon=12), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
 def test_parts_on_two_processes(monkeypatch):
-    problem = library.buck_affine(horizon=10, control_spectrum="freq")
+    problem = library.buck_affine(horizon=12, control_spectrum="freq")
     monkeypatch.setattr(parts, "PARTS", 6)
     with ProcessPoolExecutor(2) as executor:
         result = lfo.solve(problem, executor=executor)

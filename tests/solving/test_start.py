@@ -18,7 +18,7 @@ from lin_freq_ocp.cli import app as cli
 HORIZON, STEP = 30, 0.1
 SLIDE, STICK = 0, 1
 OBVIOUS = np.repeat([SLIDE, STICK], [20, 10])
-NODES = 12
+NODES = 4
 
 SPEED = f"x_1 + {STEP}*u_0"
 FRICTION = [f"x_0 + {STEP}*x_1", f"max({SPEED} - {STEP}, min(0, {SPEED} + {STEP}))"]

@@ -2,11 +2,15 @@
 
 For any multipliers, and any mask of modes with the boxes of its reach,
 
-    J* within the mask >= D = sum_t min over modes i of the mask, min over (x, u) in box_i, of
-        l_t(x, u) - <eta_t, A_i x + B_i u + d_i> + <lambda_i, G_i x + H_i u - h_i>    (lambda_i >= 0),
+    J* within the mask >= D = min over sequences (i_t) of the mask of  sum_t phi_t(i_t, i_{t+1}),
+    phi_t(i, j) = min over (x, u) in box_ti of
+        l_t(x, u) - <e_tij, A_i x + B_i u + d_i> + <lambda_tij, G_i x + H_i u - h_i> + <v_{t-1,i}, x>
+        + min over box_{t+1,j} of <nu_tij, x>,        e_tij = eta_t + v_tj + nu_tij,   lambda_tij >= 0,
 
-with l_t of bound.py without its map. The leaves of a tree cover all sequences, so the least D of all leaves bounds
-the cost of every trajectory. Only masks and multipliers are taken from the search.
+with l_t of bound.py without its map. v and nu, zero without ``PathMultipliers``, add nothing above zero along any
+trajectory: the terms of v cancel from stage to stage, and x_{t+1} is in box_{t+1,j}. D is a shortest path; edges whose
+image misses the next box are none. The leaves of a tree cover all sequences, so the least D of all leaves bounds the
+cost of every trajectory. Only masks and multipliers are taken from the search.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
+from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
@@ -25,9 +29,15 @@ from lin_freq_ocp.certificate.bound import (
     cost_is_never_negative,
     diagonal_curvature,
 )
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.modes.reach import IntervalReach, Stages
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, MINIMISATION_SWEEPS
+from lin_freq_ocp.certificate.tolerances import (
+    ARITHMETIC_ROUNDING,
+    FINITE,
+    INFINITE,
+    INTERVAL_ROUNDING,
+    MINIMISATION_SWEEPS,
+)
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -150,6 +160,8 @@ class _LeafJudge:
         self._images = np.einsum("tijk,tk->tij", self._maps, self._y) + self._arrays.offset
         self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
         self._hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))
+        self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
+        self._shape = T, len(problem.piecewise.modes), n
 
     def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
         """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
@@ -162,35 +174,103 @@ class _LeafJudge:
     def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
         extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
-        region = np.where(np.isfinite(self._arrays.h), np.maximum(proof.region, 0.0), 0.0)
-        slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
-        size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
-        slope = np.hstack([slope_x[:-1], slope_u])[:, None] - np.einsum("tijk,tj->tik", self._maps, eta)
-        slope = (slope + np.einsum("tirk,tir->tik", self._rows, region)).astype(np.float64)
-        size = np.hstack([size_x[:-1], size_u])[:, None] + np.einsum("tijk,tj->tik", np.abs(self._maps), np.abs(eta))
-        size = (size + np.einsum("tirk,tir->tik", np.abs(self._rows), region)).astype(np.float64)
-        allowed = _allowed(reached)
-        low, high = (
-            np.where(allowed[..., None], _with_infinities(np.stack(bounds)) - self._y[:, None], 0.0)
-            for bounds in zip(*((stage.pair_lower, stage.pair_upper) for stage in reached[:-1]), strict=True)
+        boxes, last = _boxes(reached, self._y, centre.x[-1]), self._shape[2]
+        lengths, sizes = self._lengths(extremal, proof, boxes)
+        after = np.zeros(self._shape[1])
+        for t, edges in reversed(list(enumerate(self._edges(boxes)))):
+            after = np.where(edges, lengths[t] + after, np.inf).min(axis=1)
+        rounding = float(np.where(boxes.allowed[..., None], sizes, 0.0).max(axis=(1, 2)).sum())
+        end_slope, end = (
+            (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64),
+            eta_C * self._problem.quadratic.P,
         )
-        minima, spread = _box_minimum(slope, (eta_C * self._hessians)[:, None], low, high)
-        constants = (region * self._slack).sum(-1) - np.einsum("tij,tj->ti", self._images, eta)
-        stages = np.where(allowed, minima + constants, np.inf).min(axis=1)
-        sizes = (size * spread).sum(-1) + (region * np.abs(self._slack)).sum(-1)
-        sizes += np.einsum("tij,tj->ti", np.abs(self._images), np.abs(eta)) + np.abs(minima)
-        rounding = float(np.where(allowed, sizes, 0.0).max(axis=1).sum())
-        end_low, end_high = (_with_infinities(end) - centre.x[-1] for end in (reached[-1].lower, reached[-1].upper))
-        end_slope, end = slope_x[-1].astype(np.float64), eta_C * self._problem.quadratic.P
-        last, largest = _box_minimum(end_slope, end, end_low, end_high)
+        end_low, end_high = boxes.low[-1, 0, :last], boxes.high[-1, 0, :last]
+        final, largest = _box_minimum(end_slope, end, end_low, end_high)
+        size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
         cost = self._problem.value(centre.x, centre.u) if eta_C else 0.0
         gaps = float(sum(one.gap.sum() for one in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
         at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
-        rounding += float(size_x[-1].astype(np.float64) @ largest) + abs(float(last)) + abs(cost) + abs(gaps)
+        rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
         rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
-        return cost - gaps + at_centre + float(stages.sum()) + float(last) - ARITHMETIC_ROUNDING * rounding
+        return cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+
+    def _lengths(self, extremal: Extremal, proof: ModeMultipliers, boxes: _Boxes) -> tuple[Array, Array]:
+        """Return phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)."""
+        (T, _, n), x = self._shape, self._centre.x
+        parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
+        given = proof.region if proof.paths else proof.region[:, :, None]
+        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(given, 0.0), 0.0)
+        ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
+        behind = np.zeros((T, parts.vertices.shape[1], n))
+        behind[1:] = parts.vertices[:-1]
+        slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
+        size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
+        slope = np.hstack([slope_x[:-1], slope_u])[:, None, None] - ahead @ self._maps
+        slope = (slope + region @ self._rows).astype(np.float64)
+        size = np.hstack([size_x[:-1], size_u])[:, None, None] + np.abs(ahead) @ np.abs(self._maps)
+        size = (size + region @ np.abs(self._rows)).astype(np.float64)
+        slope[..., :n] += behind[:, :, None]
+        size[..., :n] += np.abs(behind)[:, :, None]
+        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
+        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
+        after = _images(parts.images, boxes, x)
+        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
+        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
+        sizes = (
+            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
+        )
+        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
+        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
+        return minima + constants, sizes
+
+    def _edges(self, boxes: _Boxes) -> Mask:
+        """Return which modes can follow each other, (T, modes, modes); after the last, only mode 0 stands for x_T."""
+        n = self._shape[2]
+        low, high = (np.clip(part[:-1, ..., None], -INFINITE, INFINITE) for part in (boxes.low, boxes.high))
+        least = (self._rising @ low + self._falling @ high)[..., 0] + self._images
+        most = (self._rising @ high + self._falling @ low)[..., 0] + self._images
+        size = (np.abs(self._maps) @ np.maximum(np.abs(low), np.abs(high)))[..., 0] + np.abs(self._images)
+        size = INTERVAL_ROUNDING * (size + np.abs(self._centre.x[1:, None]))
+        next_low, next_high = (part[1:, :, :n] + self._centre.x[1:, None] for part in (boxes.low, boxes.high))
+        meets = (least - size)[:, :, None] <= next_high[:, None]
+        meets &= (most + size)[:, :, None] >= next_low[:, None]
+        return boxes.allowed[:, :, None] & boxes.following[:, None] & meets.all(axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """Modes (T, modes), those that may follow them, and boxes (T+1, modes, k) around the centre; mode 0 at T."""
+
+    allowed: Mask
+    following: Mask
+    low: Array
+    high: Array
+
+
+def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
+    allowed = _allowed(reached)
+    following = np.zeros_like(allowed)
+    following[:-1], following[-1, 0] = allowed[1:], True
+    (T, modes), n = allowed.shape, len(last)
+    low, high = np.zeros((2, T + 1, modes, y.shape[1]))
+    pairs = zip(*((stage.pair_lower, stage.pair_upper) for stage in reached[:-1]), strict=True)
+    ends = reached[-1].lower, reached[-1].upper
+    for part, bounds, end in zip((low, high), pairs, ends, strict=True):
+        part[:-1] = np.where(allowed[..., None], _with_infinities(np.stack(bounds)) - y[:, None], 0.0)
+        part[-1, 0, :n] = _with_infinities(end) - last
+    return _Boxes(allowed, following, low, high)
+
+
+def _images(images: Array, boxes: _Boxes, x: Array) -> Array:
+    """Return the least <nu, x> over the boxes of the modes that follow."""
+    if not images.any():
+        return np.zeros((1, 1, 1))
+    n = images.shape[-1]
+    low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
+    at = np.where(images > 0, low, np.where(images < 0, high, 0.0))
+    return (images * at).sum(axis=-1)
 
 
 def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:

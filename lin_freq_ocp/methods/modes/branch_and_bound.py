@@ -20,9 +20,9 @@ from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.methods.modes.node import Relaxed, adjoint_of, multipliers_of
 from lin_freq_ocp.methods.modes.search import (
     TOLERANCES,
-    Relaxed,
     SearchLimits,
     SearchOutcome,
     SearchProgress,
@@ -33,12 +33,15 @@ from lin_freq_ocp.methods.modes.search import (
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
+from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 # Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
 ROUNDING_EVERY, ROUNDING_SELDOM = 5, 20
 TRIED_TOGETHER = 8  # sequences, likewise
+COMPILED_FROM = 24  # nodes: until then, less time goes by than compiled code takes to be loaded
 SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
 
 OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
@@ -51,14 +54,14 @@ class BranchAndBound:
     problem: OptimalControlProblem
     limits: SearchLimits = field(default_factory=SearchLimits)
     progress: Callable[[SearchProgress], None] | None = None
-    relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = ModeRelaxation
+    relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation
 
     def __post_init__(self):
         self._started = time.perf_counter()
         self._relaxation = self.relaxation(self.problem)
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
-        self._duals: list[Duals | None] = []
+        self._duals: list[Duals | PathDuals | None] = []
         self._heap: list[OpenNode] = []
         self._best: Indices | None = None
         self._cost, self._scale = np.inf, 0.0
@@ -197,10 +200,9 @@ class BranchAndBound:
         self._scale = search_scale(self.problem, answer.trajectory)
         self._try(self._flips(sequence, answer.trajectory, answer.duals))
 
-    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
+    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals | PathDuals) -> Iterator[Indices]:
         """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
-        region = self._relaxation.multipliers(duals).region
-        largest = region[np.arange(len(sequence)), sequence].max(axis=1, initial=0.0)
+        largest = multipliers_of(self._relaxation, duals).region_along(sequence).max(axis=1, initial=0.0)
         near = self._arrays.active(trajectory.x, trajectory.u)
         for t in np.argsort(-largest):
             if largest[t] <= 0:
@@ -222,7 +224,7 @@ class BranchAndBound:
         x, u = answer.trajectory.x, answer.trajectory.u
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
-        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals)
+        miss, eta = np.abs(x[1:] - images), adjoint_of(self._relaxation, duals)
         loss = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
         return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
@@ -235,7 +237,8 @@ class BranchAndBound:
 
     def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
         self._solved += 1
-        return relaxed(self._relaxation, reach, TOLERANCES, self._started + self.limits.search_seconds, cutoff)
+        end, compiled = self._started + self.limits.search_seconds, self._solved > COMPILED_FROM
+        return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
 
     def _report(self, bound: float) -> None:
         if self.progress is not None:

@@ -20,6 +20,7 @@ from lin_freq_ocp.methods.modes.search import (
     relaxed,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 MOST_SEQUENCES = 10_000  # solved within minutes
@@ -60,7 +61,7 @@ def enumerate_sequences(
 
 def _all_sequences(
     relaxation: ModeRelaxation, end: float
-) -> tuple[list[ModeNode], list[Duals | None], list[tuple[int, Reach]]]:
+) -> tuple[list[ModeNode], list[Duals | PathDuals | None], list[tuple[int, Reach]]]:
     """Return the tree that splits every time in order and its reachable leaves; the root alone if it is too late."""
     T, modes = relaxation.problem.horizon, len(relaxation.problem.piecewise.modes)
     everything = np.ones((T, modes), dtype=bool)

@@ -10,10 +10,13 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.methods.modes.node import Decision, Relaxed, multipliers_of
+from lin_freq_ocp.methods.modes.path_node import relaxed_path
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
+from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
@@ -21,8 +24,6 @@ SEARCH_SHARE = 0.75  # of the time: the best sequence is solved once more, and t
 # Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
 # whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
-# Relative residual and gap of a point that is good enough to say that a node must be split
-CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
 FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
 
 
@@ -86,56 +87,25 @@ class SearchOutcome:
     setup: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxed:
-    """The solution of one relaxation: a lower bound (inf: infeasible; -inf: not solved), and weights (T, modes)."""
-
-    reach: Reach
-    bound: float
-    duals: Duals | None = None
-    trajectory: Trajectory | None = None
-    weights: Array | None = None
-
-    @property
-    def sequence(self) -> Indices | None:
-        """Return the only sequence left, if there is one."""
-        allowed = self.reach.allowed
-        return np.argmax(allowed, axis=1) if (allowed.sum(axis=1) == 1).all() else None
-
-
-@dataclass(frozen=True)
-class Decision:
-    """When the relaxation of a node with several sequences is known well enough, with the cutoff in its objective.
-
-    Its bound is computed anew from the duals (``ModeRelaxation.proven``), so that they need not be those of a solution.
-    """
-
-    cutoff: float
-    several: bool
-
-    def __call__(self, cost: float, dual: float, residual: float) -> bool:
-        """Return whether the bound is above the cutoff, or the node must be split, as far as a solver can tell."""
-        gap = cost - dual
-        if residual > CLEAR_RESIDUAL or gap < 0:
-            return False
-        split = self.several and gap <= CLEAR_GAP * max(1.0, abs(cost)) and cost + gap < self.cutoff
-        return split or dual - gap > self.cutoff
-
-
 def relaxed(
     relaxation: ModeRelaxation,
     reach: Reach,
     tolerances: Sequence[float] = TOLERANCES,
     end: float = np.inf,
     cutoff: float | None = None,
+    compiled: bool = False,
 ) -> Relaxed:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
     With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
-    below it is solved. Raises KeyboardInterrupt where the solver was interrupted.
+    below it is solved. ``compiled`` allows compiled code. Raises KeyboardInterrupt where the solver was interrupted.
     """
     if time.perf_counter() > end:
         return Relaxed(reach, -np.inf)
+    if isinstance(relaxation, PathRelaxation):
+        answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
+        if answer is not None:
+            return answer
     from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
 
     member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())
@@ -178,22 +148,24 @@ def _decided(relaxation: ModeRelaxation, member: Member, solution: Solution, eno
     return Relaxed(member.reach, bound, duals, *relaxation.point(member, z))
 
 
-def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
+def proven_tree(
+    relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | PathDuals | None]
+) -> ModeTree:
     """Return the tree with the multipliers of every node that has duals."""
     pairs = zip(nodes, duals, strict=True)
     return ModeTree(
-        tuple(node if own is None else replace(node, proof=relaxation.multipliers(own)) for node, own in pairs)
+        tuple(node if own is None else replace(node, proof=multipliers_of(relaxation, own)) for node, own in pairs)
     )
 
 
 def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices, end: float = np.inf) -> ModeTree:
     """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``."""
-    relaxation, nodes = ModeRelaxation(problem), list(tree.nodes)
+    relaxation, nodes = PathRelaxation(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
         answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
-            nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
+            nodes[index] = replace(nodes[index], bound=answer.bound, proof=multipliers_of(relaxation, answer.duals))
     return ModeTree(tuple(nodes))
 
 

@@ -26,12 +26,12 @@ from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import common_scaling
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.transcription.modes.rows import ModeColumns, hessian_roots, mode_rows, mode_stages
-from lin_freq_ocp.transcription.modes.stage_bounds import StageBounds, StageDuals
+from lin_freq_ocp.transcription.modes.stage_bounds import Lagrangian, StageBounds, StageDuals
 from lin_freq_ocp.transcription.program import Block, StandardForm
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
@@ -129,8 +129,8 @@ class ModeRelaxation:
         return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
 
     @cached_property
-    def _bounds(self) -> StageBounds | None:
-        """What duals prove; None for a problem with terms that are not linear equations of x and u."""
+    def _lagrangian(self) -> Lagrangian | None:
+        """The cost and the rows over all times; None for a problem with terms that are not equations of x and u."""
         program, form, at, scale = self._program, self._sides, self._at, self._scaling.cost
         T, k = at.y.shape
         if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - self._n):
@@ -141,7 +141,12 @@ class ModeRelaxation:
             part[..., :T, :], part[..., T, : self._n] = of_host[..., at.y], of_host[..., at.x[T]]
         cost, last = self.problem.quadratic, units[: self._n]
         hessians = np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units)
-        return StageBounds(self._stages, scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
+        return Lagrangian(scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
+
+    @cached_property
+    def _bounds(self) -> StageBounds | None:
+        """What duals prove."""
+        return None if self._lagrangian is None else StageBounds(self._stages, self._lagrangian)
 
     def phi(self, reach: Reach, duals: Duals) -> tuple[Array, float] | None:
         """Return what duals with eta_C = 1 prove of a reach, as costs: of every mode (T, modes), and beyond stages.
@@ -184,20 +189,29 @@ class ModeRelaxation:
 
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of the duals of a member."""
-        full, rows, program = self._filled(duals), self._rows, self._program
+        full, rows = self._filled(duals), self._rows
         region = rows.one_region.of(full) + rows.share_region.of(full)
         of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
-        host = self._sides.dual(len(program.lower), np.concatenate([of_equations, of_inequalities, -of_cones]))
-        host[program.rows[Block.DYNAMICS]] = self._scaled_adjoint(full).ravel()
-        own = self._host.multipliers(self._scaling.dual(host), duals.eta_C)
+        sides = np.concatenate([of_equations, of_inequalities, -of_cones])
+        own = self._own_multipliers(sides, self._scaled_adjoint(full), duals.eta_C)
         region = region.reshape(self._stages.limits.shape) / self._stages.norms / self._scaling.cost
         return ModeMultipliers(own, region)
 
+    def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
+        """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""
+        program = self._program
+        host = self._sides.dual(len(program.lower), sides)
+        host[program.rows[Block.DYNAMICS]] = adjoint.ravel()
+        return self._host.multipliers(self._scaling.dual(host), eta_C)
+
     def adjoint(self, duals: Duals) -> Array:
         """Return eta alone, (T, n)."""
+        return self._scaled_adjoint(self._filled(duals)) * self._adjoint_units
+
+    @property
+    def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
-        eta = self._scaled_adjoint(self._filled(duals))
-        return eta * of_dynamics.reshape(eta.shape) / self._scaling.cost
+        return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
 
     def _filled(self, duals: Duals) -> Array:
         full = np.zeros(len(self._template.right))

@@ -67,12 +67,18 @@ def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
 
 def hessian_roots(cost: QuadraticCost, units: Array, horizon: int) -> Array:
     """Return L (T, rank, k) with L'L = [[Q, S], [S', R]] in these units; rows of zeros where the rank is lower."""
-    hessians = np.broadcast_to(cost.stage_hessians(), (horizon, len(units), len(units))) * np.outer(units, units)
+    return symmetric_roots(
+        np.broadcast_to(cost.stage_hessians(), (horizon, len(units), len(units))) * np.outer(units, units)
+    )
+
+
+def symmetric_roots(hessians: Array) -> Array:
+    """Return L (times, rank, k) with L'L = H; rows of zeros where the rank is lower."""
     values, vectors = np.linalg.eigh(hessians)
-    kept = values > FLAT * values.max(axis=1, keepdims=True)
+    kept = values > FLAT * np.maximum(values.max(axis=1, keepdims=True), 0.0)
     roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
     rank = int(kept.sum(axis=1).max(initial=0))
-    return roots[:, len(units) - rank :]
+    return roots[:, hessians.shape[-1] - rank :]
 
 
 class ModeColumns:

@@ -30,6 +30,17 @@ class StageDuals:
     regions: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Lagrangian:
+    """Hessians (T, k, k) and (n, n), prices (T+1, k), rows over all times (q, T+1, k) and right (q,), natural units."""
+
+    hessians: Array
+    last: Array
+    price: Array
+    rows: Array
+    right: Array
+
+
 class Quadratic:
     """1/2 y'H y for Hessians (..., k, k), to be minimised over boxes with slopes."""
 
@@ -61,11 +72,11 @@ class Quadratic:
 class StageBounds:
     """Bounds of one problem whose only terms beyond boxes are linear equations over all times."""
 
-    def __init__(self, stages: ModeStages, hessians: Array, last: Array, price: Array, rows: Array, right: Array):
-        """Take Hessians (T, k, k) and (n, n), prices (T+1, k) and rows (q, T+1, k) in natural units."""
-        n = len(last)
-        self._stages, self._price, self._rows, self._right = stages, price, rows.reshape(len(rows), price.size), right
-        self._cost, self._last, self._n = Quadratic(hessians[:, None]), Quadratic(last), n
+    def __init__(self, stages: ModeStages, parts: Lagrangian):
+        price, rows, self._n = parts.price, parts.rows, len(parts.last)
+        self._stages, self._price, self._right = stages, price, parts.right
+        self._rows = rows.reshape(len(rows), price.size)
+        self._cost, self._last = Quadratic(parts.hessians[:, None]), Quadratic(parts.last)
         finite = np.isfinite(stages.limits)
         self._limits = np.where(finite, stages.limits, 0.0)
 

@@ -1,0 +1,152 @@
+"""The solve of a node's path relaxation: by compiled code where it is there, and else, or if that stalls, by Clarabel.
+
+Whichever solver it was, its duals are put into the bound over boxes (transcription/modes/path_bounds.py): a node is
+closed by that bound only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lin_freq_ocp.analysis.mode_reach import Reach
+from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.methods.modes.node import CLEAR_GAP, CLEAR_RESIDUAL, Decision, Relaxed
+from lin_freq_ocp.transcription.modes.path_relaxation import PathMember, PathRelaxation
+from lin_freq_ocp.transcription.modes.paths import PathProgram, path_form
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import PathData
+
+COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
+PROVEN = 2e-7  # a bound this close to the cost, relative to it, is that of a solution
+
+
+def relaxed_path(
+    relaxation: PathRelaxation,
+    reach: Reach,
+    tolerances: Sequence[float],
+    end: float,
+    cutoff: float | None,
+    compiled: bool,
+) -> Relaxed | None:
+    """Solve the path relaxation of a reach, as ``relaxed``; None where there is none, or no solver solves it.
+
+    ``compiled`` allows compiled code, which takes longer to be loaded than a few nodes take without.
+    """
+    member = relaxation.path_member(reach)
+    if member is None:
+        return None
+    if member.program is None:
+        return Relaxed(reach, np.inf, relaxation.no_path())
+    several = bool((reach.allowed.sum(axis=1) > 1).any())
+    enough = None if cutoff is None else Decision(relaxation.objective(cutoff), several)
+    if compiled and compiled_is_there():
+        found = _by_compiled_code(relaxation, member, enough)
+        if found is not None:
+            return found
+    attempts = [(tolerance, None) for tolerance in tolerances]
+    for tolerance, early in attempts if enough is None else [(tolerances[0], enough), *attempts]:
+        found = _by_clarabel(relaxation, member, tolerance, end, early)
+        if found is not None:
+            return found
+    return None
+
+
+@cache
+def compiled_is_there() -> bool:
+    """Whether the code of path relaxations is compiled and cached; compiling it takes longer than most searches."""
+    if find_spec("numba") is None:
+        return False
+    from lin_freq_ocp.methods.structured.kkt.compiled import paths
+
+    return paths.KERNELS.ready
+
+
+def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: Decision | None) -> Relaxed | None:
+    """Return the node if compiled code decides it, and its bound holds."""
+    from lin_freq_ocp.methods.structured.kkt.compiled import paths
+
+    program = member.program
+    assert program is not None
+    paths.KERNELS.prepare()
+    rows, equations, clear = len(program.G), len(program.b), (CLEAR_RESIDUAL, CLEAR_GAP)
+    point = np.zeros(program.cost.shape), np.zeros(equations), np.zeros(rows), np.zeros(rows)
+    data, numbers, several = (
+        _data(program, paths.PathData),
+        np.zeros(paths.NUMBERS),
+        enough is not None and enough.several,
+    )
+    for cutoff in [np.inf] if enough is None else [enough.cutoff, np.inf]:
+        cold = not numbers[paths.TAU]
+        end = paths.path_run(data, point, numbers, cold, COMPILED_TOLERANCE, cutoff, several, clear)
+        (w, p, z, _), tau, cost = point, float(numbers[paths.TAU]), float(numbers[paths.COST])
+        if not (np.isfinite(p).all() and np.isfinite(z).all() and tau > 0):
+            return None
+        if end == paths.INFEASIBLE:
+            unit = tau * float(numbers[paths.BOUND])
+            duals = relaxation.path_duals(program, p / unit, z / unit, None)
+            return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
+        duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
+        bound = relaxation.path_bound(member, duals)
+        objective = relaxation.objective(bound)
+        split, solved = end == paths.DECIDED and cost < cutoff, cost - objective <= PROVEN * max(1.0, abs(cost))
+        if split or solved or objective > cutoff:
+            return Relaxed(member.reach, bound, duals, *relaxation.path_point(program, w / tau))
+        if end == paths.STALLED:
+            break
+    return None
+
+
+def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
+    edges, linear = len(program.t), len(program.sizes)
+    return form(
+        np.concatenate([program.C, program.signals], axis=1),
+        program.places.ravel(),
+        program.t,
+        program.coupled,
+        program.b,
+        program.cost,
+        program.G,
+        program.of_edge,
+        linear + (len(program.G) - linear) // edges * np.arange(edges + 1),
+    )
+
+
+def _by_clarabel(
+    relaxation: PathRelaxation, member: PathMember, tolerance: float, end: float, enough: Decision | None
+) -> Relaxed | None:
+    """Return the node if Clarabel solves it to a tolerance, or ``enough`` ends it and its bound holds."""
+    from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
+
+    program, left = member.program, end - time.perf_counter()
+    assert program is not None
+    if left <= 0:
+        return Relaxed(member.reach, -np.inf)
+    form = path_form(program)
+    solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
+    if solution.claim is Claim.INTERRUPTED:
+        raise KeyboardInterrupt
+    if (
+        solution.claim not in (Claim.SOLVED, Claim.STOPPED, Claim.INFEASIBLE)
+        or solution.y is None
+        or solution.z is None
+    ):
+        return None
+    p, z = np.split(solution.y, [len(program.b)])
+    w = solution.z.reshape(program.cost.shape)
+    if solution.claim is Claim.INFEASIBLE:
+        return Relaxed(member.reach, np.inf, relaxation.path_duals(program, p, z, None)) if enough is None else None
+    duals = relaxation.path_duals(program, p, z, w)
+    bound = relaxation.cost(form.dual_objective(solution.z, solution.y))
+    if enough is not None:
+        bound = relaxation.path_bound(member, duals)
+        split = enough.several and solution.claim is Claim.STOPPED
+        if not split and relaxation.objective(bound) <= enough.cutoff:
+            return None
+    return Relaxed(member.reach, bound, duals, *relaxation.path_point(program, w))
