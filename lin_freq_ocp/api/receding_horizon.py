@@ -44,7 +44,7 @@ class ClosedLoop(LoopRecord):
 
     Examples
     --------
-    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40))
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator())
     >>> loop = controller.run([0.0, 0.0], steps=3)
     >>> loop.states.shape, loop.controls.shape
     ((4, 2), (3, 1))
@@ -112,7 +112,7 @@ class RecedingHorizon:
 
     Examples
     --------
-    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40))
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator())
     >>> controller.step([0.0, 0.0]).shape
     (1,)
     """

@@ -74,16 +74,11 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
     """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
     if not remembers(problem):
         return problem
-    outputs = [
-        OutputSpectrum(
-            one.C, one.D, [_behind(bound, _signal(one, x, u)) for bound in one.constraints], one.output_names
-        )
-        for one in entries_of(problem.output_spectrum)
-    ]
+    outputs = [_outputs_behind(one, x, u) for one in entries_of(problem.output_spectrum)]
     return replace(
         problem,
-        control_spectrum=[_behind(one, u) for one in entries_of(problem.control_spectrum)] or None,
-        state_spectrum=[_behind(one, x) for one in entries_of(problem.state_spectrum)] or None,
+        control_spectrum=[_behind(one, u, False) for one in entries_of(problem.control_spectrum)] or None,
+        state_spectrum=[_behind(one, x, True) for one in entries_of(problem.state_spectrum)] or None,
         output_spectrum=outputs or None,
     )
 
@@ -115,24 +110,27 @@ def _constraints(problem: OptimalControlProblem, field: str) -> list[FrequencyCo
     return [bound for one in found for bound in one.constraints] if field == "output_spectrum" else found
 
 
-def _behind(constraint: FrequencyConstraint, later: Array) -> FrequencyConstraint:
-    """Return a constraint behind samples (k, components) that follow its own past."""
+def _behind(constraint: FrequencyConstraint, later: Array, of_states: bool) -> FrequencyConstraint:
+    """Return a constraint behind samples (k, components) that follow its own past.
+
+    Windows of states that end at time 0, which is measured, are left out.
+    """
     if not isinstance(constraint, Spectrogram):
         return constraint
     first = np.zeros((0, later.shape[1])) if constraint.past is None else constraint.past
-    whole = np.concatenate([first, later])
-    if constraint.length is None:
-        kept = len(first)
-    else:
-        hop = constraint.hop or 1
-        ended = max(len(whole) - constraint.length + 1, 0)  # windows that begin before this sample
-        kept = len(whole) - -(-ended // hop) * hop
-    return constraint.with_past(whole[len(whole) - kept :]) if kept else constraint.with_past(None)
+    whole, length = np.concatenate([first, later]), constraint.length
+    if length is None:
+        return constraint.with_past(whole[len(later) :] if len(first) else None)
+    ended, hop = max(len(whole) + of_states - length + 1, 0), constraint.hop or 1
+    begin = constraint.offset + max(-(-(ended - constraint.offset) // hop), 0) * hop  # of the first window not over
+    return constraint.with_past(whole[begin:] if begin < len(whole) else None, max(begin - len(whole), 0))
 
 
-def _signal(outputs: OutputSpectrum, x: Array, u: Array) -> Array:
+def _outputs_behind(outputs: OutputSpectrum, x: Array, u: Array) -> OutputSpectrum:
     parts = [signal @ matrix.T for matrix, signal in ((outputs.C, x), (outputs.D, u)) if matrix is not None]
-    return sum(parts[1:], parts[0])
+    later = sum(parts[1:], parts[0])
+    constraints = [_behind(one, later, outputs.D is None) for one in outputs.constraints]
+    return OutputSpectrum(outputs.C, outputs.D, constraints, outputs.output_names)
 
 
 def _known(

@@ -17,6 +17,7 @@ SAYS = {
     "long_horizons": "10000 steps by method spectral",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
+    "receding_horizon": "0 of 120 steps softened",
     "wall": "cost      95.820020, no trajectory below 95.82001",
 }
 

@@ -39,6 +39,15 @@ def test_windows_stand_still_in_time(hop):
         assert past is None or past[:, 0].tolist() == list(range(k - known, k))
 
 
+@pytest.mark.parametrize(("length", "hop"), [(5, 2), (4, 4), (2, 2)])
+def test_windows_of_states_that_end_where_is_measured_are_left_out(length, hop):
+    base = problem(state_spectrum=lfo.spectrum.Spectrogram(MASK, length, hop), state_set=None)
+    for k in range(12):
+        (term, _) = with_past(base, np.arange(2.0 * k).reshape(k, 2), np.zeros((k, 1))).terms
+        starts = [k + int(start) for start in term.map.starts]
+        assert starts == [s for s in range(0, 40, hop) if s + length > k + 1 and s + length <= k + 13]
+
+
 def test_without_a_length_the_past_keeps_its_length():
     base = problem(control_spectrum=lfo.spectrum.Spectrogram(MASK, past=[[7.0], [8.0], [9.0]]))
     now = with_past(base, np.zeros((2, 2)), np.array([[1.0], [2.0]]))
@@ -49,7 +58,7 @@ def test_without_a_length_the_past_keeps_its_length():
 def test_the_past_of_states_and_outputs_is_theirs():
     outputs = lfo.spectrum.OutputSpectrum([[1.0, 2.0]], [[3.0]], lfo.spectrum.Spectrogram(MASK, 4))
     base = problem(state_spectrum=lfo.spectrum.Spectrogram(MASK, 4, 2), output_spectrum=outputs)
-    x, u = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0], [6.0]])
+    x, u = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0], [6.0]])  # windows from 0 end at 3, after time 2
     now = with_past(base, x, u)
     assert now.state_spectrum[0].past.tolist() == x.tolist()
     assert now.output_spectrum[0].constraints[0].past.tolist() == [[1 + 4 + 15], [3 + 8 + 18]]

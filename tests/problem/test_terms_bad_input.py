@@ -137,6 +137,8 @@ SPECTROGRAMS = {
     "hop alone": (lambda: Windows(mask(1), hop=2), "Spectrogram.hop", "2", "a length"),
     "hop": (lambda: Windows(mask(1), 4, 0), "Spectrogram.hop", "0", "a whole number"),
     "length": (lambda: Windows(mask(1), 2.5), "Spectrogram.length", "2.5", "a whole number"),
+    "long hop": (lambda: Windows(mask(1), 4, 5), "Spectrogram.hop", "5", "at most the length of a window, 4"),
+    "offset": (lambda: Windows(mask(1), 4, offset=-1), "Spectrogram.offset", "-1", "a whole number"),
     "past": (lambda: Windows(mask(1), past=[[[1.0]]]), "Spectrogram.past", "(1, 1, 1)", "(P, components)"),
     "empty past": (lambda: Windows(mask(1), past=[]), "Spectrogram.past", "(0,)", "(P, components)"),
     "unknown past": (lambda: Windows(mask(1), past=[np.nan]), "Spectrogram.past[0]", "nan", "finite"),

@@ -36,6 +36,8 @@ class Spectrogram(FrequencyConstraint):
         Samples from the begin of a window to that of the next; default half a window.
     past : (P, components), or (P,) for a single one, optional
         The samples before time 0, the last of them at time -1, in the unit of the signal. Default none.
+    offset : int
+        Samples of the past, or of the horizon without one, before the first window begins.
 
     Raises
     ------
@@ -58,11 +60,17 @@ class Spectrogram(FrequencyConstraint):
     length: int | None
     hop: int | None
     past: Array | None
+    offset: int
     component: int | str | None
     penalty: float | None
 
     def __init__(
-        self, bound: SpectrumBound, length: int | None = None, hop: int | None = None, past: ArrayLike | None = None
+        self,
+        bound: SpectrumBound,
+        length: int | None = None,
+        hop: int | None = None,
+        past: ArrayLike | None = None,
+        offset: int = 0,
     ):
         if not isinstance(bound, SpectrumBound):
             advice = "A band that is left out is MagnitudeBound(0, band=...)."
@@ -79,15 +87,23 @@ class Spectrogram(FrequencyConstraint):
             before = before[:, None]
         if hop is not None:
             step = positive_integer("Spectrogram.hop", hop)
+        later = offset if isinstance(offset, int) and offset == 0 else positive_integer("Spectrogram.offset", offset)
         if samples is not None and step is not None and step > samples:
             raise ProblemError("Spectrogram.hop", f"{step}", f"at most the length of a window, {samples}")
         assign(
-            self, bound=bound, length=samples, hop=step, past=before, component=bound.component, penalty=bound.penalty
+            self,
+            bound=bound,
+            length=samples,
+            hop=step,
+            past=before,
+            offset=later,
+            component=bound.component,
+            penalty=bound.penalty,
         )
 
-    def with_past(self, past: ArrayLike | None) -> Spectrogram:
+    def with_past(self, past: ArrayLike | None, offset: int = 0) -> Spectrogram:
         """Return the same constraint behind other samples of the past."""
-        return Spectrogram(self.bound, self.length, self.hop, past)
+        return Spectrogram(self.bound, self.length, self.hop, past, offset)
 
     def describe(self, names: Sequence[str]) -> str:
         behind = "" if self.past is None else f" behind {plural(len(self.past), 'sample')} of the past"
@@ -97,21 +113,21 @@ class Spectrogram(FrequencyConstraint):
     def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
         past = None if self.past is None else with_columns(self.past, k)
         of_bound = [one for one in self.bound.extended(n, k) if isinstance(one, SpectrumBound)]
-        return [Spectrogram(one, self.length, self.hop, past) for one in of_bound]
+        return [Spectrogram(one, self.length, self.hop, past, self.offset) for one in of_bound]
 
     def widened(self, amount: float) -> Spectrogram:
-        return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past)
+        return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past, self.offset)
 
     def softened(self, penalty: float) -> Spectrogram:
-        return Spectrogram(self.bound.softened(penalty), self.length, self.hop, self.past)
+        return Spectrogram(self.bound.softened(penalty), self.length, self.hop, self.past, self.offset)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         count, samples = len(signal.names), signal.length
         before = np.zeros((0, count)) if self.past is None else self.past
         if before.shape[1] != count:
             raise ProblemError(f"{field}.past", f"shape {before.shape}", f"shape ({len(before)}, {count})")
-        length = len(before) + samples if self.length is None else self.length
-        first = np.arange(-len(before), samples - length + 1, self.hop or 1)
+        length = len(before) + samples - self.offset if self.length is None else self.length
+        first = np.arange(self.offset - len(before), samples - length + 1, self.hop or 1)
         first = first[first + length > 0]
         if not len(first):
             got = f"windows of {length} samples, of {len(before)} in the past and {samples} to come"
