@@ -37,6 +37,7 @@ def solve(
     executor: Executor | None = None,
     start: object = None,
     gap: float | None = None,
+    global_bound: bool | None = None,
 ) -> Result:
     """Solve a problem, and judge the answer.
 
@@ -50,7 +51,7 @@ def solve(
         the keywords below. "auto": linear dynamics, spectral where it applies and its answer is proven, else structured
         for large problems and convex for small ones (``result.reason`` says why); piecewise-affine, branch and bound;
         piecewise-smooth, nonsmooth with a global bound (up to three states), on which it spends 10 s or what the time
-        limit leaves.
+        limit leaves; one smooth map is solved by Newton's method from a few starts, without a search.
     backend : str
         Of "convex" (and "auto" with linear dynamics, which then is "convex"): "auto" (Clarabel), "clarabel", "osqp" or
         "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or "daqp".
@@ -75,6 +76,8 @@ def solve(
         local search with this one: their answer is not worse.
     gap : float, optional
         Over modes: relative gap (J - D)/S to prove, 1e-6 by default; 1e-4 over smooth pieces.
+    global_bound : bool, optional
+        Over smooth pieces: whether to bound the cost of all trajectories; False gives a local answer at once.
 
     Returns
     -------
@@ -105,7 +108,8 @@ def solve(
     ('optimal', True)
     """
     started = time.perf_counter()
-    outcome = solve_judged(problem, method, time_limit, progress, start, backend, tolerance, gap, node_limit, executor)
+    limits = backend, tolerance, gap, node_limit
+    outcome = solve_judged(problem, method, time_limit, progress, start, *limits, executor, global_bound)
     result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
         left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)

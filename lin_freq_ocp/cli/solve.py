@@ -109,6 +109,7 @@ def _require_picture(file: Path) -> None:
 @solve_options
 @click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
 @click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
+@click.option("--local", is_flag=True, help="Over smooth pieces: no global bound, a local answer at once.")
 @output_options
 @json_option
 @click.option("--trajectory", "with_trajectory", is_flag=True, help="With --json: the times, x and u, too.")
@@ -121,6 +122,7 @@ def solve_command(
     tolerance: float | None,
     node_limit: int | None,
     start: str | None,
+    local: bool,
     as_json: bool,
     with_trajectory: bool,
     **files: Path | None,
@@ -135,6 +137,8 @@ def solve_command(
         options["node_limit"] = node_limit
     if start is not None:
         options["start"] = start_of(description, load_trajectory(start, description)[0]).saved
+    if local:
+        options["global_bound"] = False
     with dumping_errors(outputs.dump, description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)

@@ -49,9 +49,11 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     at, shape = Points(y, {} if selections is None else {**selections}), (points, len(formulas))
     with np.errstate(all="ignore"):
         found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
-    values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.empty((*shape, k, k))
-    for i, jet in enumerate(found):
-        values[:, i], slopes[:, i], curvatures[:, i] = jet
+    values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.zeros((*shape, k, k))
+    for i, (value, slope, curvature) in enumerate(found):
+        values[:, i], slopes[:, i] = value, slope.T
+        if curvature is not None:
+            curvatures[:, i] = curvature.transpose(2, 0, 1)
     return Jets(values, slopes, curvatures)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -280,8 +281,13 @@ def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str
     return replace(like.node(kind, listed), names=tuple(given or ()))
 
 
-def in_order(formulas: Sequence[Formula]) -> list[Formula]:
+def in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
     """Return all nodes, each once, arguments before what is made of them."""
+    return _in_order(tuple(formulas))
+
+
+@lru_cache(maxsize=256)  # a search evaluates the same formulas some thousand times
+def _in_order(formulas: tuple[Formula, ...]) -> tuple[Formula, ...]:
     found: dict[Formula, None] = {}
     stack = [(one, False) for one in reversed(formulas)]
     while stack:
@@ -292,7 +298,7 @@ def in_order(formulas: Sequence[Formula]) -> list[Formula]:
             found[one] = None
         else:
             stack += [(one, True), *((argument, False) for argument in reversed(one.arguments))]
-    return list(found)
+    return tuple(found)
 
 
 def evaluated(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:

@@ -79,7 +79,7 @@ class Operation:
         raise self._refused(node)
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        """Return the values with first and second derivatives."""
+        """Return the values with first and second derivatives, in the layout of ``jet_rules``."""
         raise self._refused(node)
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
@@ -105,9 +105,9 @@ class _Variable(Operation):
         return at.y[:, int(node.data[0])]
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        _, slope, hessian = jet_rules.constant(0.0, *at.y.shape)
-        slope[:, int(node.data[0])] = 1.0
-        return self.value(node, (), at), slope, hessian
+        slope = np.zeros(at.y.shape[::-1])
+        slope[int(node.data[0])] = 1.0
+        return self.value(node, (), at), slope, None
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         i = int(node.data[0])
@@ -135,12 +135,7 @@ class _Sum(Operation):
         return total
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        value, slope, hessian = jet_rules.constant(node.data[-1], *at.y.shape)
-        for factor, argument in zip(node.data[:-1], arguments, strict=True):
-            value += factor * argument[0]
-            slope += factor * argument[1]
-            hessian += factor * argument[2]
-        return value, slope, hessian
+        return jet_rules.combination(node.data[:-1], arguments, node.data[-1], at.y.shape[::-1])
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         return interval_jet_rules.combination(node.data[:-1], arguments, node.data[-1], box)
@@ -264,10 +259,10 @@ class _ExternalOutput(Operation):
         output, states = map(int, node.data)
         if key not in at.calls:
             stacked = jet_rules.stacked(arguments)
-            derivatives = function.derivatives_at(stacked[0][:, :states], stacked[0][:, states:])
+            derivatives = function.derivatives_at(stacked[0][:states].T, stacked[0][states:].T)
             at.calls[key] = jet_rules.composed(stacked, *derivatives)
         value, slope, hessian = at.calls[key]
-        return value[:, output], slope[:, output], hessian[:, output]
+        return value[output], slope[output], hessian[output]
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         name = _call(node)[0].title

@@ -26,6 +26,9 @@ from lin_freq_ocp.library.paper import norm_dynamics as norm_dynamics
 from lin_freq_ocp.library.paper import pendulum as pendulum
 from lin_freq_ocp.library.single_axis import double_integrator as double_integrator
 from lin_freq_ocp.library.single_axis import scanner as scanner
+from lin_freq_ocp.library.swing_up import cart_pole as cart_pole
+from lin_freq_ocp.library.swing_up import pendulum_swing_up as pendulum_swing_up
+from lin_freq_ocp.library.swing_up import planar_quadrotor as planar_quadrotor
 from lin_freq_ocp.library.vehicles import quadcopter as quadcopter
 from lin_freq_ocp.library.vehicles import quarter_car as quarter_car
 from lin_freq_ocp.library.walls import cart_between_walls as cart_between_walls
@@ -65,7 +68,7 @@ PIECEWISE_AFFINE = _named(
     cart_pole_with_walls,
     ball_and_paddle,
 )
-PIECEWISE_SMOOTH = _named(norm_dynamics, buck_converter)
+PIECEWISE_SMOOTH = _named(norm_dynamics, buck_converter, pendulum_swing_up, cart_pole, planar_quadrotor)
 PROBLEMS = LINEAR | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 
 

@@ -54,6 +54,7 @@ GAPS = {"tolerance": "gap", "gap": "gap"}
 SEARCH = {**GAPS, "node_limit": "node_limit"}
 PARALLEL = {**SEARCH, "executor": "executor"}
 SOLVER = {"backend": "backend"}
+BOUND = {"global_bound": "global_bound"}
 
 FAMILIES: dict[type, Family] = {
     LinearDynamics: Family(
@@ -76,7 +77,7 @@ FAMILIES: dict[type, Family] = {
     ),
     PiecewiseSmoothDynamics: Family(
         "piecewise-smooth",
-        {"auto": Shorthand(Nonsmooth(), GAPS), "nonsmooth": Shorthand(Nonsmooth(global_bound=False))},
+        {"auto": Shorthand(Nonsmooth(), {**GAPS, **BOUND}), "nonsmooth": Shorthand(Nonsmooth(global_bound=False))},
     ),
 }
 
@@ -90,6 +91,7 @@ ONLY = {
     "gap": "linear dynamics have a 'tolerance'; searches over modes, and 'auto', have a gap to prove",
     "node_limit": "only a search over affine modes has nodes",
     "executor": "only 'branch_and_bound' has parts for it",
+    "global_bound": "only 'auto' over smooth pieces has one beside its search",
     "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
 }
 
@@ -152,8 +154,10 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
     saved = {option: getattr(method, option, None) for option in ("backend", "tolerance", "node_limit")}
     gap = getattr(method, "gap", None)
     tolerance = gap if gap != getattr(type(method), "gap", None) else saved["tolerance"]
-    limit = {} if saved["node_limit"] is None else {"node_limit": saved["node_limit"]}
-    return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **limit}
+    further: dict[str, object] = {} if saved["node_limit"] is None else {"node_limit": saved["node_limit"]}
+    if name == "auto" and not getattr(method, "global_bound", True):
+        further["global_bound"] = False
+    return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **further}
 
 
 def _for_others(name: str, family: Family) -> str:

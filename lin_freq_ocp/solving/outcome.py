@@ -104,7 +104,8 @@ class Outcome:
     direction : Direction or None
         If unbounded: the verified direction along which every constraint holds and the cost decreases without bound.
     options : dict
-        Keywords of solve: "method", "backend", "time_limit", "tolerance", and "node_limit" and "start" if given.
+        Keywords of solve: "method", "backend", "time_limit", "tolerance", and "node_limit", "start" and "global_bound"
+        if given.
     sequence : (T,) integers or None
         With modes: the mode at every time.
     tree : ModeTree or None

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.nonsmooth.newton import newton
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.smooth.solver import is_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -70,6 +71,8 @@ class Nonsmooth:
     takes_start: ClassVar[bool] = True
 
     def __post_init__(self):
+        if not isinstance(self.global_bound, bool):
+            raise UnsupportedError(f"global_bound: got {self.global_bound!r}; expected True or False.")
         if self.gap is not None and not self.global_bound:
             raise UnsupportedError(f"gap: got {self.gap!r} without a global bound; leave it out, or ask for the bound.")
 
@@ -121,6 +124,8 @@ def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     found = local.trajectory, multipliers, certificate
+    if certificate.pmp == "satisfied" and is_smooth(problem):
+        return found
     try:
         run = newton(problem, local.trajectory, multipliers, local.sequence)
     except UnsupportedError:
@@ -244,7 +249,9 @@ def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
     if search.message and (found is None or search.interrupted):
         return Status.LIMIT, search.message
     if found is None:
-        nearest = "" if search.best is None else f"; the nearest violates dynamics by {search.best.violation:.1e}"
+        nearest = ", where the dynamics are not defined"
+        if search.best is not None:
+            nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
     status = found[2].status_within(0.0)
     if status == Status.NUMERICAL_ERROR:

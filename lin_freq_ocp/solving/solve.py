@@ -28,11 +28,13 @@ def solve_judged(
     gap: float | None = None,
     node_limit: int | None = None,
     executor: Executor | None = None,
+    global_bound: bool | None = None,
 ) -> Outcome:
     """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``."""
     require_problem(problem)
     require_options(method, time_limit, backend, tolerance, gap, node_limit)
     options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor, "start": start}
+    options["global_bound"] = global_bound
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     outcome = found.solve(problem, Request(np.inf if time_limit is None else time_limit, progress, begin))

@@ -21,7 +21,11 @@ def offered(words, incomplete):
 @pytest.mark.parametrize("command", ["solve", "compare", "sweep", "certify", "show"])
 def test_problems_are_offered_by_name_and_files_beside_them(command):
     found = offered([command], "pend")
-    assert [one.value for one in found if one.type == "plain"] == ["pendulum", "pendulum_with_wall"]
+    assert [one.value for one in found if one.type == "plain"] == [
+        "pendulum",
+        "pendulum_with_wall",
+        "pendulum_swing_up",
+    ]
     assert [one.type for one in found if one.type != "plain"] == ["file"]
     assert "inverted pendulum" in found[1].help
     assert len(offered([command], "")) == len(lfo.library.PROBLEMS) + 1

@@ -84,7 +84,7 @@ def test_horizon_of_one_step_is_possible(name):
 def test_unknown_name_suggests_the_nearest():
     with pytest.raises(ProblemError, match=r"one of pendulum, .*Did you mean 'mass_chain'\?"):
         library.by_name("masschain")
-    with pytest.raises(ProblemError, match=r"buck_converter\.$"):
+    with pytest.raises(ProblemError, match=r"planar_quadrotor\.$"):
         library.by_name("zzz")
 
 

@@ -25,6 +25,7 @@ OPTIONS = {
     "node_limit": 3,
     "executor": ThreadPoolExecutor(1),
     "start": np.zeros((3, 1)),
+    "global_bound": False,
 }
 
 TAKEN = {
@@ -36,7 +37,7 @@ TAKEN = {
     ("piecewise-affine", "branch_and_bound"): {"tolerance", "gap", "node_limit", "executor", "start"},
     ("piecewise-affine", "enumerate"): {"tolerance", "gap", "node_limit"},
     ("piecewise-affine", "miqp"): {"backend", "tolerance", "gap", "node_limit"},
-    ("piecewise-smooth", "auto"): {"tolerance", "gap", "start"},
+    ("piecewise-smooth", "auto"): {"tolerance", "gap", "start", "global_bound"},
     ("piecewise-smooth", "nonsmooth"): {"start"},
 }
 

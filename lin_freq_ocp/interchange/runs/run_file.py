@@ -37,7 +37,7 @@ PROBLEM, ARRAYS, SOLUTION, RUN = "problem.toml", "problem" + ARRAYS_SUFFIX, "sol
 NUMBER = int | float | None
 OPTIONS = {
     **{"method": str, "backend": str, "time_limit": NUMBER, "tolerance": NUMBER, "node_limit": int | None},
-    "start": (list, dict),
+    **{"start": (list, dict), "global_bound": bool},
 }
 
 
@@ -50,7 +50,7 @@ class RunRecord:
     problem : OptimalControlProblem
         The same, to the last bit.
     options : dict
-        What solve was given: method, backend, time_limit and tolerance; node_limit and start if they were given.
+        What solve was given: method, backend, time_limit and tolerance; node_limit, start and global_bound if given.
     summary : dict or None
         What ``lin-freq-ocp solve --json`` prints of the result; None if there was none.
     solution : SavedSolution or None

@@ -10,9 +10,11 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import search_scale, stated_sizes
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
+from lin_freq_ocp.methods.smooth.barrier import End
+from lin_freq_ocp.methods.smooth.solver import is_smooth, smooth_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
@@ -20,6 +22,7 @@ from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
+SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -73,17 +76,23 @@ class LocalSearch:
         self._end = time.perf_counter() + self.seconds
         self._known: set[tuple[bytes, bytes]] = set()
         self._units = stated_sizes(self.problem)[1]
+        self._smooth = is_smooth(self.problem)
 
     def run(self) -> LocalSearch:
-        """Search from all starts, then improve the best."""
+        """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
             if self.start is not None:
-                self._try(self.start.trajectory or self._held(SHARES[0]), self.start.sequence)
+                self._try(self.start.trajectory or self._held(SHARES[0]), self.start.sequence, warm=True)
+                if self._smooth and self.best is not None and self.best.feasible:
+                    return self
             self._on_grid(None)
             for trajectory, sequence in self._starts():
-                if self._late():
+                found = self.best is not None and self.best.feasible
+                if self._late() or (self._smooth and found and self.tried >= SMOOTH_STARTS):
                     break
                 self._try(trajectory, sequence)
+            if self._smooth and self.best is not None and not self.best.feasible:
+                self._try(self.best.trajectory, self.best.sequence, warm=True)
             while not self._late() and (self._on_grid(self.best) or self._improved()):
                 pass
         except KeyboardInterrupt:
@@ -102,7 +111,7 @@ class LocalSearch:
         """Try the trajectory of a grid, with the frequency multipliers of a local optimum; return if it is better."""
         before = self.best
         constrained = self.problem.control_stop.any() or self.problem.state_stop.any()
-        if local is not None and (not constrained or not local.feasible):
+        if self._smooth or (local is not None and (not constrained or not local.feasible)):
             return False
         multipliers = None if local is None else local.multipliers
         for trajectory in grid_trajectories(self.problem, multipliers, self._end):
@@ -122,20 +131,36 @@ class LocalSearch:
                 return True
         return False
 
-    def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES) -> None:
+    def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
         key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes()
         if self._late() or key in self._known:
             return
         self._known.add(key)
         self.tried += 1
-        found = local_optimum(self.problem, start, sequence, prices, self._end)
+        found = self._optimum(start, sequence, prices, warm)
         if found is not None and (self.best is None or _better(self.problem, found, self.best)):
             self.best = found
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
             self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
 
+    def _optimum(
+        self, start: Trajectory, sequence: Indices, prices: Sequence[float], warm: bool
+    ) -> LocalOptimum | None:
+        if self._smooth:
+            try:
+                found, ended = smooth_optimum(self.problem, start, self._end, warm)
+            except UnsupportedError:  # too large for the structured method
+                self._smooth = False
+            else:
+                self.interrupted = ended is End.INTERRUPTED
+                return found
+        return local_optimum(self.problem, start, sequence, prices, self._end)
+
     def _late(self) -> bool:
+        if self.interrupted:
+            self.message = "interrupted"
+            return True
         if time.perf_counter() <= self._end:
             return False
         self.message = f"time limit of {self.seconds:g} s"

@@ -302,7 +302,12 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         def step(t: int, x: Array, u: Array) -> Array:
             if not np.isfinite(x).all():
                 return np.full_like(x, np.nan)
-            found = self.jets_at(np.append(x, u)[None])
+            y = np.append(x, u)[None]
+            if len(self.modes) == 1 and not self.modes[0].region:
+                after, domain = values_of(self.modes[0].f, y)[0], values_of(self.modes[0].domain, y)
+                if np.isfinite(after).all() and (domain > 0).all():
+                    return after
+            found = self.jets_at(y)
             defined = found.defined()[0]
             sizes = np.abs(np.append(x, u))
             for i in np.flatnonzero(defined):

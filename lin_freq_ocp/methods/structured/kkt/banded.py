@@ -17,6 +17,9 @@ from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
 
+CURVED = 1e-9
+"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
+
 
 def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
     """Return the matrix of all stages as LAPACK stores it for an LU factorisation, with 2n + k - 1 diagonals a side."""
@@ -62,6 +65,21 @@ def cholesky(S: Array) -> Array:
             L, info = lapack.dpotrf(S + np.diag(floor), lower=1, clean=1)
             floor *= 10
     return L
+
+
+def is_convex(A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+    """Whether all pivots of the Riccati recursion are above rounding."""
+    AB, n = np.concatenate([A, B], axis=2), A.shape[1]
+    P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
+    for t in range(len(A) - 1, -1, -1):
+        M = Phi[t] + AB[t].T @ (P @ AB[t])
+        L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
+        if info or not (np.diag(L) ** 2 > own[t, n:]).all():
+            return False
+        K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
+        P = M[:n, :n] - K.T @ K
+    L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1) if not fixed.all() else (np.zeros((0, 0)), 0)
+    return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
 
 
 class BandedRegulator(BlockRegulator):
@@ -121,6 +139,10 @@ class BandedLoops:
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
         """Factor the stages."""
         return BandedRegulator(A, B, Phi, fixed)
+
+    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+        """Return whether the problem is strictly convex on its dynamics."""
+        return is_convex(A, B, Phi, fixed)
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""

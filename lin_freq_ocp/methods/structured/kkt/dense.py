@@ -13,7 +13,7 @@ LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that roun
 class Cholesky:
     """M = D^-1 L L' D^-1, M shifted as far as it must be; only the lower triangle of M counts, and M is overwritten.
 
-    The factor of a matrix that is not finite is not finite either.
+    The factor of a matrix that is not finite is not finite either. ``definite``: M needed no more than the least shift.
     """
 
     def __init__(self, M: Array):
@@ -26,6 +26,7 @@ class Cholesky:
             shifted.flat[:: len(M) + 1] += shift
             self._upper, failed = lapack.dpotrf(shifted.T, lower=0, overwrite_a=1, clean=0)  # L'
             if not failed or not np.isfinite(shift):
+                self.definite = not failed and shift == LEAST_SHIFT
                 break
             shift *= 100
 

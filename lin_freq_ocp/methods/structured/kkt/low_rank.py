@@ -16,6 +16,9 @@ that of the response; hence the split.
 
 from __future__ import annotations
 
+from copy import copy
+from typing import ClassVar
+
 import numpy as np
 import scipy.linalg as la
 
@@ -24,6 +27,7 @@ from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
 from lin_freq_ocp.methods.structured.model.coupling import Balls
+from lin_freq_ocp.methods.structured.model.stages import Stages
 
 STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
 SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
@@ -47,6 +51,8 @@ def fine_rows(response: Response) -> Indices | None:
 class FineRows:
     """The side with rows of low rank."""
 
+    indefinite: ClassVar[bool] = False
+
     def __init__(self, response: Response, fine: Indices):
         self._response, coupling = response, response.coupling
         self._fine, self._plain = fine, np.setdiff1d(np.arange(coupling.count), fine)
@@ -57,7 +63,13 @@ class FineRows:
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
 
-    def factor(self, Phi: Array, compliance: Compliance) -> None:
+    def exchanged(self, stages: Stages) -> FineRows:
+        """Return the same for stages with other dynamics and Hessians."""
+        other = copy(self)
+        other._response = self._response.exchanged(stages)
+        return other
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
         J, e = self._response.gram(*self._gradients), len(self._plain)
@@ -76,6 +88,7 @@ class FineRows:
             T = gram(self._M.whitened(self._strong_H.T))
             Compliance(np.zeros(0), self._strong_blocks(compliance)).add_to(T)
             self._T = Cholesky(T)
+        return True
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""

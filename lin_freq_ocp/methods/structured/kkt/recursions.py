@@ -13,6 +13,7 @@ Interface:
     Regulator.solve(r, c, x0) -> y, eta, lam0
     Regulator.responses(channels, R, E) -> Y, X
     Regulator.gram(channels, R, E) -> -R'Y - E'X
+    Loops.is_convex(A, B, Phi, fixed) -> bool
     Loops.gram(H, G, weights, points, cones) -> Phi
     Loops.times(M, v) -> M_t v_t, Loops.transposed_times(M, v) -> M_t'v_t
     Loops.forward(A, B, c, breaks, starts, y) -> ends
@@ -61,6 +62,10 @@ class Loops(Protocol):
 
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> Regulator:
         """Factor the stages: A (T+1, n, n), B (T+1, n, k), Phi (T+1, nz, nz) positive semidefinite, fixed (n,)."""
+        ...
+
+    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+        """Return whether the problem of a regulator with a symmetric Phi is strictly convex on its dynamics."""
         ...
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:

@@ -34,8 +34,8 @@ class StepSystem:
     def __init__(self, system: System, side: Side):
         self.system, self._side, self._loops = system, side, system.loops
 
-    def factor(self) -> None:
-        """Factor at the present scalings."""
+    def factor(self) -> bool:
+        """Factor at the present scalings; return what the side says of convexity."""
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         diagonal = np.arange(Phi.shape[1])
@@ -45,7 +45,7 @@ class StepSystem:
         roots = [_root_of_values(cone) for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
-        self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
+        return self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
     def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
         """Return (y, z), by default refined as long as the residual falls."""

@@ -6,6 +6,8 @@ closed loop stable on long horizons of unstable dynamics.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
@@ -26,6 +28,12 @@ class Response:
         self._weights = np.zeros(stages.states)
         curvature = float(np.abs(np.einsum("tii->ti", stages.H[:-1])).max(initial=0.0))
         self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
+
+    def exchanged(self, stages: Stages) -> Response:
+        """Return the same for stages with other dynamics and Hessians."""
+        other = copy(self)
+        other.stages = stages
+        return other
 
     def factor(self, Phi: Array) -> None:
         """Factor the stages with Phi (T+1, n+k, n+k)."""

@@ -10,11 +10,12 @@ if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.methods.structured.model.stages import Stages
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,16 @@ class Step(NamedTuple):
 class Side(Protocol):
     """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
 
-    def factor(self, Phi: Array, compliance: Compliance) -> None:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
+    indefinite: ClassVar[
+        bool
+    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
+
+    def exchanged(self, stages: Stages) -> Side:
+        """Return the same for stages with other dynamics and Hessians."""
+        ...
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
         ...
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from typing import ClassVar
+
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
@@ -23,16 +26,25 @@ def stopped_side(stages: Stages, loops: Loops) -> Side:
 class StoppedSide:
     """The dense Schur complement on all rows that couple times."""
 
+    indefinite: ClassVar[bool] = False
+
     def __init__(self, response: Response):
         self._response, self._count = response, response.coupling.count
         self._rows = response.rows.gradients
 
-    def factor(self, Phi: Array, compliance: Compliance) -> None:
+    def exchanged(self, stages: Stages) -> StoppedSide:
+        """Return the same for stages with other dynamics and Hessians."""
+        other = copy(self)
+        other._response = self._response.exchanged(stages)
+        return other
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
         S = self._response.gram(*self._rows)
         compliance.add_to(S)
         self._schur = Cholesky(S)
+        return True
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""

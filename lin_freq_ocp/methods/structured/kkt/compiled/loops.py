@@ -20,6 +20,9 @@ from lin_freq_ocp.methods.structured.kkt.compiled.compilation import INDICES, RE
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
 
+CURVED = 1e-9
+"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
+
 
 @jit
 def cholesky(M: Array, size: int) -> None:
@@ -132,6 +135,30 @@ def factor(A: Array, B: Array, Phi: Array, free: Indices) -> tuple[Array, Array,
             P0[i, j] = P[0, free[i], free[j]]
     cholesky(P0, len(free))
     return K, L, Ac, P, P0
+
+
+@jit
+def is_convex(A: Array, B: Array, Phi: Array, free: Indices) -> bool:
+    """Whether all pivots of the recursion are above rounding."""
+    stages, n, k = B.shape
+    K, L, Ac = np.empty((k, n)), np.zeros((k, k)), np.empty((n, n))
+    P, after, PA, PB, UK = np.zeros((n, n)), np.zeros((n, n)), np.empty((n, n)), np.empty((n, k)), np.empty((k, n))
+    for t in range(stages - 1, -1, -1):
+        gains(A[t], B[t], Phi[t], after, K, L, Ac, PB)
+        for j in range(k):
+            if not L[j, j] * L[j, j] > CURVED * abs(Phi[t, n + j, n + j]):
+                return False
+        cost_to_go(Phi[t], after, K, Ac, UK, PA, P)
+        after[:] = P
+    P0 = np.zeros((len(free), len(free)))
+    for i in range(len(free)):
+        for j in range(i + 1):
+            P0[i, j] = P[free[i], free[j]]
+    cholesky(P0, len(free))
+    for i in range(len(free)):
+        if not P0[i, i] * P0[i, i] > CURVED * abs(Phi[0, free[i], free[i]]):
+            return False
+    return True
 
 
 @jit
@@ -316,6 +343,7 @@ def transposed_times(matrices: Array, vectors: Array) -> Array:
 KERNELS = Kernels(
     (__file__,),
     (factor, (*REALS[3:] * 3, INDICES)),
+    (is_convex, (*REALS[3:] * 3, INDICES)),
     (solve, (*REALS[3:] * 6, REALS[2], INDICES, REALS[2], REALS[2], REALS[1])),
     (gram, (REALS[3], REALS[3], REALS[2], REALS[2], INDICES)),
     (forward, (REALS[3], REALS[3], REALS[2], INDICES, REALS[2], WRITTEN[2])),
@@ -350,6 +378,10 @@ class CompiledLoops:
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> CompiledRegulator:
         """Factor the stages."""
         return CompiledRegulator(A, B, Phi, fixed)
+
+    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+        """Return whether the problem is strictly convex on its dynamics."""
+        return is_convex(A, B, Phi, np.flatnonzero(~fixed))
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""

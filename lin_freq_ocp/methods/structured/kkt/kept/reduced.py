@@ -19,6 +19,7 @@ COLUMNS = 128  # of M at once
 CACHED_BYTES = 3e8  # of the signals of the coefficients that are kept between steps
 PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
+RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
 
 
 class DenseReduced:
@@ -31,19 +32,23 @@ class DenseReduced:
         cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
         self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
 
-    def factor(self, Phi: Array, C: Array) -> None:
+    def factor(self, Phi: Array, C: Array) -> bool:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
         clipped, excess = self._noise.clipped(Phi)
         M, E = self._hessian(clipped), self._E
         self._exact = ~C.any(axis=1)
         held = E[self._exact]
-        self._weight = WEIGHT * float(np.diag(M).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
-        M += self._weight * (held.T @ held)
-        self._M = Cholesky(M)
+        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
+        for raised in RAISED:
+            self._weight = raised * size
+            self._M = Cholesky(M + self._weight * (held.T @ held))
+            if self._M.definite or not len(held):
+                break
         self._B = np.concatenate([rows_of(excess, self._space), E])
         self._MB = self._M.solve(self._B.T)
         self._C = la.block_diag(np.diag(1 / excess.weights), C)
         self._S = Cholesky(self._B @ self._MB + self._C)
+        return self._M.definite
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""

@@ -8,7 +8,7 @@ A reduced system is left of the step, with the rows E of space.py:
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from lin_freq_ocp.methods.structured.model.stages import Stages
 class Reduced(Protocol):
     """A way to solve the reduced system."""
 
-    def factor(self, Phi: Array, C: Array) -> None:
-        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows)."""
+    def factor(self, Phi: Array, C: Array) -> bool:
+        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is seen to be definite."""
         ...
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
@@ -36,20 +36,26 @@ class Reduced(Protocol):
 class KeptSide:
     """Stop bands hold exactly; what they leave is solved by ``reduced``."""
 
+    indefinite: ClassVar[bool] = True
+
     def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[KeptSpace], Reduced]):
-        self._stages, self._loops = stages, loops
+        self._stages, self._loops, self._solved_by = stages, loops, reduced
         bands, rest = sort_rows(stages)
         self._slacks = Slacks(stages, [band.entry for band in bands])
         self._space = KeptSpace(stages, self._slacks, bands, rest, loops)
         self._reduced = reduced(self._space)
 
-    def factor(self, Phi: Array, compliance: Compliance) -> None:
+    def exchanged(self, stages: Stages) -> KeptSide:
+        """Return the same for stages with other dynamics and Hessians."""
+        return KeptSide(stages, self._loops, self._solved_by)
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
         space = self._space
         C = np.zeros((space.row_count, space.row_count))
         compliance.add_to(C, space.chosen[space.chosen < len(compliance.rows)])
         self._Phi = self._slacks.reduced(Phi)
-        self._reduced.factor(self._Phi, C)
+        return self._reduced.factor(self._Phi, C)
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""

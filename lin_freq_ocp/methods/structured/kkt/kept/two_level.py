@@ -31,7 +31,7 @@ class TwoLevel:
         self._second = SecondLevel(space, float((held * held).sum(0).max(initial=0.0)))
         self.iterations: list[int] = []
 
-    def factor(self, Phi: Array, C: Array) -> None:
+    def factor(self, Phi: Array, C: Array) -> bool:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
         self._clipped, self._excess = self._noise.clipped(Phi)
         self._second.factor(self._clipped)
@@ -41,6 +41,7 @@ class TwoLevel:
         S = self._B @ self._PB.T
         self._C = la.block_diag(np.diag(1 / self._excess.weights), C)
         self._schur = Cholesky(S + self._C)
+        return False
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""
