@@ -1,0 +1,114 @@
+"""Time of a step of a control loop, beside the program that users write: CVXPY with a parameter for the state.
+
+    python scripts/benchmark_loop.py [--horizons 60 240] [--steps 60]
+
+One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
+not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+
+import cvxpy as cp
+import numpy as np
+from loop_cases import pendulum
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+import lin_freq_ocp as lfo
+
+NOISE = 1e-3
+"""Standard deviation of the disturbance of every state."""
+
+WIDTH = 110
+"""Columns of the table, also where it is written into a file."""
+
+Step = Callable[[np.ndarray], np.ndarray]
+
+
+def parametric(problem: lfo.OptimalControlProblem, solver: str) -> Step:
+    """Return a step of the same problem in CVXPY, compiled once, with the state as a parameter."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    x, u, start = cp.Variable((T + 1, n)), cp.Variable((T, m)), cp.Parameter(n)
+    cost, dynamics = problem.quadratic, problem.linear
+    roots = {name: np.linalg.cholesky(getattr(cost, name)) for name in ("Q", "R", "P")}
+    objective = cp.sum_squares(x[:T] @ roots["Q"]) + cp.sum_squares(u @ roots["R"]) + cp.sum_squares(x[T] @ roots["P"])
+    bounds, states = problem.control_tube, problem.state_boxes
+    constraints = [x[0] == start, x[1:] == x[:T] @ dynamics.A.T + u @ dynamics.B.T]
+    constraints += [u >= bounds.lower, u <= bounds.upper]
+    for i in range(n):
+        if np.isfinite(states.upper[1:, i]).all():
+            constraints += [x[1:, i] <= states.upper[1:, i], x[1:, i] >= states.lower[1:, i]]
+    stopped = np.flatnonzero(problem.control_stop[:, 0])
+    if len(stopped):
+        angle = 2 * np.pi * np.outer(stopped, np.arange(T)) / T
+        constraints += [np.cos(angle) @ u[:, 0] == 0, np.sin(angle[stopped != T / 2]) @ u[:, 0] == 0]
+    program = cp.Problem(cp.Minimize(objective / 2), constraints)
+
+    def step(state: np.ndarray) -> np.ndarray:
+        start.value = state
+        program.solve(solver=solver, warm_start=True)
+        return np.zeros(m) if u.value is None else u.value[0]
+
+    return step
+
+
+def contenders(problem: lfo.OptimalControlProblem) -> dict[str, Step]:
+    """Return a step of each contender, by its name."""
+    ours = {name: lfo.RecedingHorizon(problem, name) for name in ("spectral", "structured", "convex")}
+    return {name: controller.step for name, controller in ours.items()} | {
+        f"CVXPY, {solver}": parametric(problem, solver) for solver in ("CLARABEL", "OSQP")
+    }
+
+
+def measured(problem: lfo.OptimalControlProblem, steps: int, seed: int) -> list[list[str]]:
+    """Return a row of text for each contender."""
+    rng, found = np.random.default_rng(seed), contenders(problem)
+    x, step = problem.initial_box.lower, problem.dynamics.stepper(1)
+    times = {name: list[float]() for name in found}
+    controls = {name: list[np.ndarray]() for name in found}
+    for _ in range(steps):
+        for name, one in found.items():
+            began = time.perf_counter()
+            controls[name].append(one(x))
+            times[name].append(1e3 * (time.perf_counter() - began))
+        x = step(0, x, controls["spectral"][-1]) + NOISE * rng.standard_normal(len(x))
+    rows: list[list[str]] = []
+    for name, one in found.items():
+        controller = getattr(one, "__self__", None)
+        certify = 0.0 if controller is None else 1e3 * float(np.median(controller.log.certify_seconds[1:]))
+        own = float(np.median(times[name][1:])) - certify
+        apart = np.abs(np.array(controls[name]) - controls["spectral"]).max() / problem.control_tube.upper.max()
+        gap = "" if controller is None else f"{controller.log.gaps.max():.0e}"
+        rows.append([name, f"{own:.2f}", f"{certify:.2f}" if controller else "", gap, f"{apart:.0e}"])
+    return rows
+
+
+def main() -> int:
+    """Measure the steps and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--horizons", type=int, nargs="+", default=[60, 240])
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    table = Table("problem", "contender", title="a step of a control loop, warm")
+    for column in ("ms", "certificate, ms", "gap", "agreement"):
+        table.add_column(column, justify="right")
+    with threadpool_limits(1):
+        for horizon in options.horizons:
+            for low_pass in (False, True):
+                what = f"pendulum, T = {horizon}{', low pass' if low_pass else ''}"
+                for row in measured(pendulum(horizon, low_pass), options.steps, options.seed):
+                    table.add_row(what, *row)
+                    what = ""
+    Console(width=WIDTH).print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""Problems of control loops: the pendulum and random plants, with bounds, bands and windows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import lin_freq_ocp as lfo
+
+ARRIVAL = np.diag([10.0, 100.0, 1.0, 1.0])  # the pendulum's terminal weights
+
+
+def pendulum(horizon: int, low_pass: bool = False) -> lfo.OptimalControlProblem:
+    """Return the pendulum with a terminal cost in place of its end, with its bounds and, if asked, its low pass."""
+    base = lfo.library.pendulum(horizon=horizon)
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 10.0, 0.1, 0.1]), R=0.1, P=ARRIVAL)
+    spectrum = base.control_spectrum if low_pass else None
+    return replace(base, cost=cost, terminal_state=None, control_spectrum=spectrum)
+
+
+def windowed(horizon: int) -> lfo.OptimalControlProblem:
+    """Return a double integrator with bounded windows of its control."""
+    mask = lfo.MagnitudeBound(0.4, band=lfo.low_pass(1.2), window="hann")
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
+    return lfo.OptimalControlProblem(
+        dynamics,
+        horizon,
+        lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.1, P=np.diag([10.0, 5.0])),
+        control_set=lfo.Box(-1, 1),
+        initial_state=[1.0, 0.0],
+        control_spectrum=lfo.spectrum.Spectrogram(mask, length=16, hop=4, past=np.zeros((16, 1))),
+    )
+
+
+def random_plant(seed: int, horizon: int) -> lfo.OptimalControlProblem:
+    """Return a random stable or slightly unstable plant with bounds on controls and states."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(2, 5)), int(rng.integers(1, 3))
+    A = rng.standard_normal((n, n))
+    A *= rng.uniform(0.7, 1.05) / np.abs(np.linalg.eigvals(A)).max()
+    units = 10.0 ** rng.uniform(-3, 3, n)
+    dynamics = lfo.LinearDynamics(units[:, None] * A / units, units[:, None] * rng.standard_normal((n, m)))
+    weights = rng.uniform(0.1, 1.0, n) / units**2
+    return lfo.OptimalControlProblem(
+        dynamics,
+        horizon,
+        lfo.QuadraticCost(Q=np.diag(weights), R=0.1, P=np.diag(10 * weights)),
+        control_set=lfo.Box(-0.5, 0.5),
+        state_set=lfo.Box(-3 * units, 3 * units),
+        initial_state=units * rng.uniform(-1, 1, n),
+    )
