@@ -28,6 +28,7 @@ leave_silently()
 if TYPE_CHECKING:
     from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
     from lin_freq_ocp.api.compare import compare
+    from lin_freq_ocp.api.many import Solver, solve_many
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.solve import solve
     from lin_freq_ocp.api.sweep import sweep
@@ -62,6 +63,7 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 # The module of every name of everyday use.
 _HOMES = {
     "api.compare": "compare",
+    "api.many": "Solver solve_many",
     "api.receding_horizon": "RecedingHorizon",
     "api.solve": "solve",
     "api.sweep": "sweep",
@@ -85,11 +87,11 @@ _MODULES = {name: module for module, names in _HOMES.items() for name in names.s
 # fmt: off
 __all__ = [
     "AffineMode", "Box", "DifferentiableFunction", "LinearDynamics", "MagnitudeBound", "OptimalControlProblem",
-    "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "SpectralSolver",
-    "StageRows", "Trajectory", "certify", "compare", "costs", "dynamics", "errors", "explain", "formulas",
-    "from_casadi", "from_time_response", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum",
-    "minimum", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",
-    "simulate", "solve", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
+    "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "Solver",
+    "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs", "dynamics", "errors", "explain",
+    "formulas", "from_casadi", "from_time_response", "io", "library", "load", "load_run", "load_sweep", "low_pass",
+    "maximum", "minimum", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",
+    "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on
 

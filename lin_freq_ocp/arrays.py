@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -115,6 +115,16 @@ def positive_number(field: str, value: object) -> float:
     if number.ndim or number <= 0:
         raise ProblemError(field, brief(value), "one number above zero")
     return float(number)
+
+
+def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, Any]:
+    """Require a mapping without other keys than these; None is empty."""
+    if given is not None and not isinstance(given, Mapping):
+        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
+    for key in given or {}:
+        if key not in keys:
+            raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
+    return dict(given or {})
 
 
 def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:

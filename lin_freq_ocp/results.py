@@ -2,6 +2,7 @@
 
 from lin_freq_ocp.analysis.sensitivities import Sensitivities
 from lin_freq_ocp.api.compare import Comparison
+from lin_freq_ocp.api.many import Solutions
 from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
@@ -23,6 +24,7 @@ __all__ = [
     "SavedRun",
     "SavedSolution",
     "Sensitivities",
+    "Solutions",
     "Status",
     "Sweep",
     "Trajectory",

@@ -10,6 +10,7 @@ from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 
@@ -110,10 +111,14 @@ def solve(
     started = time.perf_counter()
     limits = backend, tolerance, gap, node_limit
     outcome = solve_judged(problem, method, time_limit, progress, start, *limits, executor, global_bound)
+    return answered(outcome, throw, None if time_limit is None else time_limit - (time.perf_counter() - started))
+
+
+def answered(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
+    """Return an outcome as a result; with ``throw``, raise the error of a status that is no answer, and explain it."""
     result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
-        left = EXPLAIN_SECONDS if time_limit is None else time_limit - (time.perf_counter() - started)
-        result = explained(result, min(left, EXPLAIN_SECONDS))
+        result = explained(result, EXPLAIN_SECONDS if seconds_left is None else min(seconds_left, EXPLAIN_SECONDS))
     if throw:
         raise_for(result)
     return result

@@ -10,10 +10,10 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.costs.quadratic import Cost
+from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -82,6 +82,8 @@ class OptimalControlProblem(ProblemData):
     -------
     with_ends(initial_state, terminal_state)
         The same problem between other ends.
+    with_references(references)
+        The same problem with other references.
     with_modes(sequence)
         The linear problem of one mode sequence.
     value(x, u)
@@ -162,6 +164,27 @@ class OptimalControlProblem(ProblemData):
         if not boxes or outside or any(term.kind == TermKind.STATE_SET for term in self.terms):  # other terms: no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
+        return problem
+
+    def with_references(self, references: Mapping[str, ArrayLike]) -> OptimalControlProblem:
+        """Return the same problem with other references of its quadratic cost.
+
+        Parameters
+        ----------
+        references : mapping
+            "x_ref" and "u_ref", as in QuadraticCost; what is absent stays.
+
+        Raises
+        ------
+        ProblemError
+            If a key is unknown, a reference does not fit the problem, or the cost is not quadratic alone.
+        """
+        given = known_entries("references", references, ("x_ref", "u_ref"))
+        if not isinstance(self.cost, QuadraticCost):
+            raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a QuadraticCost")
+        problem = copy(self)
+        cost = replace(self.cost, **given).at_dimensions(self.state_dim, self.control_dim, self.horizon)
+        assign(problem, cost=cost)
         return problem
 
     @property

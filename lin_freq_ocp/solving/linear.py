@@ -20,6 +20,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.choice import structured_first
 from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
+from lin_freq_ocp.solving.kept import in_given_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
@@ -112,12 +113,13 @@ class Spectral:
         excluded = _excluded_at_ends(problem, "spectral", self.tolerance)
         if excluded is not None:
             return excluded
-        rows = row_form(problem)
-        solver = SpectralSolver(rows.problem)
-        candidate: Candidate = solver.solve(tolerance=self.tolerance, time_limit=_left(end))
-        if rows.polyhedra:
-            found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
-            candidate = replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
+        if request.again is None:
+            rows = row_form(problem)
+            found = SpectralSolver(rows.problem).solve(tolerance=self.tolerance, time_limit=_left(end))
+            candidate = in_given_form(rows, found)
+        else:
+            kept, change = request.again
+            candidate = kept.spectral(change, self.tolerance, _left(end))
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
         if candidate.status == "unbounded" and candidate.descent is None:  # the sparse program has a direction
@@ -153,7 +155,9 @@ class Structured:
         if excluded is not None:
             return excluded
         first, doubtful, certified = None, False, 0.0
-        for candidate in solve_structured(problem, self.tolerance, _left(end), partial(_excluding, problem)):
+        assembly = None if request.again is None else request.again[0].assembly(problem)
+        excludes = partial(_excluding, problem)
+        for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, assembly=assembly):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             if candidate.status == "unbounded":
                 candidate = _if_feasible(problem, candidate, _left(end))

@@ -20,8 +20,8 @@ from lin_freq_ocp.comparison.sweep.grid import (
     point_key,
     require_picklable,
 )
-from lin_freq_ocp.comparison.sweep.point import Row, solve_point
-from lin_freq_ocp.comparison.sweep.tasks import finished
+from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
+from lin_freq_ocp.comparison.sweep.tasks import Work, finished
 from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.solving.solve import require_options
 
@@ -135,6 +135,7 @@ def swept(
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
     head = SweepHead(_name(problem), fingerprint(problem), tuple(values), options)
     rows, interrupted = dict[str, Row](), False
+    work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED)
 
     def report() -> None:
         if progress is not None:
@@ -146,7 +147,7 @@ def swept(
         missing = {key: point for key, point in points.items() if key not in rows}
         try:
             report()
-            with closing(finished(partial(solve_point, problem, options), missing, executor)) as results:
+            with closing(finished(work, missing, executor)) as results:
                 for key, row in results:
                     if record is not None:
                         record.append(row)

@@ -1,4 +1,4 @@
-"""The points of a sweep on an executor, as they finish; a point that is lost with its worker is given out again."""
+"""Tasks on an executor, as they finish; what is lost with its worker is given out again."""
 
 from __future__ import annotations
 
@@ -7,23 +7,34 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
 from queue import SimpleQueue
-from typing import ParamSpec, TypeVar
+from typing import Generic, ParamSpec, TypeVar
 
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.comparison.sweep.grid import Parameters
-from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
+from lin_freq_ocp.solving import solve
 
 RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason
 P = ParamSpec("P")
 R = TypeVar("R")
-Task = Callable[[Parameters, int], Row]  # solves one point, given how often it was lost before
-Finished = Generator[tuple[str, Row]]  # keys and rows, in the order in which they finish
+Given = TypeVar("Given")
+Answer = TypeVar("Answer")
 
 
-def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | None) -> Finished:
-    """Solve points on an executor; without one, one after another in this process.
+@dataclass(frozen=True)
+class Work(Generic[Given, Answer]):
+    """What is done: the task, given how often it was lost before; the answer if it is lost; whether it was stopped."""
+
+    task: Callable[[Given, int], Answer]
+    lost: Callable[[Given, str], Answer]
+    interrupted: Callable[[Answer], bool]
+
+
+def finished(
+    work: Work[Given, Answer], points: Mapping[str, Given], executor: Executor | None
+) -> Generator[tuple[str, Answer]]:
+    """Do the work at all points on an executor; without one, one after another in this process.
 
     The task itself raises nothing, so an exception of a future means that its point was lost. If the executor takes no
     more work, like a process pool once a worker has died, a warning says so, and the remaining points are solved one
@@ -33,12 +44,12 @@ def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | 
     """
     if executor is None:
         for key, parameters in points.items():
-            row = task(parameters, 0)
-            if row["status"] == INTERRUPTED:
+            answer = work.task(parameters, 0)
+            if work.interrupted(answer):
                 raise KeyboardInterrupt
-            yield key, row
+            yield key, answer
         return
-    left = yield from _on(executor, task, points)
+    left = yield from _on(executor, work, points)
     if left:
         warnings.warn(
             f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
@@ -46,7 +57,7 @@ def finished(task: Task, points: Mapping[str, Parameters], executor: Executor | 
             RuntimeWarning,
             stacklevel=3,
         )
-        yield from _apart(task, left)
+        yield from _apart(work, left)
 
 
 class WorkerPool(ProcessPoolExecutor):
@@ -73,7 +84,7 @@ def process_pool(workers: int) -> WorkerPool:
     """Return fresh worker processes; where the system can fork, of one process that has imported the package."""
     if "forkserver" in get_all_start_methods():
         context = get_context("forkserver")
-        context.set_forkserver_preload(["__main__", solve_point.__module__])
+        context.set_forkserver_preload(["__main__", solve.__name__])
         resource_tracker.ensure_running()  # which would unblock Ctrl-C again, if it were started below
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # inherited by the processes
         try:
@@ -86,15 +97,15 @@ def process_pool(workers: int) -> WorkerPool:
 
 
 def _on(
-    executor: Executor, task: Task, points: Mapping[str, Parameters]
-) -> Generator[tuple[str, Row], None, dict[str, Parameters]]:
-    """Solve points on an executor; return those that it did not take."""
-    done, running = SimpleQueue[Future[Row]](), dict[Future[Row], str]()
-    losses, left = Counter[str](), dict[str, Parameters]()
+    executor: Executor, work: Work[Given, Answer], points: Mapping[str, Given]
+) -> Generator[tuple[str, Answer], None, dict[str, Given]]:
+    """Do the work on an executor; return the points that it did not take."""
+    done, running = SimpleQueue[Future[Answer]](), dict[Future[Answer], str]()
+    losses, left = Counter[str](), dict[str, Given]()
 
     def submit(key: str) -> None:
         try:
-            future = executor.submit(task, points[key], losses[key])
+            future = executor.submit(work.task, points[key], losses[key])
         except Exception:  # broken, shut down, disconnected: the exception depends on the executor
             left[key] = points[key]
             return
@@ -106,18 +117,18 @@ def _on(
             submit(key)
         while running:
             future = done.get()
-            key, outcome = running.pop(future), _outcome(future)
-            if not isinstance(outcome, str):
+            key, outcome = running.pop(future), _outcome(work, future)
+            if not isinstance(outcome, Lost):
                 yield key, outcome
                 continue
             losses[key] += 1
             if losses[key] > RESUBMISSIONS:
-                yield key, _lost(points[key], outcome)
+                yield key, _given_up(work, points[key], outcome)
             else:
                 submit(key)
     except KeyboardInterrupt:
         for future, key in running.items():
-            if future.done() and not isinstance(outcome := _outcome(future), str):
+            if future.done() and not isinstance(outcome := _outcome(work, future), Lost):
                 yield key, outcome
         raise
     finally:
@@ -126,38 +137,45 @@ def _on(
     return left
 
 
-def _apart(task: Task, points: Mapping[str, Parameters]) -> Finished:
-    """Solve points one after another in a process of their own, a new one whenever it dies."""
+def _apart(work: Work[Given, Answer], points: Mapping[str, Given]) -> Generator[tuple[str, Answer]]:
+    """Do the work one after another in a process of its own, a new one whenever it dies."""
     pool = process_pool(1)
     try:
         for key, parameters in points.items():
-            outcome: Row | str = ""
+            outcome: Answer | Lost = Lost("")
             for attempt in range(1 + RESUBMISSIONS):
                 try:
-                    outcome = _outcome(pool.submit(task, parameters, attempt))
+                    outcome = _outcome(work, pool.submit(work.task, parameters, attempt))
                 except BrokenExecutor as error:
-                    outcome = type(error).__name__
-                if not isinstance(outcome, str):
+                    outcome = Lost(type(error).__name__)
+                if not isinstance(outcome, Lost):
                     break
                 pool.shutdown()
                 pool = process_pool(1)
-            yield key, _lost(parameters, outcome) if isinstance(outcome, str) else outcome
+            yield key, _given_up(work, parameters, outcome) if isinstance(outcome, Lost) else outcome
     except BaseException:  # Ctrl-C, or the generator was closed
         pool.abandon()
         raise
     pool.shutdown()
 
 
-def _outcome(future: Future[Row]) -> Row | str:
-    """Return the row of a future, waiting for it, or in words why there is none."""
+@dataclass(frozen=True)
+class Lost:
+    """Why there is no answer, in words."""
+
+    reason: str
+
+
+def _outcome(work: Work[Given, Answer], future: Future[Answer]) -> Answer | Lost:
+    """Return the answer of a future, waiting for it, or why there is none."""
     try:
-        row = future.result()
+        answer = future.result()
     except CancelledError:
-        return "cancelled"
+        return Lost("cancelled")
     except Exception as error:
-        return f"{type(error).__name__}: {error}"
-    return INTERRUPTED if row["status"] == INTERRUPTED else row
+        return Lost(f"{type(error).__name__}: {error}")
+    return Lost("interrupted") if work.interrupted(answer) else answer
 
 
-def _lost(parameters: Parameters, reason: str) -> Row:
-    return failed_point(parameters, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {reason}")
+def _given_up(work: Work[Given, Answer], given: Given, lost: Lost) -> Answer:
+    return work.lost(given, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {lost.reason}")

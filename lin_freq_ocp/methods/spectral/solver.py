@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import positive_number
+from lin_freq_ocp.arrays import Array, known_entries, positive_number
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, 
 from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
 from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, residuals, trajectory
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
+from lin_freq_ocp.methods.spectral.algorithm.together import Together, fits, solve_together
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
@@ -170,6 +171,29 @@ class SpectralSolver:
             first = None if warm_start is None else warm_start.active
             return self._solved(problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started)
 
+    def solve_together(self, initial_states: Array) -> Together | None:
+        """Solve from initial states (N, n) at once; None where joint rows, state bands, or many values prevent it.
+
+        The answers are claims without residuals, whose problems are this one but for the initial state.
+        """
+        if not fits(self._structure) or np.isnan(self._lti.start).any():
+            return None
+        if self._last_rows is None:
+            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
+        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
+            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
+            if self._ends_model is None:
+                return None
+            stop, rows = deadline(None, interrupt.is_set), self._last_rows
+            state, starts = (self._structure, self._ends_model, self._units), initial_states / self._units.x
+
+            def failed(i: int) -> None:
+                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tol.VIOLATION_TOLERANCE, stop)
+
+            answer = solve_together(*state, initial_states, rows, tol.VIOLATION_TOLERANCE, stop, failed)
+            self._last_rows = answer.rows
+            return replace(answer, interrupted=interrupt.is_set())
+
     def _solved(
         self,
         problem: OptimalControlProblem,
@@ -215,6 +239,7 @@ class SpectralSolver:
         self._coarser: dict[int, Structure] = {}
         self._solves = 0
         self._ends_model: EndsModel | None = None
+        self._last_rows: Rows | None = None
         self.setup_seconds = time.perf_counter() - started
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
@@ -271,9 +296,11 @@ class SpectralSolver:
         bounds: Mapping[str, object] | None,
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
-        changes = _known("bounds", bounds, ("state_set", "control_set"))
+        changes = known_entries("bounds", bounds, ("state_set", "control_set"))
         if references:
-            changes["cost"] = replace(self.problem.quadratic, **_known("references", references, ("x_ref", "u_ref")))
+            changes["cost"] = replace(
+                self.problem.quadratic, **known_entries("references", references, ("x_ref", "u_ref"))
+            )
         problem = replace(self.problem, **changes) if changes else self.problem
         moved = initial_state is not None or terminal_state is not None
         if moved:
@@ -321,12 +348,3 @@ class SpectralSolver:
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
-
-
-def _known(field: str, given: Mapping[str, object] | None, keys: tuple[str, ...]) -> dict[str, object]:
-    if given is not None and not isinstance(given, Mapping):
-        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
-    for key in given or {}:
-        if key not in keys:
-            raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
-    return dict(given or {})

@@ -35,18 +35,19 @@ def solve_structured(
     time_limit: float | None = None,
     excludes: Callable[[Multipliers], bool] = lambda ray: False,
     compiled: bool | None = None,
+    assembly: Assembly | None = None,
 ) -> Iterator[Candidate]:
     """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
     ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
-    compiled (see ``loops``). UnsupportedError if the cost is not convex, or the problem has a term that does not fit,
-    or too many rows that couple times.
+    compiled (see ``loops``); ``assembly`` are the problem's stages, if they are known. UnsupportedError if the cost is
+    not convex, or the problem has a term that does not fit, or too many rows that couple times.
     """
     require_convex(problem)
     _require_memory(problem)
     started = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit
-    assembly, recursions = stages_of(problem), loops(compiled, patient=time_limit is None)
+    assembly, recursions = assembly or stages_of(problem), loops(compiled, patient=time_limit is None)
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
     setup = time.perf_counter() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, verified
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, Unforced, prepare, unforced
 from lin_freq_ocp.methods.spectral.model.lti import Lti
@@ -38,10 +38,10 @@ class EndsModel:
             ends[self._fixed] = p
             data.append(prepare(structure, lti.at_points(*np.split(ends, [n]))))
             values.append(unforced(structure, data[-1], violations, whole))
-        self._linear = data[0].linear
+        self.linear = data[0].linear
         self._base = _affine([one.base.view(np.float64) for one in data])
         self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
-        self._step, self._values = _affine([one.step for one in values]), _affine([one.values for one in values])
+        self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
 
     def at(self, lti: Lti) -> tuple[Data, Unforced] | None:
         """Return the data between other ends, and the unforced step and values; None if x_T has another set."""
@@ -52,9 +52,17 @@ class EndsModel:
         ):
             return None
         p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
-        h, e, step, values = (p @ part for part in (self._h, self._e, self._step, self._values))
-        base = np.tensordot(p, self._base, 1).view(np.complex128)
-        return Data(lti, base, self._linear, h, e), Unforced(step, values)
+        h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
+        return Data(lti, self.spectra(p), self.linear, h, e), Unforced(step, values)
+
+    def parameters(self, starts: Array) -> Array:
+        """Return (1, p) of initial states (N, n) with the end of ``lti``, (N, 1 + count)."""
+        end = self.lti.end[~np.isnan(self.lti.end)]
+        return np.hstack([np.ones((len(starts), 1)), starts, np.tile(end, (len(starts), 1))])
+
+    def spectra(self, p: Array) -> ComplexArray:
+        """Return the spectrum of y without forces and border variables, (..., n+m, bins), for (1, p)."""
+        return np.tensordot(p, self._base, 1).view(np.complex128)
 
     def keep(self, ray: Ray) -> None:
         """Keep a ray of working rows: whether it proves that a problem is infeasible depends on its ends alone."""
@@ -64,13 +72,20 @@ class EndsModel:
     def refuting(self, data: Data, known: Unforced) -> Ray | None:
         """Return a kept ray that proves that a problem is infeasible, with the rows' values without multipliers."""
         for ray in self._rays:
-            rows = ray.working
-            index = self.whole.flat_indices(rows.t, rows.f)
-            if rows.weights @ (rows.limits(data.lti) - rows.sign * known.values[index]) < 0:
-                found = verified(self._structure, data, rows, ray.multipliers)
+            if self._points_at(ray, known.values):
+                found = verified(self._structure, data, ray.working, ray.multipliers)
                 if found is not None:
                     return found
         return None
+
+    def may_refute(self, values: Array) -> bool:
+        """Whether a kept ray probably proves that a problem with these values without multipliers is infeasible."""
+        return any(self._points_at(ray, values) for ray in self._rays)
+
+    def _points_at(self, ray: Ray, values: Array) -> bool:
+        rows = ray.working
+        index = self.whole.flat_indices(rows.t, rows.f)
+        return float(rows.weights @ (rows.limits(self.lti) - rows.sign * values[index])) < 0
 
 
 def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import schur
@@ -209,6 +210,19 @@ class BinSpaces:
         unit = self.lti.curvature_unit
         smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
         return unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
+
+    @cached_property
+    def adjoint_map(self) -> ComplexArray:
+        """The map from spectra of gradients to those of eta without singular directions, (n, n+m, bins)."""
+        n, total, bins = self.lti.state_dim, len(self.lti.M), len(self.z)
+        matrix = np.zeros((n, total, bins), dtype=np.complex128)
+        for j in range(total):
+            unit = np.zeros((total, bins), dtype=np.complex128)
+            unit[j] = 1.0
+            with np.errstate(all="ignore"):
+                matrix[:, j] = -self.resolvent.apply_adjoint(self.z, unit[:n])
+            matrix[:, j, self.near.k] = -self.near.adjoint(unit[:, self.near.k])
+        return matrix
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""

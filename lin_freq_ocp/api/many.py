@@ -1,0 +1,188 @@
+"""solve_many() and Solver as users call them: one problem, again and again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from os import PathLike
+from typing import final
+
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.solve import answered
+from lin_freq_ocp.comparison.many.many import ManyHead, ManyOutcome, References, solved_many
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.interchange.runs.many_file import ManyFile
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.solving.kept import Change
+from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.repeated import Repeated
+
+
+class Solver:
+    """One problem, solved again and again from other initial states, to other ends or with other references.
+
+    What does not depend on them is set up once, and kept: the bins, kernels and last working set of the Fourier-domain
+    method, the stages of the structured method. An answer is what ``lfo.solve`` would find, with its certificate.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    method : str or Method
+        As for ``lfo.solve``; "spectral", "structured" and "auto" of linear dynamics are set up once, others each time.
+    tolerance : float, optional
+        As for ``lfo.solve``.
+
+    Raises
+    ------
+    UnsupportedError
+        If the method does not exist or is not for these dynamics.
+
+    References
+    ----------
+    docs/spectral.md and docs/structured.md, "again and again".
+
+    Examples
+    --------
+    >>> solver = lfo.Solver(lfo.library.pendulum())
+    >>> solver.solve(initial_state=[-0.14, 0.1, 0, 0]).status
+    'optimal'
+    """
+
+    def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
+        self._repeated = Repeated(problem, method, tolerance)
+
+    @property
+    def problem(self) -> OptimalControlProblem:
+        """Return the problem with its own ends and references."""
+        return self._repeated.problem
+
+    def solve(
+        self,
+        initial_state: ArrayLike | ConvexSet | None = None,
+        terminal_state: ArrayLike | ConvexSet | None = None,
+        references: Mapping[str, ArrayLike] | None = None,
+        time_limit: float | None = None,
+        throw: bool = True,
+    ) -> Result:
+        """Solve, with other ends and references than the problem's own where given, and judge the answer.
+
+        Parameters
+        ----------
+        initial_state, terminal_state : (n,) or set, optional
+            Fixed and free components stay what they are in the problem.
+        references : mapping, optional
+            "x_ref" and "u_ref", as in QuadraticCost.
+        time_limit, throw
+            As for ``lfo.solve``. ``result.seconds`` has "solve" and "certify" apart.
+
+        Returns
+        -------
+        Result
+
+        Raises
+        ------
+        ProblemError
+            If an end or a reference does not fit the problem.
+        SolveError
+            As for ``lfo.solve``.
+        """
+        outcome = self._repeated.solve(Change(initial_state, terminal_state, references), time_limit)
+        return answered(outcome, throw, time_limit)
+
+
+@final
+class Solutions(ManyOutcome):
+    """The answers to many problems that differ in initial state and references, with the fields of ``ManyOutcome``.
+
+    ``solutions[i]`` is the full result of one of them, with multipliers and certificate: it is solved once more.
+
+    Methods
+    -------
+    controls, states, costs, gaps, statuses, messages
+        Arrays over all problems, and how each ended.
+    proven
+        Whether all are solved, and proven.
+
+    Examples
+    --------
+    >>> solutions = lfo.solve_many(lfo.library.double_integrator(), [[0, 0], [0.1, 0]])
+    >>> solutions.controls.shape, solutions.proven
+    ((2, 200, 1), True)
+    """
+
+    def __getitem__(self, i: int) -> Result:
+        change = self.changes[i]
+        if isinstance(change, ProblemError):
+            raise change
+        return answered(self.again.solve(change), throw=False)
+
+
+def solve_many(
+    problem: OptimalControlProblem,
+    initial_states: ArrayLike | Sequence[ArrayLike] | None = None,
+    references: References | Sequence[References] | None = None,
+    executor: Executor | None = None,
+    path: str | PathLike[str] | None = None,
+    method: str | Method = "auto",
+    time_limit: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Solutions:
+    """Solve one problem from many initial states, or for many references, and judge every answer.
+
+    What they share is set up once, and each begins with the answer of one near it. Where the Fourier-domain method
+    applies, signals, multipliers and the judge's bound are computed for many at once: an answer counts as optimal if
+    its cost is within 1e-6 of a rigorous bound and no constraint is broken; ``solutions[i]`` says the rest.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    initial_states : (N, n), or a sequence of (n,), optional
+        An entry of a sequence that is no state is an answer of its own, with the status "error".
+    references : mapping, or a sequence of N mappings, optional
+        "x_ref" and "u_ref", as in QuadraticCost: for all, or one for each.
+    executor : concurrent.futures.Executor, optional
+        Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
+        Default: in this process. It is not shut down. What is lost with a worker is repeated.
+    path : path, optional
+        A file that gets a line per answer. If it exists already, its answers are not computed again, but for errors.
+    method : str or Method
+        As for ``solve``.
+    time_limit : float, optional
+        Seconds, for each.
+    progress : callable, optional
+        Called with the numbers of finished and of all problems. Default: a line on a terminal, else nothing.
+
+    Returns
+    -------
+    Solutions
+        After Ctrl-C: what was found until then, and ``interrupted``.
+
+    Raises
+    ------
+    ProblemError
+        If an array has a wrong shape, nothing is a state, or the file belongs to something else.
+    UnsupportedError
+        If the method does not exist or is not for these dynamics.
+
+    Examples
+    --------
+    >>> solutions = lfo.solve_many(lfo.library.pendulum(), [[-0.15, 0.1, 0, 0], [-0.14, 0.1, 0, 0]])
+    >>> solutions.statuses, solutions.costs.round()
+    (('optimal', 'optimal'), array([3199., 3281.]))
+    """
+
+    def record(head: ManyHead) -> AbstractContextManager[ManyFile | None]:
+        return nullcontext() if path is None else ManyFile(path, head)
+
+    tell = progress or (_on_terminal if sys.stderr.isatty() else lambda done, count: None)
+    found = solved_many(problem, initial_states, references, executor, method, time_limit, record, tell)
+    return shown_as(Solutions, found)
+
+
+def _on_terminal(done: int, count: int) -> None:
+    print(f"\r{done} of {count} solved", end="\n" if done == count else "", file=sys.stderr, flush=True)

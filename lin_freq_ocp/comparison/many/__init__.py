@@ -1,0 +1,1 @@
+"""One problem from many initial states, or for many references."""

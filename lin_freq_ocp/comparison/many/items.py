@@ -1,0 +1,121 @@
+"""Some of many problems that differ in initial state and references: solved one from the other, judged together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
+from lin_freq_ocp.errors import LinFreqOCPError
+from lin_freq_ocp.solving.kept import Change
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.repeated import Repeated
+from lin_freq_ocp.status import Status
+
+ERROR = "error"  # status of what was not solved: it is no problem, or its worker died
+UNSOLVED = "unsolved"  # status of what Ctrl-C left
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """The answer to one of many problems, as plain data; None where there is nothing.
+
+    ``proven`` says that its cost is within 1e-6 of a rigorous bound, or infeasibility is proven. ``x`` (T+1, n) and
+    ``u`` (T, m) are the trajectory.
+    """
+
+    status: str
+    proven: bool = False
+    cost: float | None = None
+    lower_bound: float | None = None
+    gap: float | None = None
+    message: str = ""
+    seconds: float | None = None
+    x: Array | None = field(default=None, repr=False)
+    u: Array | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Items by their keys, and whether Ctrl-C came before all were solved."""
+
+    items: Mapping[str, Item]
+    interrupted: bool = False
+
+
+def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> Part:
+    """Solve problems one after another, each from the one before; what fails is an item of its own."""
+    items, interrupted = dict[str, Item](), False
+    try:
+        items, interrupted = _together(again, changes) if time_limit is None else ({}, False)
+        for key in changes if not interrupted else ():
+            if key not in items:
+                items[key] = _judged_alone(again, changes[key], time_limit)
+    except KeyboardInterrupt:
+        interrupted = True
+    return Part({key: items[key] for key in changes if key in items}, interrupted)
+
+
+def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
+    """Return what the Fourier-domain method solves at once, if the bound of all proves it, and whether Ctrl-C came."""
+    states = [change.initial_state for change in changes.values() if change.references is None]
+    if again.kept is None or not again.spectral or len(states) < len(changes) or states[0] is None:
+        return {}, False
+    if not judged_together(again.problem):
+        return {}, False
+    started, starts = time.perf_counter(), np.array(states, dtype=np.float64)
+    found = again.kept.together(starts)
+    if found is None:
+        return {}, False
+    which = np.flatnonzero(found.found)
+    signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
+    judged = verdicts(again.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
+    each, keys = (time.perf_counter() - started) / len(changes), list(changes)
+    items = {
+        keys[i]: Item(
+            status=str(Status.OPTIMAL),
+            proven=True,
+            cost=float(judged.costs[k]),
+            lower_bound=float(judged.bounds[k]),
+            gap=float(judged.gaps[k]),
+            seconds=each,
+            x=found.x[i],
+            u=found.u[i],
+        )
+        for k, i in enumerate(which)
+        if judged.proven[k]
+    }
+    return items, found.interrupted
+
+
+def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
+    started = time.perf_counter()
+    try:
+        outcome = again.solve(change, time_limit)
+    except LinFreqOCPError as error:
+        return Item(ERROR, message=str(error), seconds=time.perf_counter() - started)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    return item_of(outcome, time.perf_counter() - started)
+
+
+def item_of(outcome: Outcome, seconds: float) -> Item:
+    """Return an outcome as an item; figures are of points that satisfy every constraint."""
+    trajectory = outcome.trajectory if outcome.primal else None
+    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
+    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
+    return Item(
+        status=str(outcome.status),
+        proven=solved or infeasible,
+        cost=outcome.cost if outcome.primal else None,
+        lower_bound=outcome.lower_bound,
+        gap=outcome.gap if outcome.primal else None,
+        message=outcome.message,
+        seconds=seconds,
+        x=None if trajectory is None else trajectory.x,
+        u=None if trajectory is None else trajectory.u,
+    )

@@ -1,0 +1,43 @@
+"""One problem solved again and again with other ends and references."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.solving.families import chosen, saved_options
+from lin_freq_ocp.solving.kept import Change, Kept
+from lin_freq_ocp.solving.linear import LinearAuto, Spectral
+from lin_freq_ocp.solving.method import Method, Request
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import require_options
+
+
+class Repeated:
+    """A problem with its method, and what earlier solves of it left."""
+
+    def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
+        require_problem(problem)
+        require_options(method, tolerance=tolerance)
+        self.problem, self.name = problem, method
+        self.method = chosen(problem, method, {"tolerance": tolerance})
+        self.kept = Kept(problem) if isinstance(problem.dynamics.standard_form, LinearDynamics) else None
+
+    @property
+    def spectral(self) -> bool:
+        """Whether the Fourier-domain method comes first, with its own tolerance."""
+        method = self.method
+        if not isinstance(method, (Spectral, LinearAuto)) or method.tolerance is not None:
+            return False
+        return isinstance(method, Spectral) or method.backend == "auto"
+
+    def solve(self, change: Change, time_limit: float | None = None) -> Outcome:
+        """Solve the changed problem, and judge the answer."""
+        require_options(self.name, time_limit)
+        problem = change.of(self.problem)
+        again = None if self.kept is None else (self.kept, change)
+        outcome = self.method.solve(problem, Request(np.inf if time_limit is None else time_limit, again=again))
+        return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

@@ -1,0 +1,83 @@
+"""One problem again and again: a thousand initial states at once, and a loop of them one after the other.
+
+    OMP_NUM_THREADS=1 python scripts/benchmark_many.py [--count 1000] [--steps 200] [--repeats 3]
+
+CPU and wall time of ``lfo.solve_many`` with everything in it, and of single steps of ``lfo.Solver``, whose certificate
+is timed apart; medians over steps, the least of the repeats.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from benchmark_cases import MOVES
+from threadpoolctl import threadpool_limits
+
+import lin_freq_ocp as lfo
+
+DISTURBED = 0.1  # of the spread of the random states: what a step of the loop is off
+METHODS = ("spectral", "structured")
+HORIZONS = (60, 240)
+
+
+def states(problem: lfo.OptimalControlProblem, count: int, scale: float) -> np.ndarray:
+    """Return random initial states around the problem's own."""
+    moves = np.random.default_rng(0).standard_normal((count, problem.state_dim))
+    return problem.initial_state.lower + scale * np.array(MOVES) * moves
+
+
+def many(count: int, repeats: int) -> None:
+    """Print the time of many states at once."""
+    problem = lfo.library.pendulum()
+    given, least = states(problem, count, 1.0), np.full(2, np.inf)
+    for _ in range(repeats):
+        clocks = np.array([time.process_time(), time.perf_counter()])
+        found = lfo.solve_many(problem, given)
+        least = np.minimum(least, np.array([time.process_time(), time.perf_counter()]) - clocks)
+    ended = ", ".join(f"{number} {status}" for status, number in Counter(found.statuses).items())
+    print(
+        f"{count} states, T = {problem.horizon}: {least[0]:.2f} s of CPU, {least[1]:.2f} s of wall time; {ended}; ",
+        end="",
+    )
+    print(f"{'all' if found.proven else 'not all'} proven, largest gap {np.nanmax(found.gaps):.0e}")
+
+
+def loop(horizon: int, method: str, steps: int, repeats: int) -> None:
+    """Print the times of steps from disturbed states, by one method."""
+    problem = lfo.library.pendulum(horizon=horizon, sampling_time=2.4 / horizon)
+    given, least = states(problem, steps, DISTURBED), np.full((3, steps), np.inf)
+    for _ in range(repeats):
+        solver, seconds = lfo.Solver(problem, method), list[tuple[float, float, float]]()
+        solver.solve()
+        for state in given:
+            started = time.perf_counter()
+            result = solver.solve(initial_state=state)
+            certify = result.seconds["certify"]
+            taken = time.perf_counter() - started
+            seconds.append((taken - certify, certify, taken))
+        least = np.minimum(least, np.array(seconds).T)
+    solve, certify, _ = 1e3 * np.median(least, axis=1)
+    slowest = 1e3 * least[0].max()
+    print(f"T = {horizon}, {method}: {solve:.2f} ms a step (slowest {slowest:.1f}), certificate {certify:.2f} ms")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--repeats", type=int, default=3)
+    given = parser.parse_args(arguments)
+    with threadpool_limits(1):
+        many(given.count, given.repeats)
+        for method in METHODS:
+            for horizon in HORIZONS:
+                loop(horizon, method, given.steps if method == "spectral" else given.steps // 5, given.repeats)
+
+
+if __name__ == "__main__":
+    main()
