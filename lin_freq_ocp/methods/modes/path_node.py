@@ -75,17 +75,15 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
     program = member.program
     assert program is not None
     paths.KERNELS.prepare()
-    rows, equations, clear = len(program.G), len(program.b), (CLEAR_RESIDUAL, CLEAR_GAP)
-    point = np.zeros(program.cost.shape), np.zeros(equations), np.zeros(rows), np.zeros(rows)
-    data, numbers, several = (
-        _data(program, paths.PathData),
-        np.zeros(paths.NUMBERS),
-        enough is not None and enough.several,
-    )
+    data, clear, several = _data(program, paths.PathData), (CLEAR_RESIDUAL, CLEAR_GAP), enough is not None and enough.several
+    rows = len(data.G), len(program.t)
+    point = np.zeros(data.cost.shape), np.zeros(len(program.b)), np.zeros(rows), np.zeros(rows)
+    numbers = np.zeros(paths.NUMBERS)
     for cutoff in [np.inf] if enough is None else [enough.cutoff, np.inf]:
         cold = not numbers[paths.TAU]
         end = paths.path_run(data, point, numbers, cold, COMPILED_TOLERANCE, cutoff, several, clear)
-        (w, p, z, _), tau, cost = point, float(numbers[paths.TAU]), float(numbers[paths.COST])
+        tau, cost = float(numbers[paths.TAU]), float(numbers[paths.COST])
+        w, p, z = point[0].T, point[1], point[2][: data.linear].T
         if not (np.isfinite(p).all() and np.isfinite(z).all() and tau > 0):
             return None
         if end == paths.INFEASIBLE:
@@ -104,17 +102,17 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
 
 
 def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
-    edges, linear = len(program.t), len(program.sizes)
+    """Return the arrays with edges side by side: the last index."""
+    rows, G = np.concatenate([program.C, program.signals], axis=1), np.concatenate([program.linear, program.cone], axis=1)
     return form(
-        np.concatenate([program.C, program.signals], axis=1),
-        program.places.ravel(),
+        np.ascontiguousarray(rows.transpose(1, 2, 0)),
+        np.ascontiguousarray(program.places.T),
         program.t,
         program.coupled,
         program.b,
-        program.cost,
-        program.G,
-        program.of_edge,
-        linear + (len(program.G) - linear) // edges * np.arange(edges + 1),
+        np.ascontiguousarray(program.cost.T),
+        np.ascontiguousarray(G.transpose(1, 2, 0)),
+        program.linear.shape[1],
     )
 
 
@@ -138,7 +136,9 @@ def _by_clarabel(
         or solution.z is None
     ):
         return None
-    p, z = np.split(solution.y, [len(program.b)])
+    p, rest = np.split(solution.y, [len(program.b)])
+    z = np.zeros(program.present.shape)
+    z[program.present] = rest[: np.count_nonzero(program.present)]
     w = solution.z.reshape(program.cost.shape)
     if solution.claim is Claim.INFEASIBLE:
         return Relaxed(member.reach, np.inf, relaxation.path_duals(program, p, z, None)) if enough is None else None

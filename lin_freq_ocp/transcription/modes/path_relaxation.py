@@ -75,7 +75,7 @@ class PathRelaxation(ModeRelaxation):
         return PathMember(reach, allowed, low, high, path_program(self._paths[0], allowed, low, high))
 
     def path_duals(self, program: PathProgram, p: Array, z: Array, w: Array | None) -> PathDuals:
-        """Return the duals of C w = b and G w + s = 0, with the weights of w, or those of a ray."""
+        """Return the duals of C w = b and of linear rows, (E, R), with the weights of w (E, W), or those of a ray."""
         T, modes = self._stages.limits.shape[:2]
         (edges, k), n = program.middle.shape, self._n
         t, i, j = program.t[:-1], program.i[:-1], program.j[:-1]
@@ -85,9 +85,7 @@ class PathRelaxation(ModeRelaxation):
         vertices[t, j] = of_edges
         np.add.at(adjoint, t, weights[:, None] * of_edges)
         np.add.at(total, t, weights)
-        of_rows = np.zeros((edges, 2 * k + self._stages.limits.shape[2] + 2 * n))
-        linear = len(program.sizes)
-        of_rows[program.of_edge[:linear], program.which] = np.maximum(z[:linear], 0.0) / program.sizes
+        of_rows = np.where(program.present, np.maximum(z, 0.0) / program.sizes, 0.0)
         regions, images = np.zeros((T, modes, modes, self._stages.limits.shape[2])), np.zeros((T, modes, modes, n))
         regions[t, i, j] = of_rows[:-1, 2 * k : -2 * n]
         images[t, i, j] = of_rows[:-1, -n:] - of_rows[:-1, -2 * n : -n]

@@ -76,10 +76,11 @@ class PathProgram:
     signals : (E, a, W), coupled : (q, T+1, a)
         The entries of y that rows over all times have, and these rows.
     b : (vertex rows + q,), cost : (E, W)
-    G : (rows, W), of_edge : (rows,), sizes : (linear,)
-        Linear rows, each divided by its size, by edges; then a cone of rank + 2 rows for each edge.
-    which : (linear,)
-        The number of a linear row within its edge: k upper and k lower bounds, regions, n upper and n lower images.
+    linear : (E, R, W), sizes : (E, R), present : (E, R)
+        G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images; rows
+        that are not present, as they are never active, are delta >= 0.
+    cone : (E, rank + 2, W)
+        G for the second-order cone.
     """
 
     t: Indices
@@ -93,10 +94,10 @@ class PathProgram:
     coupled: Array
     b: Array
     cost: Array
-    G: Array
-    of_edge: Indices
+    linear: Array
     sizes: Array
-    which: Indices
+    present: Mask
+    cone: Array
 
     @property
     def vertex_rows(self) -> int:
@@ -121,11 +122,9 @@ def path_program(model: PathModel, allowed: Mask, low: Array, high: Array) -> Pa
     cost = (model.price[t, None] @ y)[:, 0]
     cost[:, -1] = 1.0
     after = np.minimum(t + 1, T), j
-    rows, of_edge, sizes, which = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n])
-    cones = -np.sqrt(2.0) * (model.roots[t] @ y)
-    heads = np.zeros((len(t), 2, y.shape[-1]))
-    heads[..., -1], heads[:, 0, -2], heads[:, 1, -2] = -1.0, -1.0, 1.0
-    whole = np.concatenate([heads, cones], axis=1)
+    linear, sizes, present = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n])
+    cone = np.concatenate([np.zeros((len(t), 2, y.shape[-1])), -np.sqrt(2.0) * (model.roots[t] @ y)], axis=1)
+    cone[:, :2, -1], cone[:, 0, -2], cone[:, 1, -2] = -1.0, -1.0, 1.0
     first = np.zeros(count)
     first[0] = 1.0
     return PathProgram(
@@ -140,10 +139,10 @@ def path_program(model: PathModel, allowed: Mask, low: Array, high: Array) -> Pa
         coupled=np.ascontiguousarray(model.coupled[..., used]),
         b=np.concatenate([first, model.right]),
         cost=cost,
-        G=np.concatenate([rows, whole.reshape(-1, y.shape[-1])]),
-        of_edge=np.concatenate([of_edge, np.repeat(np.arange(len(t)), whole.shape[1])]),
+        linear=linear,
         sizes=sizes,
-        which=which,
+        present=present,
+        cone=cone,
     )
 
 
@@ -173,58 +172,57 @@ def _vertices(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int
 
 def _linear_rows(
     model: PathModel, y: Array, image: Array, t: Indices, i: Indices, low: Array, high: Array
-) -> tuple[Array, Indices, Array, Indices]:
-    """Return the rows of boxes, regions and images that can be active, their edges, sizes, and numbers."""
+) -> tuple[Array, Array, Mask]:
+    """Return the linear rows of edges, their sizes, and which can be active."""
     edges, k, width = y.shape
-    limits = model.limits[t, i]
-    region = model.rows[t, i] @ y
+    limits, count = model.limits[t, i], model.limits.shape[2]
+    rows = np.zeros((edges, 2 * k + count + 2 * low.shape[1], width))
+    box, region, upper, lower = np.split(rows, np.cumsum([2 * k, count, low.shape[1]]), axis=1)
+    box[:, np.arange(k), np.arange(k)], box[:, k + np.arange(k), np.arange(k)], box[..., -2] = 1.0, -1.0, -1.0
+    region[:] = model.rows[t, i] @ y
     region[..., -2] -= np.where(np.isfinite(limits), limits, 0.0)
-    upper, lower = image.copy(), -image
+    upper[:], lower[:] = image, -image
     upper[..., -2] -= high
     lower[..., -2] += low
-    box = np.zeros((2, k, width))
-    box[0, np.arange(k), np.arange(k)], box[1, np.arange(k), np.arange(k)], box[..., -2] = 1.0, -1.0, -1.0
-    rows = np.concatenate(
-        [np.broadcast_to(box.reshape(1, 2 * k, width), (edges, 2 * k, width)), region, upper, lower], 1
-    )
     spread, at = np.abs(rows[..., :k]).sum(axis=-1), rows[..., -2]
-    used = (spread + at > 0) & (spread - at > THIN)
-    used[:, : 2 * k] = True
-    used[:, 2 * k : 2 * k + limits.shape[1]] &= np.isfinite(limits)
-    used[-1, 2 * k :] = False
-    of_edge, which = np.nonzero(used)
-    kept = rows[of_edge, which]
-    sizes = np.sqrt((kept**2).sum(axis=-1))
-    sizes[which < 2 * k] = 1.0
-    return kept / sizes[:, None], of_edge, sizes, which
+    present = (spread + at > 0) & (spread - at > THIN)
+    present[:, 2 * k : 2 * k + count] &= np.isfinite(limits)
+    present[-1] = False
+    present[:, : 2 * k] = True
+    rows[~present] = box[0, 0] - box[0, 0] * (np.arange(width) < k)
+    sizes = np.sqrt((rows**2).sum(axis=-1))
+    sizes[:, : 2 * k] = 1.0
+    rows /= sizes[..., None]
+    return rows, sizes, present
 
 
 def path_form(program: PathProgram) -> StandardForm:
-    """Return the standard form of a program; its rows are those of C w = b, then those of G w + s = 0."""
-    edges, width = program.cost.shape
-    variables, q = np.arange(edges * width).reshape(edges, width), len(program.coupled)
-    equations, linear = len(program.b), len(program.sizes)
-    at = np.where(program.places >= 0, program.places, 0)
-    coupled = np.broadcast_to(program.vertex_rows + np.arange(q), (edges, q))
-    own = np.broadcast_to(equations + np.arange(len(program.G))[:, None], program.G.shape)
+    """Return the standard form: the rows C w = b, the linear rows that are present, by edges, and the cones."""
+    (edges, width), q, equations = program.cost.shape, len(program.coupled), len(program.b)
+    variables, linear = np.arange(edges * width).reshape(edges, width), np.count_nonzero(program.present)
+    size = program.cone.shape[1]
+    coupled = program.coupled[:, program.t].swapaxes(0, 1) @ program.signals
+    cones = equations + linear + np.arange(edges * size).reshape(edges, size)
     parts = (
-        (at[..., None], variables[:, None], np.where(program.places[..., None] >= 0, program.C, 0.0)),
-        (coupled[..., None], variables[:, None], program.coupled[:, program.t].swapaxes(0, 1) @ program.signals),
-        (own, variables[program.of_edge], program.G),
+        (np.maximum(program.places, 0), variables, np.where(program.places[..., None] >= 0, program.C, 0.0)),
+        (np.broadcast_to(program.vertex_rows + np.arange(q), (edges, q)), variables, coupled),
+        (cones, variables, program.cone),
+        (equations + np.arange(linear), variables[np.nonzero(program.present)[0]], program.linear[program.present]),
     )
-    places = [[np.broadcast_to(part[k], part[2].shape).ravel() for part in parts] for k in (0, 1)]
-    row, column = (np.concatenate(own).astype(np.intp) for own in places)
-    value = np.concatenate([part[2].ravel() for part in parts])
-    kept = value != 0
-    shape, rest = (equations + len(program.G), edges * width), len(program.G) - linear
+    row = np.concatenate([np.broadcast_to(rows[..., None], values.shape).ravel() for rows, _, values in parts])
+    column = np.concatenate(
+        [np.broadcast_to(own if values.ndim == 2 else own[:, None], values.shape).ravel() for _, own, values in parts]
+    )
+    value = np.concatenate([values.ravel() for _, _, values in parts])
+    kept, count = np.flatnonzero(value), equations + linear + edges * size
     return StandardForm(
         P=sp.csc_array((edges * width, edges * width)),
         q=program.cost.ravel(),
-        A=sp.csc_array((value[kept], (row[kept], column[kept])), shape=shape),
-        b=np.concatenate([program.b, np.zeros(len(program.G))]),
+        A=sp.csc_array((value[kept], (row[kept], column[kept])), shape=(count, edges * width)),
+        b=np.concatenate([program.b, np.zeros(count - equations)]),
         equations=equations,
         inequalities=linear,
-        cones=(rest // edges,) * edges,
-        row=np.arange(shape[0]),
-        sign=np.ones(shape[0]),
+        cones=(size,) * edges,
+        row=np.arange(count),
+        sign=np.ones(count),
     )

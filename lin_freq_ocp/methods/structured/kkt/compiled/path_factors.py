@@ -1,4 +1,4 @@
-"""Linear systems of path relaxations (transcription/modes/paths.py), compiled.
+"""Linear systems of path relaxations (transcription/modes/paths.py), compiled. E edges lie side by side: the last index.
 
 Edges have W variables each, and rows C of their two vertices; rows over all times act on sums of signals of edges. With
 Phi = G'W^-2 G of an edge, L L' = Phi and X = [C; signals] L^-T, sums of X X' make the matrix of the multipliers: a band
@@ -19,31 +19,29 @@ from lin_freq_ocp.methods.structured.kkt.compiled.loops import PIVOT, cholesky, 
 class PathData(NamedTuple):
     """The arrays of a path program."""
 
-    rows: Array  # (E, R + a, W): C, then the signals
-    places: Indices  # (E * R,): the numbers of the rows C, -1 where there is none
+    rows: Array  # (R + a, W, E): C, then the signals
+    places: Indices  # (R, E): the numbers of the rows C, -1 where there is none
     times: Indices  # (E,)
     coupled: Array  # (q, T+1, a)
     b: Array  # (vertex rows + q,)
-    cost: Array  # (E, W)
-    G: Array  # (rows, W)
-    of_edge: Indices
-    ends: Indices  # of the cones among the rows
+    cost: Array  # (W, E)
+    G: Array  # (linear + cone rows, W, E)
+    linear: int
 
 
 PathFactors = tuple[Array, Array, Array, Array, Array]
-"""L (E, W, W), X (E, R + a, W), the factor of the band (rows, width), the border beyond it, the factor of the rest."""
+"""L (W, W, E), X (R + a, W, E), the factor of the band (rows, width), the border beyond it, the factor of the rest."""
 
 
 @jit
-def band_width(places: Indices, edges: int) -> int:
+def band_width(places: Indices) -> int:
     """Return how many entries a row of the band has, its diagonal included."""
-    count, width = len(places) // edges, 1
-    for e in range(edges):
+    width = 1
+    for e in range(places.shape[1]):
         least, most = -1, -1
-        for r in range(count):
-            place = places[e * count + r]
-            if place >= 0:
-                least, most = place if least < 0 else min(least, place), max(most, place)
+        for r in range(len(places)):
+            if places[r, e] >= 0:
+                least, most = places[r, e] if least < 0 else min(least, places[r, e]), max(most, places[r, e])
         width = max(width, most - least + 1)
     return width
 
@@ -92,47 +90,83 @@ def band_backward(S: Array, v: Array, at: int) -> None:
 
 
 @jit
-def edge_factored(rows: Array, L: Array, X: Array, e: int) -> None:
-    """Replace Phi of an edge by its factor, and write X."""
-    _, count, size = X.shape
-    cholesky(L[e], size)
-    for r in range(count):
-        for i in range(size):
-            value = rows[e, r, i]
-            for m in range(i):
-                value -= L[e, i, m] * X[e, r, m]
-            X[e, r, i] = value / L[e, i, i]
+def edges_weighted(G: Array, linear: int, w: Array, eta: Array) -> Array:
+    """Return the lower triangles of G'W^-2 G, (W, W, E)."""
+    rows, size, edges = G.shape
+    out, q, weight = np.zeros((size, size, edges)), np.zeros((size, edges)), np.empty(edges)
+    for i in range(rows):
+        for e in range(edges):
+            weight[e] = 1 / (w[i, e] * w[i, e]) if i < linear else 1 / (eta[e] * eta[e])
+        if i == linear:
+            weight *= -1.0
+        for a in range(size):
+            if i >= linear:
+                sign = 1.0 if i == linear else -1.0
+                for e in range(edges):
+                    q[a, e] += sign * w[i, e] * G[i, a, e]
+            for b in range(a + 1):
+                for e in range(edges):
+                    out[a, b, e] += weight[e] * G[i, a, e] * G[i, b, e]
+    for a in range(size):
+        for b in range(a + 1):
+            for e in range(edges):
+                out[a, b, e] += 2 * q[a, e] * q[b, e] / (eta[e] * eta[e])
+    return out
+
+
+@jit
+def edges_factored(L: Array, rows: Array) -> Array:
+    """Replace Phi by its factors, and return X."""
+    count, size, edges = rows.shape
+    X, own = rows.copy(), np.empty(edges)
+    for j in range(size):
+        for e in range(edges):
+            own[e] = PIVOT * L[j, j, e]
+        for m in range(j):
+            for e in range(edges):
+                L[j, j, e] -= L[j, m, e] * L[j, m, e]
+        for e in range(edges):
+            L[j, j, e] = np.sqrt(max(L[j, j, e], own[e]))
+        for i in range(j + 1, size):
+            for m in range(j):
+                for e in range(edges):
+                    L[i, j, e] -= L[i, m, e] * L[j, m, e]
+            for e in range(edges):
+                L[i, j, e] /= L[j, j, e]
+        for r in range(count):
+            for m in range(j):
+                for e in range(edges):
+                    X[r, j, e] -= L[j, m, e] * X[r, m, e]
+            for e in range(edges):
+                X[r, j, e] /= L[j, j, e]
+    return X
 
 
 @jit
 def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
-    """Return the factors; L (E, W, W) is Phi first."""
-    rows, places, times, coupled, b, _, _, _, _ = data
-    (edges, whole, size), (q, _, a) = rows.shape, coupled.shape
-    count, vertices, last = whole - a, len(b) - q, width - 1
-    X, S = np.empty((edges, whole, size)), np.zeros((vertices, width))
+    """Return the factors; L (W, W, E) is Phi first."""
+    rows, places, times, coupled, b, _, _, _ = data
+    (whole, size, edges), q, count = rows.shape, len(coupled), len(places)
+    a, vertices, last = whole - count, len(b) - q, width - 1
+    X, S, value = edges_factored(L, rows), np.zeros((vertices, width)), np.empty(edges)
     border, rest, moments = np.zeros((q, vertices)), np.zeros((q, q)), np.zeros((coupled.shape[1], a, a))
-    for e in range(edges):
-        edge_factored(rows, L, X, e)
-        t = times[e]
-        for r in range(whole):
-            i = places[e * count + r] if r < count else 0
-            if i < 0:
-                continue
-            for c in range(r + 1):
-                j = places[e * count + c] if c < count else 0
-                if j < 0:
+    for r in range(whole):
+        for c in range(r + 1):
+            value[:] = 0.0
+            for m in range(size):
+                for e in range(edges):
+                    value[e] += X[r, m, e] * X[c, m, e]
+            for e in range(edges):
+                i, j = places[r, e] if r < count else 0, places[c, e] if c < count else 0
+                if i < 0 or j < 0:
                     continue
-                value = 0.0
-                for m in range(size):
-                    value += X[e, r, m] * X[e, c, m]
                 if r < count:
-                    S[max(i, j), last - abs(i - j)] += value
+                    S[max(i, j), last - abs(i - j)] += value[e]
                 elif c >= count:
-                    moments[t, r - count, c - count] += value
+                    moments[times[e], r - count, c - count] += value[e]
                 else:
                     for row in range(q):
-                        border[row, j] += coupled[row, t, r - count] * value
+                        border[row, j] += coupled[row, times[e], r - count] * value[e]
     band_cholesky(S)
     rest_factored(coupled, moments, S, border, rest)
     return L, X, S, border, rest
@@ -162,68 +196,76 @@ def rest_factored(coupled: Array, moments: Array, S: Array, border: Array, rest:
 
 @jit
 def path_solved(data: PathData, factors: PathFactors, of_w: Array, of_p: Array) -> tuple[Array, Array]:
-    """Return (w, p) with Phi w + C'p = of_w (E, W), C w = of_p, C with the rows over all times."""
-    places, times, coupled = data.places, data.times, data.coupled
-    L, X, S, border, rest = factors
-    (edges, whole, size), (q, _, a) = X.shape, coupled.shape
-    count, w, v, sums = whole - a, of_w.copy(), np.empty((1, len(of_p))), np.zeros(coupled.shape[1:])
-    vertices = len(of_p) - q
-    for i in range(len(of_p)):
-        v[0, i] = -of_p[i]
-    for e in range(edges):
-        for i in range(size):
-            value = w[e, i]
-            for m in range(i):
-                value -= L[e, i, m] * w[e, m]
-            w[e, i] = value / L[e, i, i]
-        for r in range(whole):
-            value = 0.0
-            for m in range(size):
-                value += X[e, r, m] * w[e, m]
-            if r >= count:
-                sums[times[e], r - count] += value
-            elif places[e * count + r] >= 0:
-                v[0, places[e * count + r]] += value
-    band_forward(S, v, 0)
+    """Return (w, p) with Phi w + C'p = of_w (W, E), C w = of_p, C with the rows over all times."""
+    (L, X, S, border, rest), q = factors, len(data.coupled)
+    (_, size, edges), vertices = X.shape, len(of_p) - q
+    w, v = of_w.copy(), np.empty((1, len(of_p)))
+    for i in range(size):
+        for m in range(i):
+            for e in range(edges):
+                w[i, e] -= L[i, m, e] * w[m, e]
+        for e in range(edges):
+            w[i, e] /= L[i, i, e]
+    v[0] = -of_p
     p = v[0]
+    add_rows(data, X, w, p)
+    band_forward(S, v, 0)
     for r in range(q):
-        value = 0.0
-        for t in range(len(sums)):
-            for i in range(a):
-                value += coupled[r, t, i] * sums[t, i]
         for m in range(vertices):
-            value -= border[r, m] * p[m]
-        p[vertices + r] += value
+            p[vertices + r] -= border[r, m] * p[m]
     cholesky_solve(rest, q, p[vertices:])
     for r in range(q):
         for m in range(vertices):
             p[m] -= border[r, m] * p[vertices + r]
     band_backward(S, v, 0)
-    pulled = slopes(coupled, p, vertices)
-    for e in range(edges):
-        for r in range(whole):
-            price = 0.0
-            if r >= count:
-                price = pulled[times[e], r - count]
-            elif places[e * count + r] >= 0:
-                price = p[places[e * count + r]]
-            for m in range(size):
-                w[e, m] -= X[e, r, m] * price
-        for i in range(size - 1, -1, -1):
-            value = w[e, i]
-            for m in range(i + 1, size):
-                value -= L[e, m, i] * w[e, m]
-            w[e, i] = value / L[e, i, i]
+    add_adjoint(data, X, -p, w)
+    for i in range(size - 1, -1, -1):
+        for m in range(i + 1, size):
+            for e in range(edges):
+                w[i, e] -= L[m, i, e] * w[m, e]
+        for e in range(edges):
+            w[i, e] /= L[i, i, e]
     return w, p
 
 
 @jit
-def slopes(coupled: Array, p: Array, start: int) -> Array:
-    """Return what multipliers of the rows over all times add to the slopes of signals, (T+1, a)."""
-    q, times, a = coupled.shape
-    found = np.zeros((times, max(a, 1)))
-    for t in range(times):
-        for i in range(a):
-            for r in range(q):
-                found[t, i] += coupled[r, t, i] * p[start + r]
-    return found
+def add_rows(data: PathData, rows: Array, w: Array, out: Array) -> None:
+    """Add the rows of vertices and over all times, with these coefficients, applied to w."""
+    _, places, times, coupled, _, _, _, _ = data
+    (whole, size, edges), count, q = rows.shape, len(places), len(coupled)
+    sums, value = np.zeros((coupled.shape[1], whole - count)), np.empty(edges)
+    for r in range(whole):
+        value[:] = 0.0
+        for m in range(size):
+            for e in range(edges):
+                value[e] += rows[r, m, e] * w[m, e]
+        for e in range(edges):
+            if r >= count:
+                sums[times[e], r - count] += value[e]
+            elif places[r, e] >= 0:
+                out[places[r, e]] += value[e]
+    for r in range(q):
+        for t in range(len(sums)):
+            for i in range(whole - count):
+                out[len(out) - q + r] += coupled[r, t, i] * sums[t, i]
+
+
+@jit
+def add_adjoint(data: PathData, rows: Array, p: Array, out: Array) -> None:
+    """Add the adjoint of ``add_rows``."""
+    _, places, times, coupled, _, _, _, _ = data
+    (whole, size, edges), count, q = rows.shape, len(places), len(coupled)
+    pulled, price = np.zeros((coupled.shape[1], whole - count)), np.empty(edges)
+    for r in range(q):
+        for t in range(len(pulled)):
+            for i in range(whole - count):
+                pulled[t, i] += coupled[r, t, i] * p[len(p) - q + r]
+    for r in range(whole):
+        for e in range(edges):
+            if r >= count:
+                price[e] = pulled[times[e], r - count]
+            else:
+                price[e] = p[places[r, e]] if places[r, e] >= 0 else 0.0
+        for m in range(size):
+            for e in range(edges):
+                out[m, e] += rows[r, m, e] * price[e]

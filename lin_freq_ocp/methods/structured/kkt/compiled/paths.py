@@ -10,21 +10,30 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import cones, loops, path_factors, rows
+from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors, rows
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.compiled.cones import margin, product, quotient, scale, scaled, steepest
-from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import PathData as PathData
+from lin_freq_ocp.methods.structured.kkt.compiled.path_cones import (
+    cones_margin,
+    cones_product,
+    cones_quotient,
+    cones_scale,
+    cones_scaled,
+    cones_steepest,
+)
 from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import (
+    PathData,
     PathFactors,
+    add_adjoint,
+    add_rows,
     band_width,
+    edges_weighted,
     path_factored,
     path_solved,
-    slopes,
 )
-from lin_freq_ocp.methods.structured.kkt.compiled.rows import dot, largest, weighted
+from lin_freq_ocp.methods.structured.kkt.compiled.rows import dot, largest
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -40,57 +49,28 @@ TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS = range(NUMBERS)
 """What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray."""
 
 Point = tuple[Array, Array, Array, Array]
-"""w (E, W), p, z, s."""
+"""w (W, E), p, z (rows, E), s."""
 
 Residuals = tuple[Array, Array, Array]
-"""r_w (E, W), r_p, r_s."""
+"""r_w (W, E), r_p, r_s (rows, E)."""
 
 
 @jit
-def rows_applied(data: PathData, w: Array, of_p: Array, of_s: Array) -> None:
-    """Add C w and G w."""
-    rows, places, times, coupled, _, _, G, of_edge, _ = data
-    (edges, whole, size), (q, _, a) = rows.shape, coupled.shape
-    count, sums = whole - a, np.zeros(coupled.shape[1:])
-    for e in range(edges):
-        for r in range(whole):
-            value = 0.0
-            for m in range(size):
-                value += rows[e, r, m] * w[e, m]
-            if r >= count:
-                sums[times[e], r - count] += value
-            elif places[e * count + r] >= 0:
-                of_p[places[e * count + r]] += value
-    for r in range(q):
-        for t in range(len(sums)):
-            for i in range(a):
-                of_p[len(of_p) - q + r] += coupled[r, t, i] * sums[t, i]
-    for i in range(len(of_s)):
-        value, e = 0.0, of_edge[i]
-        for m in range(size):
-            value += G[i, m] * w[e, m]
-        of_s[i] += value
+def add_cone_rows(G: Array, w: Array, out: Array) -> None:
+    """Add G w."""
+    for i in range(G.shape[0]):
+        for m in range(G.shape[1]):
+            for e in range(G.shape[2]):
+                out[i, e] += G[i, m, e] * w[m, e]
 
 
 @jit
-def adjoint_applied(data: PathData, p: Array, z: Array, of_w: Array) -> None:
-    """Add C'p + G'z."""
-    rows, places, times, coupled, _, _, G, of_edge, _ = data
-    (edges, whole, size), (q, _, a) = rows.shape, coupled.shape
-    count, pulled = whole - a, slopes(coupled, p, len(p) - q)
-    for e in range(edges):
-        for r in range(whole):
-            price = 0.0
-            if r >= count:
-                price = pulled[times[e], r - count]
-            elif places[e * count + r] >= 0:
-                price = p[places[e * count + r]]
-            for m in range(size):
-                of_w[e, m] += rows[e, r, m] * price
-    for i in range(len(z)):
-        e = of_edge[i]
-        for m in range(size):
-            of_w[e, m] += G[i, m] * z[i]
+def subtract_cone_adjoint(G: Array, z: Array, out: Array) -> None:
+    """Subtract G'z."""
+    for i in range(G.shape[0]):
+        for m in range(G.shape[1]):
+            for e in range(G.shape[2]):
+                out[m, e] -= G[i, m, e] * z[i, e]
 
 
 @jit
@@ -98,20 +78,19 @@ def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Ar
     """Write the residuals of a point and the numbers beside tau, kappa and the steps."""
     (w, p, z, s), (r_w, r_p, r_s), tau = point, residuals, numbers[TAU]
     r_w[:], r_p[:], r_s[:] = 0.0, 0.0, s
-    rows_applied(data, w, r_p, r_s)
-    adjoint_applied(data, p, z, r_w)
+    add_rows(data, data.rows, w, r_p)
+    add_cone_rows(data.G, w, r_s)
+    subtract_cone_adjoint(data.G, z, r_w)
+    add_adjoint(data, data.rows, -p, r_w)
+    r_w *= -1.0
     cost, bound, size_w = dot(data.cost.ravel(), w.ravel()), -dot(data.b, p), largest(w.ravel())
-    ray = largest(r_w.ravel())
-    numbers[OF_RAY] = ray / bound if bound > 0.0 else np.inf
-    for e in range(len(w)):
-        for m in range(w.shape[1]):
-            r_w[e, m] += tau * data.cost[e, m]
-    for i in range(len(p)):
-        r_p[i] -= tau * data.b[i]
+    numbers[OF_RAY] = largest(r_w.ravel()) / bound if bound > 0.0 else np.inf
+    r_w += tau * data.cost
+    r_p -= tau * data.b
     numbers[COST], numbers[BOUND] = cost / tau, bound / tau
-    numbers[OF_PRIMAL] = max(largest(r_p), largest(r_s)) / (tau + size_w)
+    numbers[OF_PRIMAL] = max(largest(r_p), largest(r_s.ravel())) / (tau + size_w)
     numbers[OF_DUAL] = largest(r_w.ravel()) / (tau * (1.0 + largest(data.cost.ravel())))
-    numbers[MU] = (dot(s, z) + tau * numbers[KAPPA]) / (data.ends[0] + len(data.ends))
+    numbers[MU] = (dot(s.ravel(), z.ravel()) + tau * numbers[KAPPA]) / ((data.linear + 1) * w.shape[1] + 1)
 
 
 @jit
@@ -144,50 +123,41 @@ def path_directed(
 
     second: what is added to the complementarity lam o lam. numbers: sigma, sigma mu, r_tau, tau, kappa, d_kappa.
     """
-    (r_w, r_p, r_s), (w, eta, lam), ends = residuals, scaling, data.ends
+    (r_w, r_p, r_s), (w, eta, lam), linear = residuals, scaling, data.linear
     sigma, centre, r_tau, tau, kappa, d_kappa = numbers
-    rest, d_s = 1.0 - sigma, product(ends, lam, lam)
-    for i in range(len(d_s)):
-        d_s[i] += second[i]
-    for i in range(ends[0]):
-        d_s[i] -= centre
-    for j in range(len(ends) - 1):
-        d_s[ends[j]] -= centre
-    moved = scaled(ends, w, eta, quotient(ends, lam, d_s), 1)
-    for i in range(len(moved)):
-        moved[i] = rest * r_s[i] - moved[i]
-    of_w, back = -rest * r_w, scaled(ends, w, eta, moved, -2)
-    for i in range(len(back)):
-        for m in range(of_w.shape[1]):
-            of_w[data.of_edge[i], m] -= data.G[i, m] * back[i]
+    rest, d_s = 1.0 - sigma, cones_product(linear, lam, lam)
+    d_s += second
+    d_s[: linear + 1] -= centre
+    moved = rest * cones_scaled(linear, w, eta, r_s, True) - cones_quotient(linear, lam, d_s)
+    of_w = -rest * r_w
+    subtract_cone_adjoint(data.G, cones_scaled(linear, w, eta, moved, True), of_w)
     dw, dp = path_solved(data, factors, of_w, -rest * r_p)
     cost, b = data.cost.ravel(), data.b
     steepness = dot(cost, constant[0].ravel()) + dot(b, constant[1]) - kappa / tau
     dtau = (-rest * r_tau + d_kappa / tau - dot(cost, dw.ravel()) - dot(b, dp)) / steepness
     dw += dtau * constant[0]
     dp += dtau * constant[1]
-    of_rows, of_p = np.zeros(len(moved)), np.zeros(len(b))
-    rows_applied(data, dw, of_p, of_rows)
-    dz, ds = scaled(ends, w, eta, of_rows + moved, -2), -rest * r_s - of_rows
-    of_s, of_z = scaled(ends, w, eta, ds, -1), scaled(ends, w, eta, dz, 1)
+    of_rows = np.zeros(r_s.shape)
+    add_cone_rows(data.G, dw, of_rows)
+    of_z = cones_scaled(linear, w, eta, of_rows, True) + moved
+    dz, ds = cones_scaled(linear, w, eta, of_z, True), -rest * r_s - of_rows
+    of_s = cones_scaled(linear, w, eta, ds, True)
     dkappa = -(d_kappa + kappa * dtau) / tau
-    inverse = max(steepest(ends, lam, of_s), steepest(ends, lam, of_z), -dtau / tau, -dkappa / kappa)
-    return dw, dp, dz, ds, product(ends, of_s, of_z), (dtau, dkappa, inverse)
+    steepest = max(cones_steepest(linear, lam, of_s), cones_steepest(linear, lam, of_z))
+    inverse = max(steepest, -dtau / tau, -dkappa / kappa)
+    return dw, dp, dz, ds, cones_product(linear, of_s, of_z), (dtau, dkappa, inverse)
 
 
 @jit
 def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
     """Move the point by predictor and corrector; return the length of the step."""
-    (w, p, z, s), tau, kappa, ends = point, numbers[TAU], numbers[KAPPA], data.ends
-    of_scaling, eta = np.empty(len(s)), np.empty(len(ends) - 1)
-    scale(ends, s, z, of_scaling, eta)
-    scaling = of_scaling, eta, scaled(ends, of_scaling, eta, z, 1)
-    edges, size = data.cost.shape
-    Phi = weighted(np.zeros((edges, size, size)), data.G, data.of_edge, ends, of_scaling, eta)
-    factors = path_factored(data, Phi, width)
+    (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
+    of_scaling, eta = cones_scale(data.linear, s, z)
+    scaling = of_scaling, eta, cones_scaled(data.linear, of_scaling, eta, z, False)
+    factors = path_factored(data, edges_weighted(data.G, data.linear, of_scaling, eta), width)
     constant = path_solved(data, factors, -data.cost, data.b)
     r_tau = kappa + tau * (numbers[COST] - numbers[BOUND])
-    sigma, centre, d_kappa, second, a = 0.0, 0.0, kappa * tau, np.zeros(len(s)), 0.0
+    sigma, centre, d_kappa, second, a = 0.0, 0.0, kappa * tau, np.zeros(s.shape), 0.0
     for phase in range(2):
         given = sigma, centre, r_tau, tau, kappa, d_kappa
         dw, dp, dz, ds, second, found = path_directed(data, factors, scaling, residuals, constant, second, given)
@@ -206,30 +176,26 @@ def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array
 
 
 @jit
-def move_within(ends: Indices, unit: Array, v: Array) -> None:
+def move_within(linear: int, v: Array) -> None:
     """Move v well inside the cone if it is not."""
-    least, size = margin(ends, v), max(1.0, largest(v))
+    least, size = cones_margin(linear, v), max(1.0, largest(v.ravel()))
     if least < INTERIOR * size:
-        v += (max(1.0, MOVED * size) - least) * unit
+        v[: linear + 1] += max(1.0, MOVED * size) - least
 
 
 @jit
 def path_begin(data: PathData, point: Point, width: int) -> None:
     """Write the first point, from the solution at W = 1."""
-    (w, p, z, s), ends = point, data.ends
-    edges, size = data.cost.shape
-    unit, eta = np.ones(len(s)), np.ones(len(ends) - 1)
-    for i in range(ends[0], len(s)):
-        unit[i] = 0.0
-    for j in range(len(ends) - 1):
-        unit[ends[j]] = 1.0
-    Phi = weighted(np.zeros((edges, size, size)), data.G, data.of_edge, ends, unit, eta)
-    first = path_solved(data, path_factored(data, Phi, width), -data.cost, data.b)
-    w[:], p[:], z[:], of_p = first[0], first[1], 0.0, np.zeros(len(p))
-    rows_applied(data, w, of_p, z)
+    (w, p, z, s), linear = point, data.linear
+    unit = np.zeros(s.shape)
+    unit[: linear + 1] = 1.0
+    factors = path_factored(data, edges_weighted(data.G, linear, unit, np.ones(s.shape[1])), width)
+    first = path_solved(data, factors, -data.cost, data.b)
+    w[:], p[:], z[:] = first[0], first[1], 0.0
+    add_cone_rows(data.G, w, z)
     s[:] = -z
-    move_within(ends, unit, s)
-    move_within(ends, unit, z)
+    move_within(linear, s)
+    move_within(linear, z)
 
 
 @jit
@@ -244,8 +210,8 @@ def path_run(
     clear: tuple[float, float],
 ) -> int:
     """Run from the first point, or from the given, until it ends; return how."""
-    width = band_width(data.places, len(data.cost))
-    residuals = np.empty(data.cost.shape), np.empty(len(data.b)), np.empty(len(data.G))
+    width = band_width(data.places)
+    residuals = np.empty(data.cost.shape), np.empty(len(data.b)), np.empty(point[3].shape)
     if cold:
         numbers[TAU], numbers[KAPPA], numbers[STEPS] = 1.0, 1.0, 0.0
         path_begin(data, point, width)
@@ -260,16 +226,13 @@ def path_run(
     return STALLED
 
 
+_PLACES = types.Array(types.intp, 2, "C")
 _DATA = types.NamedTuple(
-    (
-        *(WRITTEN[3], WRITTEN_INDICES, WRITTEN_INDICES, WRITTEN[3], WRITTEN[1], WRITTEN[2], WRITTEN[2]),
-        *(WRITTEN_INDICES, WRITTEN_INDICES),
-    ),
-    PathData,
+    (WRITTEN[3], _PLACES, WRITTEN_INDICES, WRITTEN[3], WRITTEN[1], WRITTEN[2], WRITTEN[3], types.intp), PathData
 )
-_POINT = types.Tuple((WRITTEN[2], WRITTEN[1], WRITTEN[1], WRITTEN[1]))
+_POINT = types.Tuple((WRITTEN[2], WRITTEN[1], WRITTEN[2], WRITTEN[2]))
 KERNELS = Kernels(
-    (__file__, path_factors.__file__, rows.__file__, cones.__file__, loops.__file__, embedding.__file__),
+    (__file__, path_factors.__file__, path_cones.__file__, rows.__file__, loops.__file__, embedding.__file__),
     (
         path_run,
         (
