@@ -7,32 +7,36 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.backends.clarabel_ import solve_form
+from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import branch_and_bound
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.modes.node import Relaxed
 from lin_freq_ocp.methods.modes.search import TOLERANCES, SearchLimits, relaxed
+from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
+from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 Build = Callable[[], lfo.OptimalControlProblem]
 
 
-def part_seconds(work: Callable[[], object], times: int = 20) -> str:
-    """Return milliseconds of the process that a call takes."""
+def part_seconds(work: Callable[[], object], times: int = 20) -> float:
+    """Return seconds of the process that a call takes."""
     started = time.process_time()
     for _ in range(times):
         work()
-    return f"{1e3 * (time.process_time() - started) / times:.2f}"
+    return (time.process_time() - started) / times
 
 
 def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
     """Return what a node takes: in a search of so many with the check of its tree, and the parts at the root."""
-    parts = "reach of 8, each", "set-up", "relaxation", "bound of its duals"
+    parts = "reach of 8, each", "set-up", "compiled", "by Clarabel", "bound of its duals"
     table = Table("milliseconds", "a node, everything in it", "of it the check", *parts, "relaxations")
     for name, build in cases.items():
         problem = build()
@@ -41,52 +45,67 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         searched = time.process_time()
         tree_bound(problem, outcome.tree)
         ended, solved = time.process_time(), max(outcome.nodes, 1)
-        relaxation = ModeRelaxation(problem)
+        relaxation = PathRelaxation(problem)
         everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
         root = relaxation.reach.from_start(everything)
         assert root is not None
-        answer, form = relaxed(relaxation, root), relaxation.member(root).form
-        assert answer.duals is not None
-        eight = [(root, 0, root.allowed[0])] * 8
-        cells = (
-            f"{float(part_seconds(lambda eight=eight, own=relaxation: own.reach.after(eight))) / 8:.2f}",
-            part_seconds(lambda root=root, own=relaxation: own.member(root)),
-            part_seconds(lambda form=form: solve_form(form, TOLERANCES[0], None)),
-            part_seconds(lambda root=root, own=relaxation, duals=answer.duals: own.proven(root, duals)),
+        answer, member = relaxed(relaxation, root, compiled=True), relaxation.path_member(root)
+        assert isinstance(answer.duals, PathDuals)
+        assert member is not None
+        eight, duals = [(root, 0, root.allowed[0])] * 8, answer.duals
+        set_up, bound, *solves = (
+            part_seconds(work)
+            for work in (
+                partial(relaxation.path_member, root),
+                partial(relaxation.path_bound, member, duals),
+                partial(relaxed, relaxation, root, TOLERANCES, compiled=True),
+                partial(relaxed, relaxation, root, TOLERANCES),
+            )
         )
-        whole, check = (f"{1e3 * seconds / solved:.2f}" for seconds in (ended - started, ended - searched))
-        table.add_row(name, whole, check, *cells, f"{outcome.nodes}")
+        reach = part_seconds(partial(relaxation.reach.after, eight)) / 8
+        alone = (solve - set_up for solve in solves)
+        seconds = ((ended - started) / solved, (ended - searched) / solved, reach, set_up, *alone, bound)
+        table.add_row(name, *(f"{1e3 * part:.2f}" for part in seconds), f"{outcome.nodes}")
     return table
 
 
-class SolvedToTheEnd(ModeRelaxation):
-    """Every relaxation is solved, as if duals on the way proved nothing."""
+def to_the_end(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, _cutoff: float, compiled: bool
+) -> Relaxed:
+    """Solve a relaxation as if the cutoff decided nothing."""
+    return relaxed(relaxation, reach, tolerances, end, None, compiled)
 
-    @property
-    def proves(self) -> bool:
-        """Return False."""
-        return False
+
+class WithoutImages(PathRelaxation):
+    """Edges whose images may leave the box of the mode that follows."""
+
+    images = False
+
+
+VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
+    "all": (PathRelaxation, {}),
+    "shares of modes instead of paths": (ModeRelaxation, {}),
+    "images not bounded": (WithoutImages, {}),
+    "by Clarabel": (PathRelaxation, {"COMPILED_FROM": 10**9}),
+    "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
+    "reaches each alone": (PathRelaxation, {"SPLIT_TOGETHER": 1, "TRIED_TOGETHER": 1}),
+    "rounded as often as at first": (PathRelaxation, {"ROUNDING_SELDOM": branch_and_bound.ROUNDING_EVERY}),
+}
+"""Our search without each of its means: the relaxation, and what is changed in ``branch_and_bound``."""
 
 
 def layers(cases: Mapping[str, Build], limit: float, gap: float) -> Table:
     """Return seconds of the process and relaxations of our search, and without each of its means."""
-    variants: dict[str, tuple[type[ModeRelaxation], dict[str, int]]] = {
-        "all": (ModeRelaxation, {}),
-        "relaxations solved to the end": (SolvedToTheEnd, {}),
-        "reaches each alone": (ModeRelaxation, {"SPLIT_TOGETHER": 1, "TRIED_TOGETHER": 1}),
-        "rounded as often as at first": (ModeRelaxation, {"ROUNDING_SELDOM": branch_and_bound.ROUNDING_EVERY}),
-    }
-    table = Table("seconds, relaxations", *variants)
-    for name, build in cases.items():
-        cells = list[str]()
-        for relaxation, constants in variants.values():
-            before = {constant: getattr(branch_and_bound, constant) for constant in constants}
-            for constant, value in constants.items():
-                setattr(branch_and_bound, constant, value)
+    table = Table("seconds, relaxations", *cases)
+    for variant, (relaxation, changed) in VARIANTS.items():
+        before, cells = {name: getattr(branch_and_bound, name) for name in changed}, list[str]()
+        for name, value in changed.items():
+            setattr(branch_and_bound, name, value)
+        for build in cases.values():
             started = time.process_time()
             outcome = BranchAndBound(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
             cells.append(f"{time.process_time() - started:.2f}, {outcome.nodes}")
-            for constant, value in before.items():
-                setattr(branch_and_bound, constant, value)
-        table.add_row(name, *cells)
+        for name, value in before.items():
+            setattr(branch_and_bound, name, value)
+        table.add_row(variant, *cells)
     return table

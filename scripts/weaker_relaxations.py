@@ -1,5 +1,6 @@
-"""Two relaxations that are weaker than that of the search, to compare with.
+"""Relaxations that are weaker than that of the search, paths, to compare with.
 
+perspective    shares of modes at each time (ModeRelaxation)
 hull    the same shares of modes, but the cost of (x_t, u_t) itself
 big-M   no shares: x_{t+1} - f_i, f_i - x_{t+1} and G y - h within M (1 - delta_i), M from the same boxes
 """
@@ -15,6 +16,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
 
@@ -115,4 +117,4 @@ def _range(matrices: Array, low: Array, high: Array) -> tuple[Array, Array]:
     return np.minimum(*ends).sum(axis=-1), np.maximum(*ends).sum(axis=-1)
 
 
-RELAXATIONS = {"perspective": ModeRelaxation, "hull": HullRelaxation, "big-M": BigMRelaxation}
+RELAXATIONS = {"paths": PathRelaxation, "perspective": ModeRelaxation, "hull": HullRelaxation, "big-M": BigMRelaxation}

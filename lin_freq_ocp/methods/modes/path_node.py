@@ -75,7 +75,8 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
     program = member.program
     assert program is not None
     paths.KERNELS.prepare()
-    data, clear, several = _data(program, paths.PathData), (CLEAR_RESIDUAL, CLEAR_GAP), enough is not None and enough.several
+    data, clear = _data(program, paths.PathData), (CLEAR_RESIDUAL, CLEAR_GAP)
+    several = enough is not None and enough.several
     rows = len(data.G), len(program.t)
     point = np.zeros(data.cost.shape), np.zeros(len(program.b)), np.zeros(rows), np.zeros(rows)
     numbers = np.zeros(paths.NUMBERS)
@@ -103,7 +104,8 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
 
 def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
     """Return the arrays with edges side by side: the last index."""
-    rows, G = np.concatenate([program.C, program.signals], axis=1), np.concatenate([program.linear, program.cone], axis=1)
+    rows = np.concatenate([program.C, program.signals], axis=1)
+    G = np.concatenate([program.linear, program.cone], axis=1)
     return form(
         np.ascontiguousarray(rows.transpose(1, 2, 0)),
         np.ascontiguousarray(program.places.T),

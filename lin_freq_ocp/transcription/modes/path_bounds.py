@@ -44,14 +44,14 @@ class PathBounds:
         self._feasible = Quadratic(np.zeros_like(hessians[:, None, None]))
         self._limits = np.where(np.isfinite(model.limits), model.limits, 0.0)
 
-    def bound(self, allowed: Mask, low: Array, high: Array, duals: PathDuals) -> float:
-        """Return what duals prove of modes (T+1, modes) within boxes (T+1, modes, k): inf where there is no path."""
-        value = np.zeros(allowed.shape[1])
-        for length in self.lengths(allowed, low, high, duals)[::-1]:
+    def bound(self, pairs: Mask, low: Array, high: Array, duals: PathDuals) -> float:
+        """Return what duals prove of edges (T, modes, modes) and boxes (T+1, modes, k): inf where there is no path."""
+        value = np.zeros(pairs.shape[1])
+        for length in self.lengths(pairs, low, high, duals)[::-1]:
             value = (length + value).min(axis=1)
         return float(value.min()) - float(duals.coupled @ self._model.right)
 
-    def lengths(self, allowed: Mask, low: Array, high: Array, duals: PathDuals) -> Array:
+    def lengths(self, pairs: Mask, low: Array, high: Array, duals: PathDuals) -> Array:
         """Return phi (T+1, modes, modes), inf where an edge is missing; at T, of mode 0 to mode 0."""
         model, eta = self._model, duals.vertices
         T, modes, n = eta.shape
@@ -70,6 +70,5 @@ class PathBounds:
         cost = self._cost if duals.eta_C else self._feasible
         found = constant + cost.least(own, low[:, :, None], high[:, :, None])
         present = np.zeros(found.shape, dtype=bool)
-        present[:-1] = model.pairs(allowed, low, high)
-        present[-1, 0, 0] = True
+        present[:-1], present[-1, 0, 0] = pairs, True
         return np.where(present, found, np.inf)

@@ -21,10 +21,10 @@ MOST_MODES = 4  # beyond, edges are many: a relaxation takes longer than the nod
 
 @dataclass(frozen=True, eq=False)
 class PathMember:
-    """The path relaxation of one reach: modes (T+1, modes), 0 at T, boxes (T+1, modes, k), and the program, if any."""
+    """The path relaxation of one reach: its edges (T, modes, modes), boxes (T+1, modes, k), and the program, if any."""
 
     reach: Reach
-    allowed: Mask
+    pairs: Mask
     low: Array
     high: Array
     program: PathProgram | None
@@ -32,6 +32,8 @@ class PathMember:
 
 class PathRelaxation(ModeRelaxation):
     """The relaxations of one problem as paths; those of its base where that is not possible."""
+
+    images = True  # whether the image of an edge has to lie in the box of the mode that follows
 
     @cached_property
     def _paths(self) -> tuple[PathModel, PathBounds] | None:
@@ -54,6 +56,7 @@ class PathRelaxation(ModeRelaxation):
             price=parts.price,
             coupled=parts.rows,
             right=parts.right,
+            images=self.images,
         )
         return model, PathBounds(model, hessians)
 
@@ -72,7 +75,8 @@ class PathRelaxation(ModeRelaxation):
             part[-1, 0, :n] = (last[-1] - stages.last_reference) / stages.units[:n]
         if (np.abs(low) >= UNBOUNDED).any() or (np.abs(high) >= UNBOUNDED).any():
             return None
-        return PathMember(reach, allowed, low, high, path_program(self._paths[0], allowed, low, high))
+        pairs = self._paths[0].pairs(allowed, low, high)
+        return PathMember(reach, pairs, low, high, path_program(self._paths[0], pairs, low, high))
 
     def path_duals(self, program: PathProgram, p: Array, z: Array, w: Array | None) -> PathDuals:
         """Return the duals of C w = b and of linear rows, (E, R), with the weights of w (E, W), or those of a ray."""
@@ -108,7 +112,7 @@ class PathRelaxation(ModeRelaxation):
     def path_bound(self, member: PathMember, duals: PathDuals) -> float:
         """Return what duals prove: a bound on the cost; above zero, for eta_C = 0, that there is no trajectory."""
         assert self._paths is not None
-        found = self._paths[1].bound(member.allowed, member.low, member.high, duals)
+        found = self._paths[1].bound(member.pairs, member.low, member.high, duals)
         return self.cost(found) if duals.eta_C else found
 
     def path_point(self, program: PathProgram, w: Array) -> tuple[Trajectory, Array]:

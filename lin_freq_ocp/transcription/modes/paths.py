@@ -43,6 +43,7 @@ class PathModel:
     price: Array
     coupled: Array
     right: Array
+    images: bool  # whether images have to lie in the boxes of the modes that follow
 
     def pairs(self, allowed: Mask, low: Array, high: Array) -> Mask:
         """Return which modes can follow each other, (T, modes, modes), as far as boxes (T+1, modes, k) tell."""
@@ -77,8 +78,8 @@ class PathProgram:
         The entries of y that rows over all times have, and these rows.
     b : (vertex rows + q,), cost : (E, W)
     linear : (E, R, W), sizes : (E, R), present : (E, R)
-        G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images; rows
-        that are not present, as they are never active, are delta >= 0.
+        G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images.
+        Rows that are not present, as they are never active, are delta >= 0.
     cone : (E, rank + 2, W)
         G for the second-order cone.
     """
@@ -105,10 +106,9 @@ class PathProgram:
         return len(self.b) - len(self.coupled)
 
 
-def path_program(model: PathModel, allowed: Mask, low: Array, high: Array) -> PathProgram | None:
-    """Return the program of modes ``allowed`` (T+1, modes) within boxes (T+1, modes, k); None if there is no path."""
-    n, T = model.maps.shape[2], len(allowed) - 1
-    pairs = model.pairs(allowed, low, high)
+def path_program(model: PathModel, pairs: Mask, low: Array, high: Array) -> PathProgram | None:
+    """Return the program of edges (T, modes, modes) and boxes (T+1, modes, k); None if there is no path."""
+    n, T = model.maps.shape[2], len(pairs)
     if not pairs.any(axis=(1, 2)).all():
         return None
     t, i, j = (np.append(part, last) for part, last in zip(np.nonzero(pairs), (T, 0, 0), strict=True))
@@ -187,6 +187,7 @@ def _linear_rows(
     spread, at = np.abs(rows[..., :k]).sum(axis=-1), rows[..., -2]
     present = (spread + at > 0) & (spread - at > THIN)
     present[:, 2 * k : 2 * k + count] &= np.isfinite(limits)
+    present[:, 2 * k + count :] &= model.images
     present[-1] = False
     present[:, : 2 * k] = True
     rows[~present] = box[0, 0] - box[0, 0] * (np.arange(width) < k)
@@ -199,7 +200,7 @@ def _linear_rows(
 def path_form(program: PathProgram) -> StandardForm:
     """Return the standard form: the rows C w = b, the linear rows that are present, by edges, and the cones."""
     (edges, width), q, equations = program.cost.shape, len(program.coupled), len(program.b)
-    variables, linear = np.arange(edges * width).reshape(edges, width), np.count_nonzero(program.present)
+    variables, linear = np.arange(edges * width).reshape(edges, width), int(program.present.sum())
     size = program.cone.shape[1]
     coupled = program.coupled[:, program.t].swapaxes(0, 1) @ program.signals
     cones = equations + linear + np.arange(edges * size).reshape(edges, size)

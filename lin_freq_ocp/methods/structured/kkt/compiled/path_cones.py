@@ -1,4 +1,4 @@
-"""The cones of path relaxations, compiled: rows (rows, E) of E edges side by side.
+"""The cones of path relaxations, compiled: rows (rows, E) of E edges side by side, which loops go through last.
 
 The first ``linear`` rows are >= 0; the others of an edge are one second-order cone, whose scalings are w and eta there.
 """
@@ -13,24 +13,46 @@ from lin_freq_ocp.methods.structured.model.cones import LEAST_SQUARE
 
 
 @jit
-def cone_size(linear: int, v: Array, e: int) -> tuple[float, float]:
-    """Return the root of v'Jv of the cone of an edge, without the cancellation of squares, and |(v_1, ...)|."""
-    square = 0.0
+def cone_inner(linear: int, a: Array, b: Array, sign: float) -> Array:
+    """Return a_0 b_0 + sign (a_1 b_1 + ...) of the cone of each edge."""
+    out = np.empty(a.shape[1])
+    for e in range(len(out)):
+        out[e] = a[linear, e] * b[linear, e]
+    for i in range(linear + 1, len(a)):
+        for e in range(len(out)):
+            out[e] += sign * a[i, e] * b[i, e]
+    return out
+
+
+@jit
+def cone_tails(linear: int, v: Array) -> Array:
+    """Return |(v_1, ...)| of the cone of each edge."""
+    out = np.zeros(v.shape[1])
     for i in range(linear + 1, len(v)):
-        square += v[i, e] * v[i, e]
-    rest, head = np.sqrt(square), v[linear, e]
-    return np.sqrt(max((head - rest) * (head + rest), LEAST_SQUARE)), rest
+        for e in range(len(out)):
+            out[e] += v[i, e] * v[i, e]
+    for e in range(len(out)):
+        out[e] = np.sqrt(out[e])
+    return out
+
+
+@jit
+def cone_sizes(linear: int, v: Array) -> Array:
+    """Return the root of v'Jv of the cone of each edge, without the cancellation of squares."""
+    out = cone_tails(linear, v)
+    for e in range(len(out)):
+        out[e] = np.sqrt(max((v[linear, e] - out[e]) * (v[linear, e] + out[e]), LEAST_SQUARE))
+    return out
 
 
 @jit
 def cones_margin(linear: int, v: Array) -> float:
     """Return the distance to the boundary, negative outside."""
-    least = np.inf
-    for i in range(linear):
-        for e in range(v.shape[1]):
-            least = min(least, v[i, e])
+    least, tails = np.inf, cone_tails(linear, v)
     for e in range(v.shape[1]):
-        least = min(least, v[linear, e] - cone_size(linear, v, e)[1])
+        for i in range(linear):
+            least = min(least, v[i, e])
+        least = min(least, v[linear, e] - tails[e])
     return least
 
 
@@ -38,19 +60,20 @@ def cones_margin(linear: int, v: Array) -> float:
 def cones_scale(linear: int, s: Array, z: Array) -> tuple[Array, Array]:
     """Return the scaling w (rows, E) and eta (E,) of interior points."""
     rows, edges = s.shape
-    w, eta = np.empty(s.shape), np.empty(edges)
+    w, eta, twice = np.empty(s.shape), np.empty(edges), cone_inner(linear, s, z, 1.0)
     for i in range(linear):
         for e in range(edges):
             w[i, e] = np.sqrt(s[i, e] / z[i, e])
+    of_s, of_z = cone_sizes(linear, s), cone_sizes(linear, z)
     for e in range(edges):
-        of_s, of_z, product = cone_size(linear, s, e)[0], cone_size(linear, z, e)[0], 0.0
-        for i in range(linear, rows):
-            product += s[i, e] * z[i, e]
-        twice, square = 2 * np.sqrt(max((1 + product / (of_s * of_z)) / 2, 1.0)), 0.0
-        for i in range(linear + 1, rows):
-            w[i, e] = (s[i, e] / of_s - z[i, e] / of_z) / twice
-            square += w[i, e] * w[i, e]
-        w[linear, e], eta[e] = np.sqrt(1 + square), np.sqrt(of_s / of_z)
+        twice[e] = 2 * np.sqrt(max((1 + twice[e] / (of_s[e] * of_z[e])) / 2, 1.0))
+        w[linear, e], eta[e] = 1.0, np.sqrt(of_s[e] / of_z[e])
+    for i in range(linear + 1, rows):
+        for e in range(edges):
+            w[i, e] = (s[i, e] / of_s[e] - z[i, e] / of_z[e]) / twice[e]
+            w[linear, e] += w[i, e] * w[i, e]
+    for e in range(edges):
+        w[linear, e] = np.sqrt(w[linear, e])
     return w, eta
 
 
@@ -58,7 +81,7 @@ def cones_scale(linear: int, s: Array, z: Array) -> tuple[Array, Array]:
 def cones_scaled(linear: int, w: Array, eta: Array, v: Array, inverse: bool) -> Array:
     """Return W v, or W^-1 v."""
     rows, edges = v.shape
-    out = np.empty(v.shape)
+    out, sign = np.empty(v.shape), -1.0 if inverse else 1.0
     for i in range(linear):
         if inverse:
             for e in range(edges):
@@ -66,48 +89,42 @@ def cones_scaled(linear: int, w: Array, eta: Array, v: Array, inverse: bool) -> 
         else:
             for e in range(edges):
                 out[i, e] = v[i, e] * w[i, e]
-    sign = -1.0 if inverse else 1.0
+    head, factor, move = cone_inner(linear, w, v, sign), np.empty(edges), np.empty(edges)
     for e in range(edges):
-        factor, along = 1 / eta[e] if inverse else eta[e], 0.0
-        for i in range(linear + 1, rows):
-            along += sign * w[i, e] * v[i, e]
-        out[linear, e], move = factor * (w[linear, e] * v[linear, e] + along), v[linear, e] + along / (1 + w[linear, e])
-        for i in range(linear + 1, rows):
-            out[i, e] = factor * (v[i, e] + sign * w[i, e] * move)
+        factor[e] = 1 / eta[e] if inverse else eta[e]
+        move[e] = sign * (v[linear, e] + (head[e] - w[linear, e] * v[linear, e]) / (1 + w[linear, e]))
+        out[linear, e] = factor[e] * head[e]
+    for i in range(linear + 1, rows):
+        for e in range(edges):
+            out[i, e] = factor[e] * (v[i, e] + w[i, e] * move[e])
     return out
 
 
 @jit
 def cones_product(linear: int, a: Array, b: Array) -> Array:
     """Return the Jordan product."""
-    rows, edges = a.shape
     out = np.empty(a.shape)
     for i in range(linear):
-        for e in range(edges):
+        for e in range(a.shape[1]):
             out[i, e] = a[i, e] * b[i, e]
-    for e in range(edges):
-        value = a[linear, e] * b[linear, e]
-        for i in range(linear + 1, rows):
-            value += a[i, e] * b[i, e]
+    out[linear] = cone_inner(linear, a, b, 1.0)
+    for i in range(linear + 1, len(a)):
+        for e in range(a.shape[1]):
             out[i, e] = a[linear, e] * b[i, e] + b[linear, e] * a[i, e]
-        out[linear, e] = value
     return out
 
 
 @jit
 def cones_quotient(linear: int, lam: Array, d: Array) -> Array:
     """Return the v with lam o v = d."""
-    rows, edges = d.shape
-    out = np.empty(d.shape)
+    out, head, sizes = np.empty(d.shape), cone_inner(linear, lam, d, -1.0), cone_sizes(linear, lam)
     for i in range(linear):
-        for e in range(edges):
+        for e in range(d.shape[1]):
             out[i, e] = d[i, e] / lam[i, e]
-    for e in range(edges):
-        value = lam[linear, e] * d[linear, e]
-        for i in range(linear + 1, rows):
-            value -= lam[i, e] * d[i, e]
-        out[linear, e] = value / cone_size(linear, lam, e)[0] ** 2
-        for i in range(linear + 1, rows):
+    for e in range(d.shape[1]):
+        out[linear, e] = head[e] / (sizes[e] * sizes[e])
+    for i in range(linear + 1, len(d)):
+        for e in range(d.shape[1]):
             out[i, e] = (d[i, e] - lam[i, e] * out[linear, e]) / lam[linear, e]
     return out
 
@@ -115,18 +132,19 @@ def cones_quotient(linear: int, lam: Array, d: Array) -> Array:
 @jit
 def cones_steepest(linear: int, lam: Array, direction: Array) -> float:
     """Return 1/a for the longest step a from lam along a scaled direction in the cone; zero if any stays in it."""
-    found = 0.0
+    edges = lam.shape[1]
+    most, units, square = np.zeros(edges), cone_sizes(linear, lam), np.zeros(edges)
     for i in range(linear):
-        for e in range(lam.shape[1]):
-            found = max(found, -direction[i, e] / lam[i, e])
-    for e in range(lam.shape[1]):
-        unit = cone_size(linear, lam, e)[0]
-        along = lam[linear, e] * direction[linear, e]
-        for i in range(linear + 1, len(lam)):
-            along -= lam[i, e] * direction[i, e]
-        along /= unit
-        move, square = (along + direction[linear, e]) / (lam[linear, e] / unit + 1), 0.0
-        for i in range(linear + 1, len(lam)):
-            square += (direction[i, e] - move * lam[i, e] / unit) ** 2
-        found = max(found, (np.sqrt(square) - along) / unit)
+        for e in range(edges):
+            most[e] = max(most[e], -direction[i, e] / lam[i, e])
+    along, move = cone_inner(linear, lam, direction, -1.0), np.empty(edges)
+    for e in range(edges):
+        along[e] /= units[e]
+        move[e] = (along[e] + direction[linear, e]) / (lam[linear, e] / units[e] + 1) / units[e]
+    for i in range(linear + 1, len(lam)):
+        for e in range(edges):
+            square[e] += (direction[i, e] - move[e] * lam[i, e]) ** 2
+    found = 0.0
+    for e in range(edges):
+        found = max(found, most[e], (np.sqrt(square[e]) - along[e]) / units[e])
     return found

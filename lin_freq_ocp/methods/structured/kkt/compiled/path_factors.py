@@ -1,4 +1,4 @@
-"""Linear systems of path relaxations (transcription/modes/paths.py), compiled. E edges lie side by side: the last index.
+"""Linear systems of path relaxations (transcription/modes/paths.py), compiled; the last index is that of E edges.
 
 Edges have W variables each, and rows C of their two vertices; rows over all times act on sums of signals of edges. With
 Phi = G'W^-2 G of an edge, L L' = Phi and X = [C; signals] L^-T, sums of X X' make the matrix of the multipliers: a band
@@ -66,27 +66,28 @@ def band_cholesky(S: Array) -> None:
 
 
 @jit
-def band_forward(S: Array, v: Array, at: int) -> None:
-    """Replace row ``at`` of v by L^-1 v, as far as the band goes."""
+def band_forward(S: Array, v: Array) -> None:
+    """Replace the columns of v by L^-1 v, as far as the band goes."""
     rows, width = S.shape
     last = width - 1
     for i in range(rows):
-        value = v[at, i]
         for m in range(max(0, i - last), i):
-            value -= S[i, m - i + last] * v[at, m]
-        v[at, i] = value / S[i, last]
+            factor = S[i, m - i + last]
+            for c in range(v.shape[1]):
+                v[i, c] -= factor * v[m, c]
+        for c in range(v.shape[1]):
+            v[i, c] /= S[i, last]
 
 
 @jit
-def band_backward(S: Array, v: Array, at: int) -> None:
-    """Replace row ``at`` of v by L^-T v, as far as the band goes."""
+def band_backward(S: Array, v: Array) -> None:
+    """Replace v by L^-T v, as far as the band goes."""
     rows, width = S.shape
     last = width - 1
     for i in range(rows - 1, -1, -1):
-        value = v[at, i] / S[i, last]
-        v[at, i] = value
+        v[i] /= S[i, last]
         for m in range(max(0, i - last), i):
-            v[at, m] -= S[i, m - i + last] * value
+            v[m] -= S[i, m - i + last] * v[i]
 
 
 @jit
@@ -149,7 +150,7 @@ def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
     (whole, size, edges), q, count = rows.shape, len(coupled), len(places)
     a, vertices, last = whole - count, len(b) - q, width - 1
     X, S, value = edges_factored(L, rows), np.zeros((vertices, width)), np.empty(edges)
-    border, rest, moments = np.zeros((q, vertices)), np.zeros((q, q)), np.zeros((coupled.shape[1], a, a))
+    border, rest, moments = np.zeros((vertices, q)), np.zeros((q, q)), np.zeros((coupled.shape[1], a, a))
     for r in range(whole):
         for c in range(r + 1):
             value[:] = 0.0
@@ -166,7 +167,7 @@ def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
                     moments[times[e], r - count, c - count] += value[e]
                 else:
                     for row in range(q):
-                        border[row, j] += coupled[row, times[e], r - count] * value[e]
+                        border[j, row] += coupled[row, times[e], r - count] * value[e]
     band_cholesky(S)
     rest_factored(coupled, moments, S, border, rest)
     return L, X, S, border, rest
@@ -184,13 +185,11 @@ def rest_factored(coupled: Array, moments: Array, S: Array, border: Array, rest:
                     for j in range(a):
                         value += coupled[r, t, i] * moments[t, max(i, j), min(i, j)] * coupled[c, t, j]
             rest[r, c] = value
-    for r in range(q):
-        band_forward(S, border, r)
-        for c in range(r + 1):
-            value = 0.0
-            for m in range(border.shape[1]):
-                value += border[r, m] * border[c, m]
-            rest[r, c] -= value
+    band_forward(S, border)
+    for m in range(len(border)):
+        for r in range(q):
+            for c in range(r + 1):
+                rest[r, c] -= border[m, r] * border[m, c]
     cholesky(rest, q)
 
 
@@ -199,25 +198,25 @@ def path_solved(data: PathData, factors: PathFactors, of_w: Array, of_p: Array) 
     """Return (w, p) with Phi w + C'p = of_w (W, E), C w = of_p, C with the rows over all times."""
     (L, X, S, border, rest), q = factors, len(data.coupled)
     (_, size, edges), vertices = X.shape, len(of_p) - q
-    w, v = of_w.copy(), np.empty((1, len(of_p)))
+    w, v = of_w.copy(), np.empty((len(of_p), 1))
     for i in range(size):
         for m in range(i):
             for e in range(edges):
                 w[i, e] -= L[i, m, e] * w[m, e]
         for e in range(edges):
             w[i, e] /= L[i, i, e]
-    v[0] = -of_p
-    p = v[0]
+    p = v.ravel()
+    p[:] = -of_p
     add_rows(data, X, w, p)
-    band_forward(S, v, 0)
-    for r in range(q):
-        for m in range(vertices):
-            p[vertices + r] -= border[r, m] * p[m]
+    band_forward(S, v)
+    for m in range(vertices):
+        for r in range(q):
+            p[vertices + r] -= border[m, r] * p[m]
     cholesky_solve(rest, q, p[vertices:])
-    for r in range(q):
-        for m in range(vertices):
-            p[m] -= border[r, m] * p[vertices + r]
-    band_backward(S, v, 0)
+    for m in range(vertices):
+        for r in range(q):
+            p[m] -= border[m, r] * p[vertices + r]
+    band_backward(S, p)
     add_adjoint(data, X, -p, w)
     for i in range(size - 1, -1, -1):
         for m in range(i + 1, size):
