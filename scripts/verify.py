@@ -54,8 +54,8 @@ import verify_spectral
 import verify_structured
 import verify_units
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from seeded import check_all
 
 import lin_freq_ocp as lfo
 from helpers.checks.convex import Outcome, check
@@ -134,9 +134,9 @@ def known_optima() -> tuple[Table, bool]:
     return table, good
 
 
-def random_convex(console: Console, seeds: range) -> bool:
+def random_convex(console: Console, seeds: range, processes: int) -> bool:
     """Check the random problems of these seeds and print what became of them; return whether all are as they must."""
-    outcomes = [check(seed) for seed in track(seeds, "solving", console=Console(stderr=True), transient=True)]
+    outcomes = check_all(check, seeds, processes, "solving")
     console.print(summary(outcomes))
     for one in outcomes:
         if one.explained or not one.passed:
@@ -150,7 +150,7 @@ def main() -> int:
     parser.add_argument("--part", action="append", choices=PARTS, help="may be repeated; default: all")
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--processes", type=int, default=2, help="of 'linear', 'spectral', 'structured' and 'units'")
+    parser.add_argument("--processes", type=int, default=2, help="for the parts of random problems")
     options = parser.parse_args()
     parts, console, good = options.part or PARTS, Console(width=WIDTH), True
     seeds = {part: range(options.seed, options.seed + (options.problems or count)) for part, count in PROBLEMS.items()}
@@ -158,7 +158,7 @@ def main() -> int:
         table, good = known_optima()
         console.print(table)
     if "convex" in parts:
-        good &= random_convex(console, seeds["convex"])
+        good &= random_convex(console, seeds["convex"], options.processes)
     if "linear" in parts:
         good &= verify_linear.verify(console, seeds["linear"], options.processes)
     if "spectral" in parts:
@@ -166,11 +166,11 @@ def main() -> int:
     if "structured" in parts:
         good &= verify_structured.verify(console, seeds["structured"], options.processes)
     if "explain" in parts:
-        good &= verify_explain.verify(console, seeds["explain"])
+        good &= verify_explain.verify(console, seeds["explain"], options.processes)
     if "mixed" in parts:
-        good &= verify_mixed.verify(console, seeds["mixed"])
+        good &= verify_mixed.verify(console, seeds["mixed"], options.processes)
     if "flips" in parts:
-        good &= verify_flips.verify(console, seeds["flips"])
+        good &= verify_flips.verify(console, seeds["flips"], options.processes)
     if "units" in parts:
         good &= verify_units.verify(console, seeds["units"], options.processes)
     if "modes" in parts:
@@ -178,7 +178,7 @@ def main() -> int:
     if "nonsmooth" in parts:
         good &= verify_nonsmooth.verify(console)
     if "loop" in parts:
-        good &= verify_loop.verify_loops(console, len(seeds["loop"]), options.seed)
+        good &= verify_loop.verify(console, seeds["loop"], options.processes)
     if "limits" in parts:
         good &= verify_limits.verify(console)
     return 0 if good else 1

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections import Counter
 
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from seeded import check_all
 
 from helpers.checks.flips import check
 from lin_freq_ocp.testing.random_kinks import KINDS
 
 
-def verify(console: Console, seeds: range) -> bool:
+def verify(console: Console, seeds: range, processes: int) -> bool:
     """Check the problems of these seeds and print what became of them; return whether nothing is wrong."""
-    outcomes = [check(seed) for seed in track(seeds, "flipping", console=Console(stderr=True), transient=True)]
+    outcomes = check_all(check, seeds, processes, "flipping")
     columns = (
         *("joint", "flip", "stay", "degenerate", "undecided"),
         *("inside", "flip-stationary", "joint only", "no multipliers found", "long way"),

@@ -7,28 +7,14 @@ the terms of the cost add up to in absolute value.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
-from threadpoolctl import threadpool_limits
+from seeded import check_all
 
 from helpers.checks.linear import Outcome, check
-
-
-def check_all(seeds: Sequence[int], processes: int) -> list[Outcome]:
-    """Check all seeds, with one BLAS thread per process, and show progress on a terminal."""
-    terminal = Console(stderr=True)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, spawn, initializer=threadpool_limits, initargs=(1,)) as pool:
-        checked = pool.map(check, seeds, chunksize=10)
-        if terminal.is_terminal:
-            checked = track(checked, "linear problems", len(seeds), console=terminal, transient=True)
-        return list(checked)
 
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
@@ -43,7 +29,7 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
 
 def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
     """Check all seeds and print what became of them; return whether all have an answer of the right cost."""
-    outcomes = check_all(seeds, processes)
+    outcomes = check_all(check, seeds, processes, "linear problems")
     console.print(summary(outcomes))
     failed = [one for one in outcomes if one.unanswered or one.wrong]
     for one in failed:

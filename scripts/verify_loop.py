@@ -7,14 +7,13 @@ step was softened.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from loop_cases import pendulum, random_plant, windowed
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from seeded import check_all
 
 import lin_freq_ocp as lfo
 
@@ -58,18 +57,16 @@ class Findings:
         return not self.stopped and worst <= TOLERANCE
 
 
-def cases(loops: int, seed: int) -> Iterator[Case]:
-    """Yield so many loops, of four kinds in turn."""
-    for i in range(seed, seed + loops):
-        if i % 4 == 0:
-            yield Case("pendulum, bounds", pendulum(60), np.array([0.15, 0.1, 0.5, 0.5]))
-        elif i % 4 == 1:
-            yield Case("pendulum, low pass", pendulum(60, low_pass=True), np.array([0.15, 0.1, 0.5, 0.5]))
-        elif i % 4 == 2:
-            yield Case("windows", windowed(40), np.array([1.0, 0.5]))
-        else:
-            problem = random_plant(i, 20)
-            yield Case("random plants", problem, problem.state_tube.upper[1] / 3)
+def case_of(seed: int) -> Case:
+    """Return the loop of a seed, of four kinds in turn."""
+    if seed % 4 == 0:
+        return Case("pendulum, bounds", pendulum(60), np.array([0.15, 0.1, 0.5, 0.5]))
+    if seed % 4 == 1:
+        return Case("pendulum, low pass", pendulum(60, low_pass=True), np.array([0.15, 0.1, 0.5, 0.5]))
+    if seed % 4 == 2:
+        return Case("windows", windowed(40), np.array([1.0, 0.5]))
+    problem = random_plant(seed, 20)
+    return Case("random plants", problem, problem.state_tube.upper[1] / 3)
 
 
 def run(case: Case, seed: int) -> Findings:
@@ -108,11 +105,15 @@ def window_excess(problem: lfo.OptimalControlProblem, controls: np.ndarray, hard
     return worst
 
 
-def verify_loops(console: Console, steps: int, seed: int) -> bool:
+def check(seed: int) -> Findings:
+    """Run the loop of a seed."""
+    return run(case_of(seed), seed)
+
+
+def verify(console: Console, steps: range, processes: int) -> bool:
     """Run loops of so many steps in all, and print what was found; return whether all passed."""
-    loops = -(-steps // STEPS)
-    shown = track(enumerate(cases(loops, seed)), "closed loops", loops, console=Console(stderr=True), transient=True)
-    found = [run(case, seed + i) for i, case in shown]
+    loops = -(-len(steps) // STEPS)
+    found = check_all(check, range(steps.start, steps.start + loops), processes, "closed loops")
     table = Table("loop", "loops", "steps", "softened", title="closed loops with disturbances")
     for column in ("control excess", "state excess", "window excess", "failed"):
         table.add_column(column, justify="right")

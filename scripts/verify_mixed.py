@@ -6,15 +6,15 @@ from collections import Counter
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from seeded import check_all
 
 from helpers.checks.mixed import check
 
 
-def verify(console: Console, seeds: range) -> bool:
+def verify(console: Console, seeds: range, processes: int) -> bool:
     """Check the problems of these seeds, show what was found, and return whether all passed."""
-    outcomes = [check(seed) for seed in track(seeds, "mixing", console=Console(stderr=True), transient=True)]
+    outcomes = check_all(check, seeds, processes, "mixing")
     table = Table(title=f"{len(seeds)} random problems of mixed features, against CVXPY")
     for column in ("feature", "problems"):
         table.add_column(column)

@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
-from threadpoolctl import threadpool_limits
+from seeded import check_all
 
 from helpers.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check
 from lin_freq_ocp.testing.random_lti import KINDS, kind_of
 
 AGREEING = 0.99  # share of the problems solved by both that must agree
-
-
-def _one_thread() -> None:
-    threadpool_limits(1)
-
-
-def check_all(seeds: Sequence[int], processes: int) -> list[Outcome]:
-    """Check all seeds, with one BLAS thread per process, and show progress on a terminal."""
-    terminal = Console(stderr=True)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, spawn, initializer=_one_thread) as pool:
-        checked = pool.map(check, seeds)
-        if terminal.is_terminal:
-            checked = track(checked, "Fourier-domain method", len(seeds), console=terminal, transient=True)
-        return list(checked)
 
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
@@ -85,7 +67,7 @@ def _quantiles(values: Sequence[float], form: str) -> str:
 
 def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
     """Check all seeds and print what became of them; return whether every requirement is met."""
-    outcomes = check_all(seeds, processes)
+    outcomes = check_all(check, seeds, processes, "Fourier-domain method")
     console.print(summary(outcomes), by_kind(outcomes))
     for one in outcomes:
         if not one.passed or one.verdict not in (Verdict.AGREES, Verdict.RAY):

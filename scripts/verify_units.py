@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from seeded import check_all
 
 from helpers.checks.units import CHANGES, check
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
     """Check the problems of these seeds and print what became of them; return whether no verdict changed."""
-    with ProcessPoolExecutor(processes) as pool:
-        found = pool.map(check, seeds, chunksize=8)
-        outcomes = list(track(found, "changing units", len(seeds), console=Console(stderr=True), transient=True))
+    outcomes = check_all(check, seeds, processes, "changing units")
     table = Table("class", *CHANGES, "statuses", "largest cost difference", title="verdicts that changed, of problems")
     for kind in sorted({one.kind for one in outcomes}):
         own = [one for one in outcomes if one.kind == kind]
