@@ -14,6 +14,7 @@ from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
+CLEAR_MARGIN = 1e-4  # margin of a proof from which half of its bound is far above the rounding of data
 SHARE_TOLERANCE = 0.1
 """Bounds on a component with less than this share of the heaviest ones in a proof are not named."""
 
@@ -88,6 +89,31 @@ def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
     if bound.stage_gaps is not None:
         terms += float(np.abs(bound.stage_gaps).sum())
     return bound.value / terms if terms > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusion:
+    """A rigorous ray that excludes initial states: its bound is an affine function of them.
+
+    From x_0, it is ``value`` + slope (x_0 - start) > 0: the ray has no cost, and l_0 is linear at the fixed x_0.
+    """
+
+    start: Array
+    slope: Array
+    value: float
+
+    def excludes(self, state: Array) -> bool:
+        """Whether the bound from a state (n,) is at least half of that from ``start``: above all rounding."""
+        return self.value + float(self.slope @ (state - self.start)) >= 0.5 * self.value
+
+
+def exclusion(problem: OptimalControlProblem, ray: Multipliers) -> Exclusion | None:
+    """Return what a ray proves of other initial states; None unless it excludes the problem's own, a point, clearly."""
+    bound = _bound(problem, ray)
+    start = problem.initial_box
+    if not start.fixed.all() or bound.kind != "rigorous" or proof_margin(problem, ray) <= CLEAR_MARGIN:
+        return None
+    return Exclusion(start.lower, -extremal_at(problem, _rest(problem), ray).in_x[0].astype(np.float64), bound.value)
 
 
 def _rest(problem: OptimalControlProblem) -> Trajectory:

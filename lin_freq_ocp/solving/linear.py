@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -197,13 +198,12 @@ class LinearAuto:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve with the methods in turn until an answer is proven."""
-        convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
         if self.backend != "auto":
-            return convex.solve(problem, request)
-        end, large = time.perf_counter() + request.time_limit, structured_first(problem)
+            return Convex(self.backend, self.tolerance).solve(problem, request)
+        end = time.perf_counter() + request.time_limit
         best: Outcome | None = None
         refusals = list[str]()
-        for method in (Spectral(self.tolerance), *((structured, convex) if large else (convex, structured))):
+        for method in self._in_turn(problem):
             left = _left(end)
             try:
                 outcome = method.solve(problem, request if left is None else replace(request, time_limit=left))
@@ -211,22 +211,27 @@ class LinearAuto:
                 refusals += [] if str(error) in refusals else [str(error)]
                 continue
             if best is None or _better(outcome, best):
-                why = _why(method, refusals, large, best)
-                best = replace(outcome, reason=why)
+                best = replace(outcome, reason=_why(problem, method, refusals, best))
             if _final(outcome) or (_rank(best) > 0 and not isinstance(method, Spectral)):
                 break
         if best is None:
             raise UnsupportedError(" Before that: ".join(reversed(refusals)))
         return best
 
+    def _in_turn(self, problem: OptimalControlProblem) -> Iterator[Method]:
+        yield Spectral(self.tolerance)
+        convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
+        yield from (structured, convex) if structured_first(problem) else (convex, structured)
 
-def _why(method: Method, refusals: list[str], large: str, before: Outcome | None) -> str:
+
+def _why(problem: OptimalControlProblem, method: Method, refusals: list[str], before: Outcome | None) -> str:
     """Return why the answer of a method is taken."""
     if before is not None:
         return f"{before.method} ended as {before.status}"
     if isinstance(method, Spectral):
         return "time-invariant dynamics, with constraints that the Fourier-domain method takes"
-    return "; ".join([*refusals[:1], *([large] if large and isinstance(method, Structured) else [])])
+    large = structured_first(problem) if isinstance(method, Structured) else ""
+    return "; ".join([*refusals[:1], *([large] if large else [])])
 
 
 def _better(outcome: Outcome, best: Outcome) -> bool:

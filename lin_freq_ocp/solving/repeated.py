@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.certificate.conflict import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.solving.families import chosen, saved_options
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options
+from lin_freq_ocp.status import Status
+
+KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 
 
 class Repeated:
@@ -24,6 +30,7 @@ class Repeated:
         require_options(method, tolerance=tolerance)
         self.problem, self.name = problem, method
         self.method = chosen(problem, method, {"tolerance": tolerance})
+        self._exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
         self.kept = Kept(problem) if isinstance(problem.dynamics.standard_form, LinearDynamics) else None
 
     @property
@@ -33,6 +40,22 @@ class Repeated:
         if not isinstance(method, (Spectral, LinearAuto)) or method.tolerance is not None:
             return False
         return isinstance(method, Spectral) or method.backend == "auto"
+
+    def excluded(self, change: Change) -> bool:
+        """Whether a ray of an infeasible problem before excludes the changed initial state."""
+        if change.initial_state is None or isinstance(change.initial_state, ConvexSet):
+            return False
+        if change.terminal_state is not None or change.references is not None:
+            return False
+        state = np.asarray(change.initial_state, dtype=np.float64)
+        return any(one.excludes(state) for one in self._exclusions)
+
+    def keep(self, outcome: Outcome) -> None:
+        """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
+        if outcome.status == Status.INFEASIBLE and outcome.ray is not None:
+            found = exclusion(outcome.problem, outcome.ray)
+            if found is not None:
+                self._exclusions.appendleft(found)
 
     def solve(self, change: Change, time_limit: float | None = None) -> Outcome:
         """Solve the changed problem, and judge the answer."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.conflict import exclusion, prove_infeasible
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.certificate.verdict import judge
 
@@ -81,6 +82,28 @@ def test_a_control_in_its_stop_band_is_not_proven():
     starts = problem.initial_state.lower[None]
     assert verdicts(without, starts, given).proven.all()
     assert not verdicts(problem, starts, given).proven.any()
+
+
+def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there():
+    problem = lfo.library.pendulum(horizon=60, sampling_time=0.04).with_ends([-0.15, 0.1, -1.5, 0.0])
+    ray = lfo.solve(problem, throw=False).ray
+    proven = exclusion(problem, ray)
+    seen = set()
+    for state in problem.initial_state.lower + np.random.default_rng(2).standard_normal((30, 4)) * [
+        0.01,
+        0.02,
+        0.8,
+        0.4,
+    ]:
+        value = proven.value + proven.slope @ (state - proven.start)
+        proof = prove_infeasible(problem.with_ends(state), ray)
+        assert (proof is not None) == (value > 0)
+        if proof is not None:
+            assert proof.bound.value == pytest.approx(value, rel=1e-9)
+        seen.add(proven.excludes(state))
+        assert proof is not None or not proven.excludes(state)
+    assert seen == {True, False}
+    assert exclusion(problem.with_ends([-0.15, 0.1, 0.0, 0.0]), ray) is None
 
 
 def test_other_kinds_of_problems_are_for_the_judge_alone():

@@ -94,12 +94,17 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
 
 def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
     started = time.perf_counter()
+    if again.excluded(change):
+        message = "proven by a rigorous ray of another initial state"
+        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=time.perf_counter() - started)
     try:
         outcome = again.solve(change, time_limit)
     except LinFreqOCPError as error:
         return Item(ERROR, message=str(error), seconds=time.perf_counter() - started)
     if outcome.interrupted:
         raise KeyboardInterrupt
+    if change.references is None:
+        again.keep(outcome)
     return item_of(outcome, time.perf_counter() - started)
 
 

@@ -53,7 +53,7 @@ def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
     for _ in range(PIVOTING_STEPS):
         lam, rows = np.zeros(len(b)), active.nonzero()[0]
         if len(rows):
-            factor, solution, failed = dposv(A[rows[:, None], rows], b[rows], lower=1)
+            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), b[rows], lower=1)
             if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
                 return None
             lam[rows] = -solution

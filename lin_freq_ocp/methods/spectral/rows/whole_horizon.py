@@ -68,7 +68,7 @@ class WholeHorizon:
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
         if self.tabulated:
-            return self.table[index[:, None], index]
+            return self.table.ravel().take(index[:, None] * len(self.t) + index)
         t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
         S = (S + S.T) / 2
