@@ -73,7 +73,7 @@ class Recovery:
         duals = np.concatenate([part.ravel() for part in z[1:]]) * self.units.rows / self.units.cost
         found = np.zeros(layout.count + 1)  # the last for duals without a multiplier
         np.add.at(found, self.targets, self.signs * duals)
-        eta = z[0][:-1] / (self.units.columns[1:, :n] * self.units.cost)
+        eta = z[0][:-1] / self.units.columns[1:, :n] / self.units.cost
         shapes = [term.shape for term in problem.terms]
         multipliers = Multipliers(
             eta_C=eta_C,
