@@ -158,8 +158,8 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
         pytest.importorskip("numba")
     problem = soft_stages(seed, cones=(3,) if seed else ())
     system, answer = embedded(problem, compiled, side)
-    assert answer.end in (End.OPTIMAL, End.STALLED)  # where both of s and z are at the boundary of cones, digits end
-    assert answer.errors.gap <= 1e-8
+    assert answer.end is End.OPTIMAL
+    assert answer.errors.gap <= 1e-9
     assert value(system, answer.y) == pytest.approx(clarabel_cost(problem), rel=1e-7, abs=1e-7)
     assert max(answer.errors[:2]) <= 1e-10
 
