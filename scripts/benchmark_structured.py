@@ -1,11 +1,12 @@
 """The structured interior point against the sparse program for Clarabel, which it replaces: ratios of times in one run.
 
     OMP_NUM_THREADS=1 python scripts/benchmark_structured.py [--cases NAME ...] [--horizons T ...] [--repeats N]
-                                                             [--plain] [--alone]
+                                                             [--plain] [--alone] [--layers]
 
 Every time is that of ``lfo.solve``, judge included, in this process, the least of N; runs alternate. Beside it: the gap
 that the judge proves, and the difference of both costs. --plain: the loops by NumPy and LAPACK as well; --alone:
-without the sparse program. The peak of memory is this process's, so it says most with one case and horizon.
+without the sparse program; --layers: what each speed layer is worth instead (structured_layers.py). The peak of memory
+is this process's, so it says most with one case and horizon.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.table import Table
 from structured_cases import CASES
+from structured_layers import table_of
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.structured import solver
@@ -77,9 +79,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--plain", action="store_true")
     parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--layers", action="store_true")
     given = parser.parse_args()
     for code in (loops, small):  # compiled before the first clock starts
         code.KERNELS.prepare()
+    if given.layers:
+        Console(width=132).print(table_of(given.repeats))
+        return
     columns = ["case", "T", "structured [s]", "status", "gap", "convex [s]", "cost", "plain [s]", "cost", "peak [GB]"]
     table = Table(*columns, title="structured interior point: least of all runs, one thread")
     for name in given.cases:

@@ -1,6 +1,7 @@
 """Which side solves the linear system of a step: the rows that couple times, or what stop bands keep.
 
-A dense side costs sweeps over T stages for each of its columns, and their cube; conjugate gradients cost some thirty
+A dense side costs sweeps over T stages for each of its columns, and their cube (that of the rows: sweeps one way, and
+the products of all columns); conjugate gradients cost some thirty
 sweeps and as many columns as there are rows left, starts, and directions of large weights. The constants were measured
 with compiled loops on one core, the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
 """
@@ -25,12 +26,15 @@ from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.model.stages import Stages
 
 COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
+BACKWARD = 5e-9  # the same for the sweep backwards alone
+SQUARE = 2.2e-11  # seconds for a multiplication in products of a matrix with itself
 ITERATIONS = 7e-6  # seconds for one entry of y of one stage in all iterations of conjugate gradients of a step
 DIRECTIONS = 100  # of large weights, a common number
-FLOP = 1e-10  # seconds for a multiplication in products and factors of dense matrices
+FLOP = 5e-11  # seconds for a multiplication in other products and factors of dense matrices
 STAGE = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
 PLAIN_STAGE = 1e-4  # seconds for a stage in a step by loops that are not compiled
 LARGEST_BYTES = 1e9  # of a dense matrix and its factor, or of the columns that conjugate gradients keep
+STOPPED_BYTES = 2e9  # of the dense matrix of all rows and its factor, of the rows as signals, and of their sweep
 
 
 @dataclass(frozen=True)
@@ -39,17 +43,23 @@ class Sizes:
 
     horizon: int
     entries: int  # of y_t
+    channels: int  # of these, on which rows depend
     rows: int  # that couple times
     kept: int  # coefficients, starts and free entries of x_0
     left: int  # rows on these: starts, x_T, and rows that are no stop band
     bands: int
 
+    @property
+    def stopped_bytes(self) -> float:
+        """Return the memory that the side of the rows needs."""
+        return 16.0 * self.rows * (self.rows + self.horizon * self.channels)
+
     def seconds(self) -> dict[str, float]:
         """Return the seconds of a step by the sides that fit into memory."""
         found: dict[str, float] = {}
         directions = self.left + DIRECTIONS
-        if 16 * self.rows**2 <= LARGEST_BYTES:
-            found["stopped"] = self._dense(self.rows)
+        if self.stopped_bytes <= STOPPED_BYTES:
+            found["stopped"] = self._stopped(self.rows)
         if self.bands and 16 * self.kept**2 <= LARGEST_BYTES:
             found["kept"] = self._dense(self.kept) + FLOP * self.kept**2 * self.left + FLOP * self.left**3 / 3
         if self.bands and 16 * self.kept * directions <= LARGEST_BYTES:
@@ -59,7 +69,11 @@ class Sizes:
 
     def fine_seconds(self, rows: int, rank: int) -> float:
         """Return the seconds of a step, or of its set-up, with so many rows of low rank."""
-        return self._dense(rank + self.rows - rows) + 3 * FLOP * rows * rank**2
+        return self._stopped(rank + self.rows - rows) + 3 * SQUARE * rows * rank**2
+
+    def _stopped(self, columns: int) -> float:
+        sweep = self.horizon * self.entries * columns
+        return BACKWARD * sweep + SQUARE * self.horizon * columns**2 + FLOP * columns**3 / 3
 
     def _dense(self, columns: int) -> float:
         return COLUMN * self.horizon * self.entries * columns + FLOP * columns**3 / 3
@@ -77,7 +91,7 @@ def sizes_of(stages: Stages) -> Sizes:
     starts = len(break_times(stages.A, GROWTH)) * stages.states
     kept = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
     left = starts + len(coupling.terminal) + sum(len(part.at) for part in rest)
-    return Sizes(T, stages.H.shape[1], coupling.count, kept, left, len(bands))
+    return Sizes(T, stages.H.shape[1], len(channels), coupling.count, kept, left, len(bands))
 
 
 def step_seconds(stages: Stages, loops: Loops) -> float:
@@ -101,8 +115,8 @@ def choose_side(stages: Stages, loops: Loops) -> Side:
     if not seconds:
         raise UnsupportedError(
             f"problem: got {sizes.rows} rows that couple times, of which {sizes.left} are no stop band of a control; "
-            f"the structured method would need {16e-9 * sizes.rows**2:.0f} GB of memory for them, and takes up to "
-            f"{LARGEST_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
+            f"the structured method would need {1e-9 * sizes.stopped_bytes:.3g} GB of memory for them, and takes up to "
+            f"{STOPPED_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
         )
     best = min(seconds, key=lambda name: seconds[name])
     if best == "stopped":

@@ -47,11 +47,12 @@ def test_a_narrow_pass_band_is_kept_and_a_narrow_stop_band_stopped():
 
 @pytest.mark.parametrize("T", [10_000, 100_000])
 def test_long_horizons_by_conjugate_gradients(T):
-    seconds = Sizes(T, 3, int(0.8 * T), int(0.2 * T), 60, 1).seconds()
+    seconds = Sizes(T, 3, 1, int(0.8 * T), int(0.2 * T), 60, 1).seconds()
     assert min(seconds, key=lambda name: seconds[name]) == "two-level"
 
 
 def test_what_does_not_fit_is_said(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.choice.LARGEST_BYTES", 1e4)
+    for limit in ("LARGEST_BYTES", "STOPPED_BYTES"):
+        monkeypatch.setattr(f"lin_freq_ocp.methods.structured.choice.{limit}", 1e4)
     with pytest.raises(UnsupportedError, match="rows that couple times"):
         choose_side(with_stop(200, np.arange(20, 101)), loops(False))
