@@ -117,7 +117,7 @@ def positive_number(field: str, value: object) -> float:
     return float(number)
 
 
-def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, Any]:
+def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, object]:
     """Require a mapping without other keys than these; None is empty."""
     if given is not None and not isinstance(given, Mapping):
         raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")

@@ -34,12 +34,6 @@ class Change:
             return problem
         return problem.with_ends(self.initial_state, self.terminal_state)
 
-    @property
-    def in_boxes(self) -> bool:
-        """Whether the ends are points, boxes, or unchanged."""
-        ends = self.initial_state, self.terminal_state
-        return not any(isinstance(end, ConvexSet) and end.members for end in ends)
-
 
 class Kept:
     """A problem, its Fourier-domain solver with the last solution, and its stages; each is made when it is needed."""
@@ -52,10 +46,12 @@ class Kept:
         self._last: SpectralSolution | None = None
         self._assembly: Assembly | None = None
 
-    def spectral(self, change: Change, tolerance: float | None, time_limit: float | None) -> Candidate:
+    def spectral(
+        self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
+    ) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
-        if not change.in_boxes:
-            rows = row_form(change.of(self.problem))
+        if problem.initial_state.members or problem.terminal_state.members:
+            rows = row_form(problem)
             return in_given_form(rows, SpectralSolver(rows.problem).solve(tolerance=tolerance, time_limit=time_limit))
         rows, solver = self._spectral_solver()
         found = solver.solve(

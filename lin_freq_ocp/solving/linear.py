@@ -120,7 +120,7 @@ class Spectral:
             candidate = in_given_form(rows, found)
         else:
             kept, change = request.again
-            candidate = kept.spectral(change, self.tolerance, _left(end))
+            candidate = kept.spectral(problem, change, self.tolerance, _left(end))
         if candidate.status == "unbounded":
             candidate = _if_feasible(problem, candidate, _left(end))
         if candidate.status == "unbounded" and candidate.descent is None:  # the sparse program has a direction

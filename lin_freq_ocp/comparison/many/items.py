@@ -10,10 +10,10 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
+from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.errors import LinFreqOCPError
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.repeated import Repeated
 from lin_freq_ocp.status import Status
 
 ERROR = "error"  # status of what was not solved: it is no problem, or its worker died

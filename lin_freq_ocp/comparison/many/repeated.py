@@ -10,7 +10,6 @@ import numpy as np
 from lin_freq_ocp.certificate.conflict import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.solving.families import chosen, saved_options
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
@@ -43,12 +42,10 @@ class Repeated:
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""
-        if change.initial_state is None or isinstance(change.initial_state, ConvexSet):
+        if not self._exclusions or change.terminal_state is not None or change.references is not None:
             return False
-        if change.terminal_state is not None or change.references is not None:
-            return False
-        state = np.asarray(change.initial_state, dtype=np.float64)
-        return any(one.excludes(state) for one in self._exclusions)
+        start = change.of(self.problem).initial_box
+        return bool(start.fixed.all()) and any(one.excludes(start.lower) for one in self._exclusions)
 
     def keep(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
