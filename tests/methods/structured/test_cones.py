@@ -57,6 +57,26 @@ def test_squares_of_blocks_are_those_of_the_scaling():
         np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-9)
 
 
+@pytest.mark.parametrize("offset", [-1e3, 0.0, 1e3])
+def test_spectral_values_come_between_the_limits(offset):
+    cone, s, _ = cone_and_points(8)
+    low, high = 1.0, 5.0
+    v = s + offset * cone.identity
+    change = cone.into(v, low, high)
+    assert not change[~cone.present].any()
+    alone = v[:, cone.orthant][cone.present[:, cone.orthant]]
+    moved = (v + change)[:, cone.orthant][cone.present[:, cone.orthant]]
+    assert np.allclose(moved, np.maximum(np.clip(alone, low, high), alone - high))
+    for block in cone.blocks:
+        inside = cone.present[:, block.start]
+        for sign in (1, -1):
+            before, after = (
+                w[inside, block.start] + sign * np.linalg.norm(w[inside, block][:, 1:], axis=1) for w in (v, v + change)
+            )
+            expected = np.maximum(np.clip(before, low, high), before - high)
+            assert np.allclose(after, expected, rtol=0, atol=1e-9 * np.abs(v).max())
+
+
 def test_the_longest_step_ends_on_the_boundary():
     cone, s, z = cone_and_points(4)
     cone.scale(s, z)

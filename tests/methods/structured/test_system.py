@@ -164,6 +164,15 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
     assert max(answer.errors[:2]) <= 1e-10
 
 
+@pytest.mark.parametrize("seed", [24, 34])
+def test_correctors_reach_the_gap_near_the_boundary_of_cones(seed, monkeypatch):
+    """Without them, outlying products end the steps at gaps of 1e-8."""
+    problem = soft_stages(seed, cones=(2, 4))
+    assert embedded(problem, False)[1].end is End.OPTIMAL
+    monkeypatch.setattr("lin_freq_ocp.methods.structured.algorithm.embedding.CORRECTORS", 0)
+    assert embedded(problem, False)[1].end is End.STALLED
+
+
 def test_duals_are_multipliers():
     system, answer = embedded(soft_stages(4, cones=(3,)), False)
     y, z = answer.y, answer.z

@@ -8,6 +8,9 @@ Newton, K = [P A'; A -W^2], xi = y/tau:
     dtau [(h + 2 P xi)'y2 + b'z2 - xi'P xi - kappa/tau] = -(1 - sigma) f_tau + d_kappa/tau - (h + 2 P xi)'y1 - b'z1
     dy = y1 + dtau y2,  dz = z1 + dtau z2,  ds = b dtau - (1 - sigma) f_z - A dy,  dkappa = -(d_kappa + kappa dtau)/tau
 
+After predictor and corrector, Gondzio's (1996) correctors move outlying products of s and z towards the others, as long
+as the step becomes longer: they save a tenth of the steps, and near cones the last digits of the gap.
+
 ds follows from the rows, and not from the scaling: rounding errors go to complementarity, never to feasibility.
 In the end y/tau is optimal, or tau -> 0: b'z < 0 is a ray that proves infeasibility, h'y < 0 a direction of descent.
 """
@@ -26,11 +29,16 @@ import numpy as np
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.model.cones import Cone, into
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible
 FRACTION_SLOPE = 10.0  # of the distance to the boundary by the square of what is missing of a whole step
+CORRECTORS = 2  # at most; a third gains nothing
+FAR = 0.95  # length of a step that no corrector is worth
+AHEAD, LEAST_AHEAD = 1.5, 0.1  # the longer step that a corrector aims at: a factor, and at least so much more
+OUTLYING = 5.0  # ratio to the aim from which a product of s and z is an outlier
+GAIN = 0.01  # of length, for which a corrector is taken
 MOST_STEPS = 80  # seldom more than 25 are taken
 STALLED = 8  # steps without progress after which no other helps
 PROGRESS = 0.5  # factor by which mu falls in a step that is progress whatever the errors are
@@ -113,6 +121,14 @@ class _Direction(NamedTuple):
     scaled_z: dict[int, Array]  # W dz
     tau: float
     kappa: float
+
+
+class _Aim(NamedTuple):
+    """What a direction takes from lam o lam and tau kappa; it leaves sigma of the residuals."""
+
+    sigma: float
+    of_s: dict[int, Array]
+    of_kappa: float
 
 
 @dataclass(eq=False)
@@ -249,43 +265,61 @@ class Embedding:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
     def _next(self, point: _Point, found: _Measures) -> _Point:
-        """Return the point after a step of predictor and corrector."""
+        """Return the point after a step of predictor and correctors."""
         cones, tau, kappa = self._cones, point.tau, point.kappa
         for i, cone in cones.items():
             cone.scale(point.s[i], point.z[i])
         self.step.factor()
         constant = self.step.solve(-self._h, self._b, self._refined)
         squares = {i: cone.product(cone.lam, cone.lam) for i, cone in cones.items()}
-        affine = self._direction(point, found, constant, 0.0, squares, kappa * tau)
+        affine = self._direction(point, found, constant, _Aim(0.0, squares, kappa * tau))
         sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
         centred = {
             i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * found.mu * cone.identity
             for i, cone in cones.items()
         }
         of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu
-        step = self._direction(point, found, constant, sigma, centred, of_kappa)
-        longest = self._longest(point, step)
-        length = min(_fraction(longest) * longest, 1.0)
+        step, length = self._corrected(point, found, constant, _Aim(sigma, centred, of_kappa))
+        length = min(_fraction(length) * length, 1.0)
         self._expected = (1 - length * (1 - sigma)) * found.left
         return point.moved(step, length)
 
-    def _direction(
-        self,
-        point: _Point,
-        found: _Measures,
-        constant: tuple[Array, Values],
-        sigma: float,
-        d_s: dict[int, Array],
-        d_kappa: float,
-    ) -> _Direction:
-        cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - sigma
+    def _corrected(
+        self, point: _Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim
+    ) -> tuple[_Direction, float]:
+        """Return the direction after Gondzio's correctors, and the longest step along it."""
+        step = self._direction(point, found, constant, aim)
+        length = self._longest(point, step)
+        for _ in range(CORRECTORS):
+            if length >= FAR:
+                break
+            aim = self._recentred(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, found.mu)
+            other = self._direction(point, found, constant, aim)
+            further = self._longest(point, other)
+            if further < length + GAIN:
+                break
+            step, length = other, further
+        return step, length
+
+    def _recentred(self, point: _Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+        """Return the aim with outliers after such a step moved towards sigma mu."""
+        low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
+        of_s = dict(aim.of_s)
+        for i, cone in self._cones.items():
+            s, z = cone.lam + length * step.scaled_s[i], cone.lam + length * step.scaled_z[i]
+            of_s[i] = of_s[i] - cone.into(cone.product(s, z), low, high)
+        product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
+        return _Aim(aim.sigma, of_s, aim.of_kappa - float(into(np.array(product), low, high)))
+
+    def _direction(self, point: _Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
+        cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
         right = [-rest * part for part in found.f_z]
         for i, cone in cones.items():
-            right[i] = right[i] + cone.scaled(cone.quotient(d_s[i]), 1)
+            right[i] = right[i] + cone.scaled(cone.quotient(aim.of_s[i]), 1)
         y, z = self.step.solve(-rest * found.f_y, right, self._refined)
         slope = self._h + 2 * found.Py / tau
         steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - found.yPy / tau**2 - kappa / tau
-        missing = -rest * found.f_tau + d_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
+        missing = -rest * found.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
         dtau = missing / steepness
         y = y + dtau * constant[0]
         z = [part + dtau * other for part, other in zip(z, constant[1], strict=True)]
@@ -293,7 +327,7 @@ class Embedding:
         s = {i: (b[i] * dtau - rest * found.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
         scaled_s = {i: cone.scaled(s[i], -1) for i, cone in cones.items()}
         scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
-        return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(d_kappa + kappa * dtau) / tau)
+        return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(aim.of_kappa + kappa * dtau) / tau)
 
     def _longest(self, point: _Point, step: _Direction) -> float:
         lengths = [
