@@ -74,8 +74,14 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
         bounds = costs + products[0] + products[1] - certain - unit * summed - ARITHMETIC_ROUNDING * others
         worth = sum(map(np.abs, products)) + _worth_of_bounds(given, tubes)
         gaps = np.divide(costs - bounds, scale, out=np.full(len(scale), np.inf), where=scale > 0)
-        proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale)
+        proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & _inside(problem, starts)
         return Verdicts(costs, bounds, gaps, proven & _feasible(problem, given, residual, tubes))
+
+
+def _inside(problem: OptimalControlProblem, starts: Array) -> Mask:
+    """Return which initial states (N, n) lie in the state set of their time."""
+    lower, upper = problem.state_boxes.lower[0], problem.state_boxes.upper[0]
+    return ((lower <= starts) & (starts <= upper)).all(1)
 
 
 def _slopes(problem: OptimalControlProblem, given: Extremals) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:

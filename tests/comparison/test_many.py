@@ -63,6 +63,17 @@ def test_what_is_bad_is_an_answer_of_its_own(serial):
     assert found[6].status == found[7].status == "infeasible"
 
 
+def test_a_state_just_outside_its_set_is_infeasible():
+    problem = lfo.library.double_integrator(horizon=40, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
+    found = lfo.solve_many(problem, [[0, 0.49], [0, 0.5 + 1e-4], [0, 0.5]])
+    assert found.statuses == ("optimal", "infeasible", "optimal")
+    assert found.proven
+
+
+def test_where_all_are_infeasible_nothing_is_optimal():
+    assert set(lfo.solve_many(PENDULUM, BAD + 1e-3 * np.arange(3)[:, None]).statuses) == {"infeasible"}
+
+
 def test_an_array_with_a_bad_row_keeps_the_others():
     given = STARTS.copy()
     given[5, 2] = np.inf

@@ -69,9 +69,9 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
         return {}, False
     started, starts = time.perf_counter(), np.array(states, dtype=np.float64)
     found = again.kept.together(starts)
-    if found is None:
-        return {}, False
-    which = np.flatnonzero(found.found)
+    which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
+    if found is None or not len(which):
+        return {}, found is not None and found.interrupted
     signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
     judged = verdicts(again.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
     each, keys = (time.perf_counter() - started) / len(changes), list(changes)

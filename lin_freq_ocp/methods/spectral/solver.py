@@ -297,17 +297,15 @@ class SpectralSolver:
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem and its Lti form with new data, whose structure must be the same."""
         changes = known_entries("bounds", bounds, ("state_set", "control_set"))
-        if references:
-            changes["cost"] = replace(
-                self.problem.quadratic, **known_entries("references", references, ("x_ref", "u_ref"))
-            )
         problem = replace(self.problem, **changes) if changes else self.problem
+        if references is not None:
+            problem = problem.with_references(references)
         moved = initial_state is not None or terminal_state is not None
         if moved:
             problem = problem.with_ends(initial_state, terminal_state)
-        if not (changes or moved):
+        if problem is self.problem:
             return self.problem, self._lti
-        lti = None if changes else self._lti.between(problem.ends, self._units.x)
+        lti = None if changes or references else self._lti.between(problem.ends, self._units.x)
         lti = lti or lti_problem(problem, self._units)
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
