@@ -45,6 +45,7 @@ from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.claims import SolverClaim
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.methods.modes.path_node import compiled_is_there
 from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
 from lin_freq_ocp.transcription.linear.real_rows import real_rows
 
@@ -326,6 +327,10 @@ def main() -> None:
         if options.relaxations or options.nodes or options.layers:
             return
         small = lfo.library.switched_rotation(horizon=3, initial_state=(-6, 7), terminal_cost=True)
+        if compiled_is_there():
+            from lin_freq_ocp.methods.structured.kkt.compiled import paths
+
+            paths.KERNELS.prepare()
         for name in names:  # loads every library before anything is measured
             CONTENDERS[name](small, options.limit_s, options.gap)
         for case, build in cases.items():

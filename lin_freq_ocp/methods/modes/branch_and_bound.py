@@ -41,7 +41,8 @@ SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is fo
 # Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
 ROUNDING_EVERY, ROUNDING_SELDOM = 5, 20
 TRIED_TOGETHER = 8  # sequences, likewise
-COMPILED_FROM = 24  # nodes: until then, less time goes by than compiled code takes to be loaded
+COMPILED_FROM = 10  # nodes: until then, less time goes by than compiled code takes to be loaded
+CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
 
 OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
@@ -216,7 +217,7 @@ class BranchAndBound:
     def _stage_to_split(self, answer: Relaxed) -> int:
         """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
 
-        A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> + d'H d.
+        A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> and a part of d'H d.
         """
         several, duals = answer.reach.allowed.sum(axis=1) > 1, answer.duals
         if answer.trajectory is None or answer.weights is None or duals is None:
@@ -225,7 +226,7 @@ class BranchAndBound:
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
         miss, eta = np.abs(x[1:] - images), adjoint_of(self._relaxation, duals)
-        loss = (miss * np.abs(eta)).sum(axis=1) + miss**2 @ self._relaxation.state_curvature
+        loss = (miss * np.abs(eta)).sum(axis=1) + CURVED * miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
         return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
 

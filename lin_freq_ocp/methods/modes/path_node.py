@@ -75,14 +75,16 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
     program = member.program
     assert program is not None
     paths.KERNELS.prepare()
-    data, clear = _data(program, paths.PathData), (CLEAR_RESIDUAL, CLEAR_GAP)
+    data = _data(program, paths.PathData)
     several = enough is not None and enough.several
     rows = len(data.G), len(program.t)
     point = np.zeros(data.cost.shape), np.zeros(len(program.b)), np.zeros(rows), np.zeros(rows)
     numbers = np.zeros(paths.NUMBERS)
     for cutoff in [np.inf] if enough is None else [enough.cutoff, np.inf]:
         cold = not numbers[paths.TAU]
-        end = paths.path_run(data, point, numbers, cold, COMPILED_TOLERANCE, cutoff, several, clear)
+        end = paths.path_run(
+            *data, *point, numbers, cold, COMPILED_TOLERANCE, cutoff, several, CLEAR_RESIDUAL, CLEAR_GAP
+        )
         tau, cost = float(numbers[paths.TAU]), float(numbers[paths.COST])
         w, p, z = point[0].T, point[1], point[2][: data.linear].T
         if not (np.isfinite(p).all() and np.isfinite(z).all() and tau > 0):

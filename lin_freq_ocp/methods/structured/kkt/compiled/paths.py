@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors, rows
+from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors
+from lin_freq_ocp.methods.structured.kkt.compiled import rows as vectors
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.path_cones import (
     cones_margin,
@@ -200,16 +201,35 @@ def path_begin(data: PathData, point: Point, width: int) -> None:
 
 @jit
 def path_run(
-    data: PathData,
-    point: Point,
+    rows: Array,
+    places: Indices,
+    times: Indices,
+    coupled: Array,
+    b: Array,
+    cost: Array,
+    G: Array,
+    linear: int,
+    w: Array,
+    p: Array,
+    z: Array,
+    s: Array,
     numbers: Array,
     cold: bool,
     tolerance: float,
     cutoff: float,
     several: bool,
-    clear: tuple[float, float],
+    clear_residual: float,
+    clear_gap: float,
 ) -> int:
-    """Run from the first point, or from the given, until it ends; return how."""
+    """Run from the first point, or from the given, until it ends; return how. ``PathData``, ``Point``, and ``ended``.
+
+    Arguments are flat, as it takes numba long to look into tuples.
+    """
+    data, point, clear = (
+        PathData(rows, places, times, coupled, b, cost, G, linear),
+        (w, p, z, s),
+        (clear_residual, clear_gap),
+    )
     width = band_width(data.places)
     residuals = np.empty(data.cost.shape), np.empty(len(data.b)), np.empty(point[3].shape)
     if cold:
@@ -226,18 +246,15 @@ def path_run(
     return STALLED
 
 
-_PLACES = types.Array(types.intp, 2, "C")
-_DATA = types.NamedTuple(
-    (WRITTEN[3], _PLACES, WRITTEN_INDICES, WRITTEN[3], WRITTEN[1], WRITTEN[2], WRITTEN[3], types.intp), PathData
-)
-_POINT = types.Tuple((WRITTEN[2], WRITTEN[1], WRITTEN[2], WRITTEN[2]))
+_ONE, _TWO, _THREE = WRITTEN[1:]
+_PLACES, _REAL = types.Array(types.intp, 2, "C"), types.float64
 KERNELS = Kernels(
-    (__file__, path_factors.__file__, path_cones.__file__, rows.__file__, loops.__file__, embedding.__file__),
+    (__file__, path_factors.__file__, path_cones.__file__, vectors.__file__, loops.__file__, embedding.__file__),
     (
         path_run,
         (
-            *(_DATA, _POINT, WRITTEN[1], types.boolean, types.float64, types.float64, types.boolean),
-            types.UniTuple(types.float64, 2),
+            *(_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp, _TWO, _ONE, _TWO, _TWO, _ONE),
+            *(types.boolean, _REAL, _REAL, types.boolean, _REAL, _REAL),
         ),
     ),
 )
