@@ -316,6 +316,10 @@ def main() -> None:
     cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
     console.print(machine(), highlight=False)
     console.print(", ".join(f"{name} {version(name)}" for name in ("pyscipopt", "daqp")), highlight=False)
+    if compiled_is_there():
+        from lin_freq_ocp.methods.structured.kkt.compiled import paths
+
+        paths.KERNELS.prepare()
     with threadpool_limits(1):
         if options.relaxations:
             console.print(relaxations(cases, options.limit_s, options.gap))
@@ -327,10 +331,6 @@ def main() -> None:
         if options.relaxations or options.nodes or options.layers:
             return
         small = lfo.library.switched_rotation(horizon=3, initial_state=(-6, 7), terminal_cost=True)
-        if compiled_is_there():
-            from lin_freq_ocp.methods.structured.kkt.compiled import paths
-
-            paths.KERNELS.prepare()
         for name in names:  # loads every library before anything is measured
             CONTENDERS[name](small, options.limit_s, options.gap)
         for case, build in cases.items():

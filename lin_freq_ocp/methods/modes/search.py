@@ -20,7 +20,7 @@ from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
-SEARCH_SHARE = 0.75  # of the time: the best sequence is solved once more, and the leaves are checked, in the rest
+SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
 # Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
 # whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
