@@ -47,9 +47,9 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     program = {"x": unknowns, "f": _cost(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
     solver = casadi.nlpsol("s", "ipopt", program, {**quiet, "ipopt.tol": TOLERANCE, "ipopt.max_iter": most_steps})
-    begun = time.perf_counter()
+    begun = time.process_time()
     found = solver(x0=np.concatenate([start.x.ravel(), start.u.ravel()]), lbg=0, ubg=0, **bounds)
-    seconds, values = time.perf_counter() - begun, np.array(found["x"]).ravel()
+    seconds, values = time.process_time() - begun, np.array(found["x"]).ravel()
     x, u = np.split(values, [(T + 1) * n])
     stats = solver.stats()
     trajectory = Trajectory(x.reshape(T + 1, n), u.reshape(T, m))

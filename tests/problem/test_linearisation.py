@@ -294,3 +294,54 @@ def test_models_without_a_finite_value_are_refused_with_the_time(update, words):
         lfo.LinearDynamics.linearised(system, np.zeros((4, 2)), np.zeros((3, 1)), 0.5)
     assert words in str(caught.value)
     assert "t = " in caught.value.field
+
+
+def rotating(t, x, u, params):
+    """Return the state after one period of a pendulum, by Euler's method."""
+    return x + PERIOD * pendulum_slope(t, x, u, params)
+
+
+def lifted(dynamics, horizon=8):
+    cost, box = lfo.QuadraticCost(Q=0.1, R=1.0), lfo.Box(-4, 4)
+    return lfo.OptimalControlProblem(dynamics, horizon, cost, box, initial_state=[0, 0], terminal_state=[0.3, 0])
+
+
+def test_successive_linearisation_ends_where_formulas_do():
+    system = control.nlsys(rotating, None, states=["angle", "speed"], inputs=["force"], dt=PERIOD)
+    dynamics = lfo.PiecewiseSmoothDynamics.from_system(system)
+    assert (dynamics.state_names, dynamics.sampling_time) == (("angle", "speed"), PERIOD)
+    formulas = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda x, u: [
+            x[0] + PERIOD * x[1],
+            x[1] + PERIOD * (-GRAVITY * np.sin(x[0]) - DAMPING * x[1] + u[0] * np.cos(x[0])),
+        ],
+        2,
+        1,
+    )
+    found, expected = (lfo.solve(lifted(one), global_bound=False) for one in (dynamics, formulas))
+    assert found.status == "locally_optimal"
+    assert found.cost == pytest.approx(expected.cost, rel=1e-8)
+    again = lfo.LinearDynamics.linearised(system, found.trajectory.x, found.control)
+    assert lfo.solve(lifted(again)).cost == pytest.approx(found.cost, rel=1e-8)  # its own linearisation
+
+
+def test_a_continuous_model_is_sampled():
+    dynamics = lfo.PiecewiseSmoothDynamics.from_system(pendulum(), PERIOD)
+    x, u = np.array([0.3, -0.2]), np.array([0.7])
+    successor, slope = sampled(x, u)
+    found = dynamics.jets_at(np.append(x, u)[None]).f[0]
+    np.testing.assert_allclose(found.values[0], successor, atol=1e-9)
+    np.testing.assert_allclose(found.slopes[0], slope, atol=1e-7)
+
+
+def test_a_model_without_a_value_is_not_defined_there():
+    def failing(t, x, u, params):
+        return np.sqrt(x) + u
+
+    system = control.nlsys(failing, None, states=["x"], inputs=["u"], dt=1.0)
+    dynamics = lfo.PiecewiseSmoothDynamics.from_system(system)
+    found = dynamics.jets_at(np.array([[4.0, 1.0], [-1.0, 0.0]])).f[0]
+    assert found.values[0, 0] == pytest.approx(3.0)
+    assert np.isnan(found.values[1, 0])
+    with pytest.raises(lfo.errors.ProblemError, match=r"system: got int; expected a control.NonlinearIOSystem"):
+        lfo.PiecewiseSmoothDynamics.from_system(3)

@@ -23,6 +23,9 @@ from lin_freq_ocp.methods.smooth.interior import inverse, moved_inside
 from lin_freq_ocp.methods.smooth.local import Local, Objective, Point, Trial
 from lin_freq_ocp.methods.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.choice import choose_side
+from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
+from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.reduction import largest
 from lin_freq_ocp.methods.structured.kkt.side import Side
@@ -78,7 +81,7 @@ class Barrier:
     def __post_init__(self):
         stages = self.model.stages
         self._cost = Objective(stages.H, stages.h, stages.constant, curved=True)
-        self._side = side_for(stages, self.loops)
+        self._sides = sides_for(stages, self.loops)
         self._steps = 0
         self._last: Local | None = None
 
@@ -135,7 +138,7 @@ class Barrier:
 
     def _stepped(self, local: Local, entries: Filter, mu: float) -> Local | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
-        local.factor(mu, self._side)
+        local.factor(mu, self._sides)
         y, z, s = local.step()
         here, slope = local.measure(mu), local.slope(y, s)
         of_duals = local.longest({i: z[i] for i in s}, 1)
@@ -187,7 +190,7 @@ class Barrier:
                 after = self._at(here.point)
                 if after is not None and entries.accepts(after.measure(mu)):
                     return after
-            here.factor(mu, self._side)
+            here.factor(mu, self._sides)
             y, z, s = here.step()
             of_duals, length = here.longest({i: z[i] for i in s}, 1), here.longest(s, -1)
             while length > SHORTEST:
@@ -201,9 +204,15 @@ class Barrier:
         return None
 
 
-def side_for(stages: Stages, loops: Loops) -> Side:
-    """Return the side of steps; stop bands of few rows are not worth what is computed anew at other dynamics."""
-    return stopped_side(stages, loops) if stages.coupling.count <= FEW_ROWS else choose_side(stages, loops)
+def sides_for(stages: Stages, loops: Loops) -> tuple[Side, ...]:
+    """Return the side of steps and, beside it, that of what stop bands keep, which sees if they make a problem convex.
+
+    With few rows the latter is slower, as more of it depends on the dynamics.
+    """
+    if stages.coupling.count > FEW_ROWS:
+        return (choose_side(stages, loops),)
+    kept = (KeptSide(stages, loops, DenseReduced),) if sort_rows(stages)[0] else ()
+    return stopped_side(stages, loops), *kept
 
 
 def _moved(point: Point, trial: Trial, z: list[Array], length: float, of_duals: float) -> Point:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from lin_freq_ocp.methods.structured.kkt.side import Side
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, System, Values
 from lin_freq_ocp.methods.structured.model.cones import Cone
 
+NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
 
 
@@ -83,28 +85,41 @@ class Local:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
 
-    def factor(self, mu: float, side: Side) -> None:
-        """Factor the system of a step by a side: with the curvature of the dynamics if the problem stays convex."""
+    def factor(self, mu: float, sides: Sequence[Side]) -> None:
+        """Factor the system of a step, with the curvature of the dynamics if the problem stays convex.
+
+        Convexity is that on the dynamics or, where a side sees it, on the rows that couple times. The first side is
+        taken unless only another one sees it.
+        """
         stages, self.mu = self.system.stages, mu
         for i, own in self.cones.items():
             own.scale(self.point.s[i], self.point.z[i])
-        self._step = StepSystem(self.system, side.exchanged(stages))
-        self.exact = self._objective.curved and self._convex(side)
-        if not self.exact:
+        if not (self._objective.curved and self.point.z[DYNAMICS].any() and self._exact(sides)):
             stages.H[:] = self._objective.H
-            self._step.factor()
+            self._factored(sides[0])
         squares = {i: own.product(own.lam, own.lam) - mu * own.identity for i, own in self.cones.items()}
         self._centred = {i: own.scaled(own.quotient(squares[i]), 1) for i, own in self.cones.items()}
 
-    def _convex(self, side: Side) -> bool:
-        """Whether the problem is convex with the curvature of the dynamics; then its system is factored."""
+    def _exact(self, sides: Sequence[Side]) -> bool:
+        """Factor the system with the curvature of the dynamics; return whether the problem is convex with it."""
+        if self._with_curvature():
+            self._factored(sides[0])
+            return True
+        return self.theta <= NEAR and any(side.indefinite and self._factored(side) for side in sides)
+
+    def _with_curvature(self) -> bool:
+        """Add the curvature of the dynamics to the Hessian; return whether the problem is convex on the dynamics."""
         stages, cone = self.system.stages, self.cones[STAGES]
         curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._found.curvatures)
         count = curved.shape[1]
         stages.H[:-1, :count, :count] += curved
         Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
-        alone = self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed)
-        return (alone or side.indefinite) and (self._step.factor() or alone)
+        return self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed)
+
+    def _factored(self, side: Side) -> bool:
+        """Factor the system by a side; return what it sees of convexity."""
+        self._step = StepSystem(self.system, side.exchanged(self.system.stages))
+        return self._step.factor()
 
     def step(self, left: Values | None = None) -> tuple[Array, Values, dict[int, Array]]:
         """Return the change of y, z and s that takes away residuals of the rows, by default those here."""

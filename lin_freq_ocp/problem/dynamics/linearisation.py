@@ -1,4 +1,4 @@
-"""The map of a nonlinear python-control model over one sampling period, linearised along a trajectory."""
+"""The map of a nonlinear python-control model over one sampling period, and its linearisation along a trajectory."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, positive_number, real_array, times_vectors
+from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, real_array, times_vectors
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.text.phrases import plural
 
 # Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal.
@@ -80,6 +81,58 @@ def linearisation(
     if states.ndim == 1:
         return slope[0, :, :n], slope[0, :, n:], offset[0], step
     return slope[:, :, :n], slope[:, :, n:], offset, step
+
+
+def sampled_map(
+    system: System,
+    sampling_time: float | None,
+    params: Mapping[str, object] | None,
+    sizes: tuple[ArrayLike | None, ArrayLike | None],
+    integrator: str,
+) -> tuple[DifferentiableFunction, float | None]:
+    """Return the map over one period as a function of (x, u), and the sampling time; its Hessian is left out, as zero.
+
+    Where the model has no value, no derivatives or no integral, the map is not defined.
+    """
+    continuous, step = clock("system", system.dt, sampling_time)
+    n, m = (positive_integer(f"system.{name}", getattr(system, name)) for name in ("nstates", "ninputs"))
+    model = _model(system, n, params, 0)
+
+    def value(x: Array, u: Array) -> Array:
+        point = np.append(x, u)
+        return _integrated(model, point, n, step or 0.0, integrator) if continuous else model(0.0, point)
+
+    def jacobian(x: Array, u: Array) -> Array:
+        A, B, _, _ = linearisation(system, x, u, sampling_time, params, sizes, integrator)
+        return np.hstack([A, B])
+
+    def flat(x: Array, u: Array) -> Array:
+        return np.zeros((n, n + m, n + m))
+
+    return DifferentiableFunction(_defined(value), _defined(jacobian), flat, n, "system"), step
+
+
+def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    def called(x: Array, u: Array) -> Array:
+        try:
+            return function(x, u)
+        except ProblemError as error:
+            raise ArithmeticError(str(error)) from error
+
+    return called
+
+
+def _integrated(model: Model, point: Array, n: int, step: float, integrator: Any) -> Array:
+    """Return the state after one period."""
+    from scipy.integrate import solve_ivp  # slow to import
+
+    def derivative(seconds: float, x: Array) -> Array:
+        return model(seconds, np.append(x, point[n:]))
+
+    tolerance = INTEGRATION_TOLERANCE
+    sizes = np.sqrt(np.maximum(1.0, np.abs(point[:n])))
+    ended = solve_ivp(derivative, (0.0, step), point[:n], integrator, rtol=tolerance, atol=tolerance * sizes)
+    return np.asarray(ended.y[:, -1]) if ended.success else np.full(n, np.nan)
 
 
 def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bool, float | None]:

@@ -19,6 +19,7 @@ from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.formula_modes import formula_pieces
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.linearisation import System, sampled_map
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.text.phrases import first_few, split_unit
@@ -119,6 +120,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     -------
     from_formulas(...)
         Modes of formulas with maxima, minima and absolute values.
+    from_system(...)
+        The map of a python-control model.
     sequence_of(x, u)
         The mode of every time along a trajectory.
 
@@ -186,6 +189,38 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         common = listed_formulas("domain", domain, dimensions)
         modes = [SmoothMode(one.formulas, one.region, common, one.name) for one in formula_pieces(listed)]
         return cls(modes, *dimensions, sampling_time, state_names, control_names)
+
+    @classmethod
+    def from_system(
+        cls,
+        system: System,
+        sampling_time: float | None = None,
+        params: Mapping[str, object] | None = None,
+        integrator: str = "DOP853",
+    ) -> PiecewiseSmoothDynamics:
+        """Take the map of a smooth nonlinear python-control model over one period, which does not depend on time.
+
+        ``lfo.solve`` then linearises anew along every trajectory it comes to, as ``LinearDynamics.linearised`` does
+        along one: successive linearisation. The second derivatives of the model take no part; formulas have them, and
+        are much faster than integrals.
+
+        Parameters
+        ----------
+        system, sampling_time, params, integrator
+            As for ``LinearDynamics.linearised``.
+
+        Raises
+        ------
+        ProblemError
+            If it is no such model, or sampling times do not fit.
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(system, control.NonlinearIOSystem):
+            raise ProblemError("system", type(system).__name__, "a control.NonlinearIOSystem", "See control.nlsys.")
+        f, step = sampled_map(system, sampling_time, params, (None, None), integrator)
+        states, controls = list(system.state_labels), list(system.input_labels)
+        return cls([SmoothMode(f)], len(states), len(controls), step, states, controls)
 
     @property
     def mode_names(self) -> tuple[str, ...]:
