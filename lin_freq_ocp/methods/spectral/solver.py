@@ -172,9 +172,17 @@ class SpectralSolver:
             return self._solved(problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started)
 
     def solve_together(self, initial_states: Array) -> Together | None:
-        """Solve from initial states (N, n) at once; None where joint rows, state bands, or many values prevent it.
+        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
 
-        The answers are claims without residuals, whose problems are this one but for the initial state.
+        Parameters
+        ----------
+        initial_states : (N, n)
+
+        Returns
+        -------
+        Together or None
+            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
+            prevent it.
         """
         if not fits(self._structure) or np.isnan(self._lti.start).any():
             return None
