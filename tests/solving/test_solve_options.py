@@ -123,6 +123,7 @@ def test_a_result_knows_the_options_that_repeat_it(method, saved):
         (("pendulum", "--node-limit", "3"), "only a search over affine modes"),
         (("norm_dynamics", "--method", "nonsmooth", "--tolerance", "1e-3"), "'auto' does"),
         (("absolute_value", "--backend", "osqp"), "Leave it out"),
+        (("pendulum", "--local"), "only 'auto' over smooth pieces"),
     ],
 )
 def test_the_command_line_refuses_as_well(arguments, words):
@@ -142,3 +143,14 @@ def test_the_command_line_refuses_as_well(arguments, words):
 )
 def test_an_option_that_a_method_knows_is_taken(arguments):
     assert run("solve", *arguments)[0] == 0
+
+
+def test_a_local_answer_is_repeated_from_its_file(tmp_path):
+    result = lfo.solve(lfo.library.pendulum_swing_up(horizon=20, sampling_time=0.2), global_bound=False)
+    result.dump(tmp_path / "run.zip")
+    saved = lfo.load_run(tmp_path / "run.zip")
+    assert saved.options["global_bound"] is False
+    assert saved.solve().cost == result.cost
+    assert lfo.solve(result.problem, lfo.solvers.Nonsmooth(global_bound=False)).options == result.options
+    with pytest.raises(lfo.errors.UnsupportedError, match="global_bound: got 'no'; expected True or False"):
+        lfo.solve(result.problem, global_bound="no")
