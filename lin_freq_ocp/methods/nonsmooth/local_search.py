@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
+LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -171,18 +173,27 @@ class LocalSearch:
         dynamics = self.problem.smooth_pieces
         for share in SHARES:
             trajectory = self._held(share)
-            yield trajectory, dynamics.sequence_of(trajectory.x, trajectory.u)
+            alone = np.zeros(self.problem.horizon, dtype=np.intp)
+            yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
         for mode in range(len(dynamics.modes)):
             yield self._held(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _held(self, share: float) -> Trajectory:
-        """Return the trajectory of controls at a share between their bounds; the state is constant if it has none."""
+        """Return the trajectory of controls at a share between their bounds.
+
+        Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight
+        from one end to the other.
+        """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
-        try:
-            return simulate(self.problem, u, start)
-        except NumericalError:
-            return Trajectory(np.tile(start, (self.problem.horizon + 1, 1)), u)
+        if not self._smooth or self.problem.horizon <= LONGEST_REPLAY:
+            with suppress(NumericalError):
+                return simulate(self.problem, u, start)
+        box = self.problem.ends[1]
+        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+        end = np.where(bounded & self._smooth, _middle(box, middle), start)
+        part = np.linspace(0.0, 1.0, self.problem.horizon + 1)[:, None]
+        return Trajectory((1 - part) * start + part * end, u)
 
 
 def _middle(box: Box, share: Array) -> Array:

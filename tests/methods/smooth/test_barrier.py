@@ -173,3 +173,13 @@ def test_functions_are_as_good_as_formulas(kind):
         )
         costs.append(lfo.solve(problem, global_bound=False).cost)
     assert costs[1] == pytest.approx(costs[0], rel=1e-9)
+
+
+def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
+    monkeypatch.setattr("lin_freq_ocp.methods.nonsmooth.local_search.LONGEST_REPLAY", 10)
+    search, problem = LocalSearch(pendulum()), pendulum()
+    monkeypatch.setattr("lin_freq_ocp.methods.nonsmooth.local_search.simulate", lambda *given: pytest.fail("replayed"))
+    found = search.run().best
+    assert found is not None
+    monkeypatch.undo()
+    assert found.cost == pytest.approx(lfo.solve(problem, global_bound=False).cost, rel=1e-9)
