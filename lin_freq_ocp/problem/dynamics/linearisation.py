@@ -122,17 +122,25 @@ def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Arra
     return called
 
 
-def _integrated(model: Model, point: Array, n: int, step: float, integrator: Any) -> Array:
-    """Return the state after one period."""
-    from scipy.integrate import solve_ivp  # slow to import
+def _integrated(model: Model, point: Array, n: int, step: float, integrator: str) -> Array:
+    """Return the state after one period; not a number where there is none."""
 
     def derivative(seconds: float, x: Array) -> Array:
         return model(seconds, np.append(x, point[n:]))
 
+    final, _ = _solved(derivative, (0.0, step), point[:n], np.sqrt(np.maximum(1.0, np.abs(point[:n]))), integrator)
+    return np.full(n, np.nan) if final is None else final
+
+
+def _solved(
+    derivative: Model, span: tuple[float, float], start: Array, sizes: Array, integrator: Any
+) -> tuple[Array | None, str]:
+    """Return the solution of a differential equation at the end of a span, or None and why there is none."""
+    from scipy.integrate import solve_ivp  # slow to import
+
     tolerance = INTEGRATION_TOLERANCE
-    sizes = np.sqrt(np.maximum(1.0, np.abs(point[:n])))
-    ended = solve_ivp(derivative, (0.0, step), point[:n], integrator, rtol=tolerance, atol=tolerance * sizes)
-    return np.asarray(ended.y[:, -1]) if ended.success else np.full(n, np.nan)
+    ended = solve_ivp(derivative, span, start, method=integrator, rtol=tolerance, atol=tolerance * sizes)
+    return (np.asarray(ended.y[:, -1]), "") if ended.success else (None, str(ended.message))
 
 
 def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bool, float | None]:
@@ -234,7 +242,7 @@ def _kink(i: int, j: int, n: int, t: int, found: str) -> ProblemError:
 
 
 def _over_one_period(
-    model: Model, span: tuple[float, float], point: Array, size: Array, n: int, integrator: Any, t: int
+    model: Model, span: tuple[float, float], point: Array, size: Array, n: int, integrator: str, t: int
 ) -> tuple[Array, Array]:
     """Return the state after the period, and its derivatives by (x, u) at its beginning, shape (n, n + m)."""
     count, steps = 0, RELATIVE_STEP * size
@@ -251,14 +259,10 @@ def _over_one_period(
         slope_phi[:, n:] += slope[:, n:]
         return np.concatenate([model(seconds, here), slope_phi.ravel()])
 
-    from scipy.integrate import solve_ivp  # slow to import
-
     start = np.concatenate([point[:n], np.eye(n, len(point)).ravel()])
     sizes = np.concatenate([size[:n], np.divide.outer(size[:n], size).ravel()])
-    tolerance = INTEGRATION_TOLERANCE
-    ended = solve_ivp(derivative, span, start, method=integrator, rtol=tolerance, atol=tolerance * sizes)
-    if not ended.success:
+    final, message = _solved(derivative, span, start, sizes, integrator)
+    if final is None:
         advice = "A state may become infinite within the period."
-        raise ProblemError(f"system, t = {t}", f"no solution ({ended.message})", "one over the whole period", advice)
-    final: Array = ended.y[:, -1]
+        raise ProblemError(f"system, t = {t}", f"no solution ({message})", "one over the whole period", advice)
     return final[:n], final[n:].reshape(n, -1)
