@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.arrays import Array, positive_integer, real_array
+from lin_freq_ocp.arrays import Array, known_entries, positive_integer, real_array
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
-from lin_freq_ocp.loop.controller import Controller
+from lin_freq_ocp.loop.controller import Controller, Preview
 from lin_freq_ocp.loop.plant import plant_of
 from lin_freq_ocp.loop.record import LoopRecord
-from lin_freq_ocp.loop.window import REFERENCES, Preview
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.system.atomic import write_text
 
@@ -141,7 +141,7 @@ class RecedingHorizon:
         self,
         state: ArrayLike,
         references: Mapping[str, ArrayLike] | None = None,
-        bounds: Mapping[str, object] | None = None,
+        bounds: Mapping[str, SetOrSets] | None = None,
         disturbance: ArrayLike | None = None,
         applied: ArrayLike | None = None,
     ) -> Array:
@@ -236,9 +236,7 @@ class RecedingHorizon:
 def _references(given: Mapping[str, ArrayLike] | None, steps: int, horizon: int) -> dict[str, Array]:
     """Return references with a row for each sample that some step sees."""
     found: dict[str, Array] = {}
-    for name, value in (given or {}).items():
-        if name not in REFERENCES:
-            raise ProblemError(f"references.{name}", "an unknown key", " or ".join(REFERENCES))
+    for name, value in known_entries("references", given, ("x_ref", "u_ref")).items():
         rows = real_array(f"references.{name}", value)
         if rows.ndim != 2 or len(rows) < steps + horizon:
             expected = f"at least {steps + horizon} rows, one per sample"

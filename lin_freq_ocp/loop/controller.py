@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, brief, one_component, real_array
+from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
-from lin_freq_ocp.loop.step_solver import StepSolver
-from lin_freq_ocp.loop.window import Preview, first_state_free, remembers, with_past
+from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What a step knows of its horizon beyond the problem."""
+
+    references: Mapping[str, ArrayLike] | None = None  # "x_ref", "u_ref"
+    bounds: Mapping[str, SetOrSets] | None = None  # "state_set", "control_set"
+    disturbance: ArrayLike | None = None  # (n,) or (T, n), added to the coming states
 
 
 class Controller:
@@ -40,9 +51,9 @@ class Controller:
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
         self._problem = first_state_free(problem)
-        self._soft = softened(self._problem, self.penalties) if self.penalties else None
+        self._hard = Repeated(self._problem, method)
+        self._soft = Repeated(softened(self._problem, self.penalties), method) if self.penalties else None
         self._remembers, self._method, self._limit = remembers(problem), method, time_limit
-        self._solver = StepSolver(self._problem, method, time_limit)
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
@@ -91,31 +102,41 @@ class Controller:
 
     def _answers(self, x: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
         """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
-        states, controls = (
-            np.array(rows).reshape(-1, size)
-            for rows, size in (
-                ([step.state for step in self._steps] if self._remembers else [], self.problem.state_dim),
-                (self._applied if self._remembers else [], self.problem.control_dim),
-            )
-        )
-        begin = x
-        if self.delay:  # a plan begins where the last control leads
-            begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
-            states = np.concatenate([states, x[None]])
-            controls = np.concatenate([np.zeros((1, self.problem.control_dim)), controls])
-        hard = self._solved(self._problem, begin, preview, states, controls)
+        begin, bounds = self._after_delay(x), preview.bounds
+        if bounds and bounds.get("state_set") is not None:
+            first_free = first_state_free(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
+            bounds = {**bounds, "state_set": first_free.state_set}
+        change = Change(begin, references=preview.references, bounds=bounds)
+        hard = self._solved(self._hard, change, preview, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
-        return hard, self._solved(self._soft, begin, preview, states, controls)
+        return hard, self._solved(self._soft, change, preview, x)
 
-    def _solved(
-        self, problem: OptimalControlProblem, begin: Array, preview: Preview, states: Array, controls: Array
-    ) -> Outcome:
-        later = self._later_plan()
-        if problem is self._problem and not self._remembers:
-            return self._solver.solve(problem, begin, preview, later)
-        whole = with_past(problem, states, controls) if self._remembers else problem
-        return StepSolver(whole, self._method, self._limit).solve(whole, begin, preview, later)
+    def _solved(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
+        """Solve the problem of a step, from what was set up for all of them if its data are the same."""
+        problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
+        if preview.disturbance is not None:
+            problem = disturbed(problem, preview.disturbance)
+        if problem is not repeated.problem:
+            repeated = Repeated(problem, self._method)
+        return repeated.solve(change, self._limit, self._later_plan())
+
+    def _after_delay(self, x: Array) -> Array:
+        """Return where a plan begins: with a delay, where the last control leads."""
+        return self._step(0, x, self._last_control) if self.delay else x
+
+    @property
+    def _last_control(self) -> Array:
+        return self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
+
+    def _past(self, x: Array) -> tuple[Array, Array]:
+        """Return the states and controls before a plan that begins after a measured state x."""
+        states, controls = [step.state for step in self._steps], list(self._applied)
+        if self.delay:
+            states, controls = [*states, x], [np.zeros(self.problem.control_dim), *controls]
+        return np.array(states).reshape(-1, self.problem.state_dim), np.array(controls).reshape(
+            -1, self.problem.control_dim
+        )
 
     def _later_plan(self) -> Trajectory | None:
         """Return the last plan from its second step on, its last control repeated; None without one."""

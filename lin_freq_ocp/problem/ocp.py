@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.costs.quadratic import Cost
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -177,14 +177,14 @@ class OptimalControlProblem(ProblemData):
         Raises
         ------
         ProblemError
-            If a key is unknown, a reference does not fit the problem, or the cost is not quadratic alone.
+            If a key is unknown, a reference does not fit the problem, or no part of the cost is quadratic.
         """
         given = known_entries("references", references, ("x_ref", "u_ref"))
-        if self.cost is not self.quadratic:
-            raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a QuadraticCost")
-        problem = copy(self)
-        cost = replace(self.quadratic, **given).at_dimensions(self.state_dim, self.control_dim, self.horizon)
-        assign(problem, cost=cost)
+        if self.quadratic.zero:
+            raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
+        quadratic, problem = replace(self.quadratic, **given), copy(self)
+        cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
+        assign(problem, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
         return problem
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, known_entries
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
@@ -16,18 +16,22 @@ from lin_freq_ocp.methods.spectral.model.row_form import RowForm
 from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import SetOrSets
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Other ends and references than those of a problem; None keeps its own."""
+    """Other ends, references and bounds ("state_set", "control_set") than those of a problem; None keeps its own."""
 
     initial_state: ConvexSet | ArrayLike | None = None
     terminal_state: ConvexSet | ArrayLike | None = None
     references: Mapping[str, ArrayLike] | None = None
+    bounds: Mapping[str, SetOrSets] | None = None
 
     def of(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
+        if self.bounds:
+            problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
         if self.references is not None:
             problem = problem.with_references(self.references)
         if self.initial_state is None and self.terminal_state is None:
@@ -50,7 +54,8 @@ class Kept:
         self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
     ) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
-        if problem.initial_state.members or problem.terminal_state.members:
+        sets = problem.initial_state.members or problem.terminal_state.members
+        if sets or (change.bounds and (row_form(problem).polyhedra or row_form(self.problem).polyhedra)):
             rows = row_form(problem)
             return in_given_form(rows, SpectralSolver(rows.problem).solve(tolerance=tolerance, time_limit=time_limit))
         rows, solver = self._spectral_solver()
@@ -58,6 +63,7 @@ class Kept:
             change.initial_state,
             change.terminal_state,
             change.references,
+            change.bounds,
             warm_start=self._last,
             tolerance=tolerance,
             time_limit=time_limit,

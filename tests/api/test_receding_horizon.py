@@ -140,6 +140,36 @@ def test_known_disturbances_and_bounds_are_planned_for():
     assert tight == pytest.approx([-0.2], abs=1e-7)
 
 
+def test_previews_beside_norms_in_the_cost_and_first_states_outside():
+    base = problem(cost=COST + lfo.costs.L1Cost(u=0.05), state_set=lfo.Box(-9, 9))
+    reference = np.linspace(0, 1, 16)[:, None] * [1.0, 0.0]
+    bounds = {"state_set": lfo.Box([-0.2, -9.0], [0.2, 9.0]), "control_set": lfo.Box(-50, 50)}
+    given = lfo.RecedingHorizon(base).step([0.3, 0.0], {"x_ref": reference}, bounds)
+    lower, upper = np.tile([[-0.2, -9.0]], (16, 1)), np.tile([[0.2, 9.0]], (16, 1))
+    lower[0], upper[0] = -np.inf, np.inf
+    cost = lfo.QuadraticCost(Q=COST.Q, R=COST.R, P=COST.P, x_ref=reference) + lfo.costs.L1Cost(u=0.05)
+    same = replace(base, cost=cost, state_set=lfo.Box(lower, upper), control_set=bounds["control_set"])
+    np.testing.assert_allclose(given, lfo.solve(same.with_ends([0.3, 0.0])).control[0], atol=1e-5)
+
+
+BAD_PREVIEWS = {
+    "references.x": {"references": {"x": [0, 0]}},
+    "bounds.u": {"bounds": {"u": lfo.Box(0, 1)}},
+    "disturbance": {"disturbance": [1.0]},
+    "cost.x_ref": {"references": {"x_ref": [1.0, 2.0, 3.0]}},
+}
+
+
+@pytest.mark.parametrize("field", BAD_PREVIEWS)
+@pytest.mark.parametrize("method", ["auto", "convex"])
+def test_a_bad_preview_is_refused_by_its_field(field, method):
+    controller = lfo.RecedingHorizon(problem(), method)
+    with pytest.raises(ProblemError) as caught:
+        controller.step([1.0, 0.0], **BAD_PREVIEWS[field])
+    assert caught.value.field == field
+    assert not controller.log.steps
+
+
 def plants():
     import control
 
@@ -231,7 +261,7 @@ def test_without_time_the_last_plan_goes_on():
     controller = lfo.RecedingHorizon(problem(), "structured")
     controller.step([1.0, 0.0])
     plan = controller._controller._steps[-1].plan
-    controller._controller._solver._limit = 1e-9
+    controller._controller._limit = 1e-9
     late = controller.step(plan.x[1])
     np.testing.assert_allclose(late, plan.u[1])
     assert controller.log.sources[-1] == "previous plan"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.window import Preview, first_state_free, with_past, with_preview
+from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 COST = lfo.QuadraticCost(Q=1.0, R=0.1)
@@ -64,9 +64,11 @@ def test_the_past_of_states_and_outputs_is_theirs():
     assert now.output_spectrum[0].constraints[0].past.tolist() == [[1 + 4 + 15], [3 + 8 + 18]]
 
 
-def test_a_problem_without_a_memory_stays_as_it_is():
-    base = problem(control_spectrum=MASK)
-    assert with_past(base, np.ones((3, 2)), np.ones((3, 1))) is base
+def test_what_remembers():
+    assert not remembers(problem(control_spectrum=MASK))
+    assert remembers(problem(control_spectrum=[MASK, lfo.spectrum.Spectrogram(MASK, 4)]))
+    outputs = lfo.spectrum.OutputSpectrum([[1.0, 2.0]], None, lfo.spectrum.Spectrogram(MASK, 4))
+    assert remembers(problem(output_spectrum=outputs))
 
 
 def sets():
@@ -93,27 +95,9 @@ def test_rows_of_the_state_alone_are_left_out_at_the_first_time():
     assert free.stage_rows[0].e[1].tolist() == [0.1, 0.2]
 
 
-def test_a_preview_changes_references_bounds_and_offsets():
-    reference = np.linspace(0, 1, 13)[:, None] * [1.0, 0.0]
-    seen = Preview({"x_ref": reference}, {"control_set": lfo.Box(-2, 2)}, [0.1, 0.2])
-    now = with_preview(problem(cost=COST + lfo.costs.L1Cost(u=0.1)), seen)
-    assert (now.quadratic.x_ref == reference).all()
-    assert len(now.cost.norms) == 1
-    assert now.control_tube.upper.max() == 2
+def test_a_disturbance_is_added_to_the_offset():
+    now = disturbed(problem(), [0.1, 0.2])
     assert now.linear.offset.tolist() == [0.1, 0.2]
-    assert with_preview(now, Preview()) is now
-
-
-@pytest.mark.parametrize(
-    ("preview", "field"),
-    [
-        (Preview({"x": [0, 0]}), "references.x"),
-        (Preview(bounds={"u": lfo.Box(0, 1)}), "bounds.u"),
-        (Preview(disturbance=[1.0]), "disturbance"),
-        (Preview({"x_ref": [1.0, 2.0, 3.0]}), "cost.x_ref"),
-    ],
-)
-def test_a_bad_preview_is_refused_by_its_field(preview, field):
     with pytest.raises(lfo.errors.ProblemError) as caught:
-        with_preview(problem(), preview)
-    assert caught.value.field == field
+        disturbed(problem(), [1.0])
+    assert caught.value.field == "disturbance"

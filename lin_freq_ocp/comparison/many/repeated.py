@@ -10,6 +10,8 @@ import numpy as np
 from lin_freq_ocp.certificate.conflict import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import chosen, saved_options
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
@@ -42,7 +44,7 @@ class Repeated:
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""
-        if not self._exclusions or change.terminal_state is not None or change.references is not None:
+        if not self._exclusions or change.terminal_state is not None or change.references is not None or change.bounds:
             return False
         start = change.of(self.problem).initial_box
         return bool(start.fixed.all()) and any(one.excludes(start.lower) for one in self._exclusions)
@@ -54,10 +56,12 @@ class Repeated:
             if found is not None:
                 self._exclusions.appendleft(found)
 
-    def solve(self, change: Change, time_limit: float | None = None) -> Outcome:
-        """Solve the changed problem, and judge the answer."""
+    def solve(self, change: Change, time_limit: float | None = None, start: Trajectory | None = None) -> Outcome:
+        """Solve the changed problem, from a start if the method takes one, and judge the answer."""
         require_options(self.name, time_limit)
         problem = change.of(self.problem)
         again = None if self.kept is None else (self.kept, change)
-        outcome = self.method.solve(problem, Request(np.inf if time_limit is None else time_limit, again=again))
+        begin = start_of(problem, start) if start is not None and self.method.takes_start else None
+        limit = np.inf if time_limit is None else time_limit
+        outcome = self.method.solve(problem, Request(limit, start=begin, again=again))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

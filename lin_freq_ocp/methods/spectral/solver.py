@@ -31,6 +31,7 @@ from lin_freq_ocp.methods.spectral.model.row_form import row_form
 from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.transcription.program import Residuals
 
 
@@ -152,6 +153,8 @@ class SpectralSolver:
         ------
         ProblemError
             If new data do not fit the problem, or the tolerance or time limit is not above zero.
+        UnsupportedError
+            If a new set is neither a box nor a point.
         """
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
@@ -313,6 +316,10 @@ class SpectralSolver:
             problem = problem.with_ends(initial_state, terminal_state)
         if problem is self.problem:
             return self.problem, self._lti
+        new_sets = [one for given in (bounds or {}).values() for one in entries_of(given)]
+        for one in (*new_sets, problem.initial_state, problem.terminal_state):
+            if one is not None and one.members:
+                raise UnsupportedError(f"method 'spectral': {type(one).__name__}: only boxes. Use method 'convex'.")
         lti = None if changes or references else self._lti.between(problem.ends, self._units.x)
         lti = lti or lti_problem(problem, self._units)
         for field, old, new in (

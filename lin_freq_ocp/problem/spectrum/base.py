@@ -41,6 +41,7 @@ class FrequencyConstraint(ABC):
 
     component: int | str | None = None  # index or name; None: all
     on_outputs: ClassVar[bool] = True  # whether it may constrain linear outputs
+    remembers: ClassVar[bool] = False  # whether it depends on samples of the past
 
     @abstractmethod
     def describe(self, names: Sequence[str]) -> str:
@@ -50,12 +51,19 @@ class FrequencyConstraint(ABC):
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         """Yield its terms; errors name ``field``, and ``source`` is the entry of the problem's field."""
 
-    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return the same constraints on x in R^n of the signal (x, w), w in R^k."""
         return []
 
     def widened(self, amount: float) -> FrequencyConstraint:
         """Return it with a limit that is higher by an amount, if it has one."""
+        return self
+
+    def behind(self, past: Array, measured: int) -> FrequencyConstraint:
+        """Return it after samples (k, components) of its signal, if it depends on them.
+
+        ``measured`` is the number of samples from time 0 on that are data, too.
+        """
         return self
 
     def softened(self, penalty: float) -> FrequencyConstraint:

@@ -7,7 +7,7 @@ grid than the DFT's (``oversampling``), or with a window, they also bound the sp
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ NO_LOWER_MASK = (
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class SpectrumBound(FrequencyConstraint):
+class SpectrumBound(FrequencyConstraint, ABC):
     """The bins, window and price that MagnitudeBound and EnergyBound share."""
 
     label: ClassVar[str]
@@ -116,7 +116,7 @@ class SpectrumBound(FrequencyConstraint):
         ball = NormBall(2, limits, weight_of(self.penalty))
         return Term(f"{self.label} on {name}", kind, values, ball, source, self.factor)
 
-    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+    def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
         """Return the same bounds, each on a single component."""
         return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
 
@@ -373,7 +373,7 @@ class LinearConstraint(FrequencyConstraint):
         ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
         yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
 
-    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+    def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
     def softened(self, penalty: float) -> LinearConstraint:

@@ -82,6 +82,18 @@ class OutputSpectrum:
         C = None if self.C is None else with_columns(self.C, k)
         return OutputSpectrum(C, self.D, self.constraints, self.output_names)
 
+    def behind(self, x: Array, u: Array) -> OutputSpectrum:
+        """Return the constraints after states (k, n) and controls (k, m)."""
+        parts = [signal @ matrix.T for matrix, signal in ((self.C, x), (self.D, u)) if matrix is not None]
+        past = sum(parts[1:], parts[0])
+        constraints = [one.behind(past, int(self.D is None)) for one in self.constraints]
+        return OutputSpectrum(self.C, self.D, constraints, self.output_names)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether they depend on samples of the past."""
+        return any(one.remembers for one in self.constraints)
+
     def terms(
         self, n: int, m: int, horizon: int, sampling_time: float | None, field: str, index: int
     ) -> Iterator[Term]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +57,7 @@ class Spectrogram(FrequencyConstraint):
     8
     """
 
+    remembers: ClassVar[bool] = True
     bound: SpectrumBound
     length: int | None
     hop: int | None
@@ -101,8 +103,16 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
-    def with_past(self, past: ArrayLike | None, offset: int = 0) -> Spectrogram:
-        """Return the same constraint behind other samples of the past."""
+    def behind(self, past: Array, measured: int) -> Spectrogram:
+        first = np.zeros((0, past.shape[1])) if self.past is None else self.past
+        whole = np.concatenate([first, past])
+        if self.length is None:
+            return self._with_past(whole[len(past) :] if len(first) else None)
+        ended, hop = max(len(whole) + measured - self.length + 1, 0), self.hop or 1
+        begin = self.offset + max(-(-(ended - self.offset) // hop), 0) * hop  # of the first window that is not over
+        return self._with_past(whole[begin:] if begin < len(whole) else None, max(begin - len(whole), 0))
+
+    def _with_past(self, past: Array | None, offset: int = 0) -> Spectrogram:
         return Spectrogram(self.bound, self.length, self.hop, past, offset)
 
     def describe(self, names: Sequence[str]) -> str:
@@ -110,10 +120,9 @@ class Spectrogram(FrequencyConstraint):
         of = f"every window of {self.length} samples, a new one every {self.hop}" if self.length else "all samples"
         return f"{self.bound.describe(names)}; on {of}{behind}"
 
-    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         past = None if self.past is None else with_columns(self.past, k)
-        of_bound = [one for one in self.bound.extended(n, k) if isinstance(one, SpectrumBound)]
-        return [Spectrogram(one, self.length, self.hop, past, self.offset) for one in of_bound]
+        return [Spectrogram(one, self.length, self.hop, past, self.offset) for one in self.bound.extended(n, k)]
 
     def widened(self, amount: float) -> Spectrogram:
         return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past, self.offset)

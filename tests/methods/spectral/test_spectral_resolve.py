@@ -277,3 +277,11 @@ def test_values_that_were_fixed_cannot_be_freed_afterwards():
     solver = lfo.SpectralSolver(base_problem(control_set=lfo.Box([-0.7, 0.0], [0.6, 0.0]), terminal_state=None))
     with pytest.raises(lfo.errors.ProblemError, match="bounds: got other values fixed"):
         solver.solve(bounds={"control_set": TIGHT})
+
+
+@pytest.mark.parametrize(
+    "changes", [{"bounds": {"control_set": lfo.sets.Ball(0.01)}}, {"terminal_state": lfo.sets.Ball(0.1)}]
+)
+def test_new_sets_that_are_no_boxes_are_refused(changes):
+    with pytest.raises(lfo.errors.UnsupportedError, match="only boxes"):
+        lfo.SpectralSolver(lfo.library.double_integrator()).solve(**changes)
