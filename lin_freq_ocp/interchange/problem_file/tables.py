@@ -16,7 +16,8 @@ from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
-from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, LinearConstraint, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
