@@ -29,13 +29,13 @@ TERMS = ("terms", "sets", "costs", "spectrum")
 """Folders of problem/ whose classes are terms of a problem."""
 
 LIMITS = {
-    "lines": 44_600,
+    "lines": 50_500,
     "files in a folder": 12,
     "lines of a file": 400,
     "lines of a function": 50,
     "files in circles": 0,
     "isinstance on dynamics": 3,
-    "isinstance on terms": 5,
+    "isinstance on terms": 6,
     "Any": 27,
     "names in __all__": 52,
 }

@@ -75,7 +75,7 @@ class LinearConstraint(FrequencyConstraint):
         ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
         yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
 
-    def extended(self, n: int, k: int) -> list[FrequencyConstraint]:
+    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
     def softened(self, penalty: float) -> LinearConstraint:

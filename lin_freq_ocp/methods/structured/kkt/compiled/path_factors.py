@@ -13,7 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
-from lin_freq_ocp.methods.structured.kkt.compiled.loops import PIVOT, cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.compiled.factors import PIVOT, cholesky, cholesky_solve
 
 
 class PathData(NamedTuple):

@@ -18,7 +18,8 @@ from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERI
 from lin_freq_ocp.methods.structured.kkt.compiled import cones, loops, rows
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.cones import margin, product, quotient, scale, scaled, steepest
-from lin_freq_ocp.methods.structured.kkt.compiled.loops import cholesky, cholesky_solve, factor, solve
+from lin_freq_ocp.methods.structured.kkt.compiled.factors import cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.compiled.loops import factor, solve
 from lin_freq_ocp.methods.structured.kkt.compiled.rows import (
     add_coupled,
     add_equations,
