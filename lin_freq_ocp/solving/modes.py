@@ -24,6 +24,8 @@ from lin_freq_ocp.solving.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
+from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
 LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
@@ -183,9 +185,13 @@ def _judged(
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
-    if not outcome.message and not proof.value >= needed:
-        outcome = replace(outcome, tree=refined(problem, outcome.tree, np.flatnonzero(proof.bounds < needed), end))
-        proof = tree_bound(problem, outcome.tree)
+    for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, the second is solved more accurately
+        if not outcome.message and not proof.value >= needed:
+            weak = np.flatnonzero(proof.bounds < needed)
+            better = refined(problem, outcome.tree, weak, end, kind)
+            found = tree_bound(problem, better)
+            if found.value > proof.value:
+                outcome, proof = replace(outcome, tree=better), found
     if certificate is not None:
         certificate = replace(certificate, bound=proof.bound_for(problem))
     status, message = _status(outcome, certificate, proof, gap)

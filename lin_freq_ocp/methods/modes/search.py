@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,9 +158,15 @@ def proven_tree(
     )
 
 
-def refined(problem: OptimalControlProblem, tree: ModeTree, leaves: Indices, end: float = np.inf) -> ModeTree:
+def refined(
+    problem: OptimalControlProblem,
+    tree: ModeTree,
+    leaves: Indices,
+    end: float = np.inf,
+    kind: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation,
+) -> ModeTree:
     """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``."""
-    relaxation, nodes = PathRelaxation(problem), list(tree.nodes)
+    relaxation, nodes = kind(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
         answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
