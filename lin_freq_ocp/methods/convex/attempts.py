@@ -84,6 +84,11 @@ class Solves:
     def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
         """Return an attempt from a solver's answer to the program, which is in the given units."""
         z, y, claim = solution.z, solution.y, solution.claim
+        failed = Candidate("numerical_error", message=solution.message, interrupted=claim is Claim.INTERRUPTED)
+        with np.errstate(over="ignore"):
+            finite = y is None or bool(np.isfinite(scaling.dual(y)).all())
+        if not finite:  # too large for the units of the problem
+            return Attempt(failed, scaling)
         if claim is Claim.INFEASIBLE:
             ray = None if y is None else self.transcription.multipliers(scaling.dual(y), 0.0)
             error = np.inf if y is None else program.infeasibility_residual(y)
@@ -96,7 +101,6 @@ class Solves:
             along = self.transcription.direction(scaling.primal(ray))
             return Attempt(Candidate("unbounded", message=solution.message, descent=along), scaling, error)
         if z is None or y is None:
-            failed = Candidate("numerical_error", message=solution.message, interrupted=claim is Claim.INTERRUPTED)
             return Attempt(failed, scaling)
         if not program.P.nnz and not program.q.any():
             y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding

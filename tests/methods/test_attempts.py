@@ -1,0 +1,24 @@
+"""Answers of a solver that are no numbers in the units of the problem are no answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.methods.convex.attempts import Solves
+from lin_freq_ocp.methods.convex.sparse_program import scaled_program
+
+
+@pytest.mark.parametrize("claim", [Claim.SOLVED, Claim.LIMIT, Claim.INFEASIBLE])
+def test_duals_that_overflow_are_no_answer(claim):
+    transcription, scaling, program = scaled_program(lfo.library.double_integrator(horizon=4))
+    solves = Solves(transcription, lambda *given: pytest.fail("called"), None, 1e-9, np.inf, 0.0)
+    z, y = np.zeros(program.A.shape[1]), np.full(program.A.shape[0], 1e308)
+    with np.errstate(over="ignore"):
+        scale = type(scaling)(scaling.columns, scaling.rows, scaling.cost * 1e-9)
+        attempt = solves.measured(scale, program, Solution(claim, z, y, "as told"))
+    assert attempt.candidate.status == "numerical_error"
+    assert attempt.candidate.multipliers is None
+    assert attempt.error == np.inf
