@@ -80,8 +80,13 @@ class Rerun:
 
     @property
     def differences(self) -> tuple[str, ...]:
-        """Return which of status, cost, theorem, method, backend and error differ."""
-        return tuple(key for key in COMPARED if not _same(self.then[key], self.now[key]))
+        """Return which of status, cost, theorem, method, backend and error differ.
+
+        How far a run came before its limit depends on the machine: costs are not compared where both stopped there.
+        """
+        stopped = self.then["status"] == self.now["status"] == "limit"
+        compared = [key for key in COMPARED if not (stopped and key == "cost")]
+        return tuple(key for key in compared if not _same(self.then[key], self.now[key]))
 
     @property
     def versions(self) -> dict[str, tuple[str, str]]:

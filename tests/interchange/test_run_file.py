@@ -16,7 +16,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
-from lin_freq_ocp.api.runs import SAME_COST
+from lin_freq_ocp.api.runs import SAME_COST, Rerun
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dump_run
@@ -181,6 +181,16 @@ def test_what_is_dumped_is_repeated(folder, arguments, status, word):
     assert ended == status
     assert summary["then"]["status"] == summary["now"]["status"] == word
     assert (summary["differences"], summary["environment"]) == ([], {})
+
+
+def test_costs_are_compared_unless_both_stopped_at_a_limit():
+    """How far a run came before its limit is a matter of the machine."""
+    then = {"status": "limit", "cost": 1.0, "theorem": False, "method": "spectral", "backend": None, "error": None}
+    assert Rerun(None, None, then, then | {"cost": 2.0}, {}, {}).differences == ()
+    assert Rerun(None, None, then, then | {"method": "convex"}, {}, {}).differences == ("method",)
+    solved = then | {"status": "optimal"}
+    assert Rerun(None, None, then, solved, {}, {}).differences == ("status",)
+    assert Rerun(None, None, solved, solved | {"cost": 2.0}, {}, {}).differences == ("cost",)
 
 
 def test_a_run_that_is_refused_is_dumped(folder):
