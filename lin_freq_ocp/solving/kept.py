@@ -13,7 +13,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
 from lin_freq_ocp.methods.spectral.algorithm.together import Together
 from lin_freq_ocp.methods.spectral.model.row_form import RowForm
-from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
@@ -48,7 +48,7 @@ class Kept:
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
-        self._assembly: Assembly | None = None
+        self.prepared = Prepared()
 
     def spectral(
         self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
@@ -91,12 +91,6 @@ class Kept:
                 self._refusal = error
                 raise
         return self._rows, self._solver
-
-    def assembly(self, problem: OptimalControlProblem) -> Assembly:
-        """Return the stages of the changed problem, with the numbers of the last exchanged if no more differs."""
-        exchanged = None if self._assembly is None else self._assembly.exchanged(problem)
-        self._assembly = exchanged or stages_of(problem)
-        return self._assembly
 
 
 def in_given_form(rows: RowForm, candidate: Candidate) -> Candidate:

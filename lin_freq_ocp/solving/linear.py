@@ -156,9 +156,9 @@ class Structured:
         if excluded is not None:
             return excluded
         first, doubtful, certified = None, False, 0.0
-        assembly = None if request.again is None else request.again[0].assembly(problem)
+        prepared = None if request.again is None else request.again[0].prepared
         excludes = partial(_excluding, problem)
-        for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, assembly=assembly):
+        for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             if candidate.status == "unbounded":
                 candidate = _if_feasible(problem, candidate, _left(end))
@@ -169,6 +169,8 @@ class Structured:
             if _final(outcome):
                 break
         assert first is not None  # there is an answer
+        if prepared is not None and first.status == Status.OPTIMAL:
+            prepared.near = first.trajectory
         first = replace(first, seconds=first.seconds | {"certify": certified})
         if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
             first = _with_proof(first, self.tolerance, end)

@@ -78,7 +78,9 @@ def test_infeasible_states_do_not_spoil_the_next():
 
 def test_the_structured_method_assembles_once(monkeypatch):
     count, honest = [], assembly.stages_of
-    monkeypatch.setattr("lin_freq_ocp.solving.kept.stages_of", lambda problem: count.append(1) or honest(problem))
+    monkeypatch.setattr(
+        "lin_freq_ocp.methods.structured.prepared.stages_of", lambda problem: count.append(1) or honest(problem)
+    )
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):
         solver.solve(initial_state=VARYING.initial_state.lower + move)

@@ -61,6 +61,8 @@ class Repeated:
         require_options(self.name, time_limit)
         problem = change.of(self.problem)
         again = None if self.kept is None else (self.kept, change)
+        if self.kept is not None and start is not None:
+            self.kept.prepared.near = start
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
         limit = np.inf if time_limit is None else time_limit
         outcome = self.method.solve(problem, Request(limit, start=begin, again=again))

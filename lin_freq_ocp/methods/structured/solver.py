@@ -9,15 +9,17 @@ import numpy as np
 
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.structured.algorithm.active import solve_active
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.algorithm.small import is_small, small_is_compiled, solve_small
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.model.assembly import Assembly
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
 from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.system.memory import require_memory
@@ -35,19 +37,20 @@ def solve_structured(
     time_limit: float | None = None,
     excludes: Callable[[Multipliers], bool] = lambda ray: False,
     compiled: bool | None = None,
-    assembly: Assembly | None = None,
+    prepared: Prepared | None = None,
 ) -> Iterator[Candidate]:
     """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
     ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
-    compiled (see ``loops``); ``assembly`` are the problem's stages, if they are known. UnsupportedError if the cost is
-    not convex, or the problem has a term that does not fit, or too many rows that couple times.
+    compiled (see ``loops``); ``prepared`` holds what solves of like problems left. UnsupportedError if the cost is not
+    convex, or the problem has a term that does not fit, or too many rows that couple times.
     """
     require_convex(problem)
     _require_memory(problem)
     started = time.perf_counter()
     end = np.inf if time_limit is None else started + time_limit
-    assembly, recursions = assembly or stages_of(problem), loops(compiled, patient=time_limit is None)
+    prepared = prepared or Prepared()
+    assembly, recursions = prepared.assembly(problem), loops(compiled, patient=time_limit is None)
     targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
     setup = time.perf_counter() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
@@ -55,8 +58,9 @@ def solve_structured(
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
     while True:
-        answer = _solved(assembly, recursions, targets, excludes)
+        answer = _again(assembly, recursions, targets, prepared) or _solved(assembly, recursions, targets, excludes)
         seconds = {"setup": setup, "solve": time.perf_counter() - started - setup}
+        prepared.near = None  # other units start anew
         yield _candidate(answer, assembly.recovery, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
         if revised is None or time.perf_counter() + needed > end:
@@ -69,6 +73,15 @@ def _require_memory(problem: OptimalControlProblem) -> None:
     size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
     what = f"method 'structured' with horizon = {problem.horizon}"
     require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
+
+
+def _again(assembly: Assembly, recursions: Loops, targets: Targets, prepared: Prepared) -> Answer | None:
+    """Return the answer from the active rows of a trajectory near it, if there is one and rows are in no cone."""
+    stages = assembly.stages
+    if prepared.near is None or stages.cones or stages.coupling.balls:
+        return None
+    near, responses = assembly.point(prepared.near), prepared.responses(assembly, recursions)
+    return solve_active(System(stages, recursions), responses, targets, near)
 
 
 def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:

@@ -96,15 +96,18 @@ class Answer:
 
 
 @dataclass(eq=False)
-class _Point:
+class Point:
+    """A point of the embedding: the answer, once divided by tau."""
+
     y: Array
     z: Values
     s: dict[int, Array]
     tau: float = 1.0
     kappa: float = 1.0
 
-    def moved(self, step: _Direction, length: float) -> _Point:
-        return _Point(
+    def moved(self, step: _Direction, length: float) -> Point:
+        """Return the point after a step of some length."""
+        return Point(
             self.y + length * step.y,
             [a + length * b for a, b in zip(self.z, step.z, strict=True)],
             {i: s + length * step.s[i] for i, s in self.s.items()},
@@ -188,7 +191,7 @@ class Embedding:
             last = time.perf_counter() - clock  # a step takes about as long
             for step in count():
                 clock = time.perf_counter()
-                found = self._measured(point)
+                found = self.measured(point)
                 self._refined |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
                 if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
                     best, progress = _answer(End.STALLED, point, found, step, point.tau), step
@@ -210,7 +213,7 @@ class Embedding:
             return replace(best, end=End.INTERRUPTED)
         raise AssertionError  # count() does not end
 
-    def _first_point(self) -> _Point:
+    def _first_point(self) -> Point:
         for cone in self._cones.values():
             cone.reset()
         self.step.factor()
@@ -218,9 +221,10 @@ class Embedding:
         s = {i: -z[i] for i in self._cones}
         for i, cone in self._cones.items():
             z[i], s[i] = (_inside(cone, part) for part in (z[i], s[i]))
-        return _Point(y, z, s)
+        return Point(y, z, s)
 
-    def _measured(self, point: _Point) -> _Measures:
+    def measured(self, point: Point) -> _Measures:
+        """Return the residuals of a point."""
         system, tau, kappa, h, b = self.system, point.tau, point.kappa, self._h, self._b
         Py, Atz, Ay = system.curvature(point.y), system.adjoint(point.z), system.rows(point.y)
         for i, s in point.s.items():
@@ -241,7 +245,7 @@ class Embedding:
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
-    def _ended(self, point: _Point, found: _Measures, step: int) -> Answer | None:
+    def _ended(self, point: Point, found: _Measures, step: int) -> Answer | None:
         """Return the answer if the point is one."""
         if found.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, found, step, point.tau)
@@ -252,7 +256,7 @@ class Embedding:
             return _answer(End.UNBOUNDED, point, found, step, -found.hy)
         return None
 
-    def _rough_ray(self, point: _Point, found: _Measures, steps: int) -> Answer | None:
+    def _rough_ray(self, point: Point, found: _Measures, steps: int) -> Answer | None:
         """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
         if self._vanishing(point) and found.ray <= ROUGH_RAY:
             return _answer(End.INFEASIBLE, point, found, steps, -found.bz)
@@ -261,10 +265,10 @@ class Embedding:
         return None
 
     @staticmethod
-    def _vanishing(point: _Point) -> bool:
+    def _vanishing(point: Point) -> bool:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
-    def _next(self, point: _Point, found: _Measures) -> _Point:
+    def _next(self, point: Point, found: _Measures) -> Point:
         """Return the point after a step of predictor and correctors."""
         cones, tau, kappa = self._cones, point.tau, point.kappa
         for i, cone in cones.items():
@@ -285,7 +289,7 @@ class Embedding:
         return point.moved(step, length)
 
     def _corrected(
-        self, point: _Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim
+        self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim
     ) -> tuple[_Direction, float]:
         """Return the direction after Gondzio's correctors, and the longest step along it."""
         step = self._direction(point, found, constant, aim)
@@ -301,7 +305,7 @@ class Embedding:
             step, length = other, further
         return step, length
 
-    def _recentred(self, point: _Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+    def _recentred(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
         """Return the aim with outliers after such a step moved towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
@@ -311,7 +315,7 @@ class Embedding:
         product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
         return _Aim(aim.sigma, of_s, aim.of_kappa - float(into(np.array(product), low, high)))
 
-    def _direction(self, point: _Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
+    def _direction(self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
         cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
         right = [-rest * part for part in found.f_z]
         for i, cone in cones.items():
@@ -329,7 +333,7 @@ class Embedding:
         scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
         return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(aim.of_kappa + kappa * dtau) / tau)
 
-    def _longest(self, point: _Point, step: _Direction) -> float:
+    def _longest(self, point: Point, step: _Direction) -> float:
         lengths = [
             cone.longest(part) for i, cone in self._cones.items() for part in (step.scaled_s[i], step.scaled_z[i])
         ]
@@ -342,7 +346,7 @@ def _fraction(length: float) -> float:
     return min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
 
 
-def _answer(end: End, point: _Point, found: _Measures, steps: int, unit: float) -> Answer:
+def _answer(end: End, point: Point, found: _Measures, steps: int, unit: float) -> Answer:
     return Answer(end, point.y / unit, [part / unit for part in point.z], found.errors, steps)
 
 

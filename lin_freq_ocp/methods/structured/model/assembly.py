@@ -90,12 +90,20 @@ class Assembly:
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
             return None
         coupling, origin, n = self.stages.coupling, self.recovery.origin, problem.state_dim
-        dynamics = scaled_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        A, B, d = scaled_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        if problem.linear.A is old.linear.A and problem.linear.B is old.linear.B:
+            A, B = self.stages.A, self.stages.B
         deviation = (ends[0] - origin.x[[0, -1]]) / columns[[0, -1], :n]
         terminal = replace(coupling, terminal_state=deviation[1, coupling.terminal])
         initial = np.where(fixed[0], deviation[0], np.nan)
-        stages = replace(self.stages, A=dynamics[0], B=dynamics[1], d=dynamics[2], initial=initial, coupling=terminal)
+        stages = replace(self.stages, A=A, B=B, d=d, initial=initial, coupling=terminal)
+        stages.__dict__["coupled"] = self.stages.coupled
         return replace(self, stages=stages, recovery=replace(self.recovery, problem=problem))
+
+    def same_matrices(self, other: Assembly) -> bool:
+        """Whether another assembly is of the same arrays but for right-hand sides (``exchanged``)."""
+        pairs = [(getattr(self.stages, name), getattr(other.stages, name)) for name in ("A", "B", "H", "G", "coupled")]
+        return all(one is another for one, another in pairs)
 
 
 def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:

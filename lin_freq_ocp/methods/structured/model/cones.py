@@ -14,6 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
 
+FREE = 1e30  # w of a row that is left out: 1/w^2 is nothing beside the others
 LEAST_SQUARE = 1e-300  # of a cone's s'Js: rounding may make it zero at the boundary
 
 
@@ -50,6 +51,10 @@ class Cone:
         for i, block in enumerate(self.blocks):
             self._scale_block(i, block, s[:, block], z[:, block])
         self.lam = self.scaled(z, 1)
+
+    def leave_out(self) -> None:
+        """Set the scaling at which the rows of an orthant do not count."""
+        self.w, self._powers = np.full(self.present.shape, FREE), {}
 
     def scaled(self, v: Array, power: int) -> Array:
         """Return W^power v, for the powers -2, -1, 1 and 2."""

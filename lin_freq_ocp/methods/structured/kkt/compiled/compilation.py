@@ -62,6 +62,7 @@ class Kernels:
         """Compile nothing yet; ``sources`` are the files that the code is made of, that of the functions first."""
         self._sources = [Path(source) for source in sources]
         self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
+        self._all_here = False
 
     @property
     def ready(self) -> bool:
@@ -89,7 +90,8 @@ class Kernels:
 
     @property
     def _here(self) -> bool:
-        return all(kernel.signatures for kernel, _ in self._kernels)
+        self._all_here = self._all_here or all(kernel.signatures for kernel, _ in self._kernels)
+        return self._all_here
 
     @property
     def _folder(self) -> Path | None:
