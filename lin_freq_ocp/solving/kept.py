@@ -54,7 +54,11 @@ class Kept:
         self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
     ) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
-        sets = problem.initial_state.members or problem.terminal_state.members
+        ends = (
+            (change.initial_state, problem.initial_state, self.problem.initial_state),
+            (change.terminal_state, problem.terminal_state, self.problem.terminal_state),
+        )
+        sets = any(given is not None and (new.members or old.members) for given, new, old in ends)
         if sets or (change.bounds and (row_form(problem).polyhedra or row_form(self.problem).polyhedra)):
             rows = row_form(problem)
             return in_given_form(rows, SpectralSolver(rows.problem).solve(tolerance=tolerance, time_limit=time_limit))

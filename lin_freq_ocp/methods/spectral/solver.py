@@ -316,11 +316,13 @@ class SpectralSolver:
             problem = problem.with_ends(initial_state, terminal_state)
         if problem is self.problem:
             return self.problem, self._lti
+        ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
         new_sets = [one for given in (bounds or {}).values() for one in entries_of(given)]
-        for one in (*new_sets, problem.initial_state, problem.terminal_state):
-            if one is not None and one.members:
+        for one in (*new_sets, *(end for given, end in ends if given is not None)):
+            if one is not None and not all(member.soft for member in one.members):
                 raise UnsupportedError(f"method 'spectral': {type(one).__name__}: only boxes. Use method 'convex'.")
-        lti = None if changes or references else self._lti.between(problem.ends, self._units.x)
+        other = changes or references or (terminal_state is not None and self._lti.prices is not None)
+        lti = None if other else self._lti.between(problem.ends, self._units.x)
         lti = lti or lti_problem(problem, self._units)
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),

@@ -25,7 +25,7 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import (
     signals,
 )
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import bounded_qp
 from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
@@ -87,7 +87,10 @@ class Exchange:
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
-                self.working.weights = self.first.weights
+                prices = self.working.prices(data.lti)
+                self.working.weights = (
+                    self.first.weights if prices is None else np.minimum(self.first.weights, prices)
+                )
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
@@ -157,6 +160,8 @@ class Exchange:
         self.signals, self.spectrum = signals(self.structure, self.data, *point)
         self._known_cost = None
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
+        saturated = self.working.saturated(self.data.lti)
+        self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure(self.signals.y, self.signals.last)
         self.values = self.working.values(self.signals.y, self.signals.last)
         on_rows = self.working.coupling[: self.border.size] @ self.working.weights
@@ -236,7 +241,7 @@ class Exchange:
         Z, S = working.eliminated(inverse)
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, accurate = nonnegative_qp(S, d, guess, unconstrained, self.stop)
+        new, accurate = bounded_qp(S, d, guess, working.prices(self.data.lti), unconstrained, self.stop)
         asked = (ask or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
         if ray is None and asked:
@@ -250,7 +255,9 @@ class Exchange:
             return border.inverse_with(self.proximal) @ right, working.weights, None
         K = border.proximal_matrix(self.proximal)
         slack = working.limits(self.data.lti) - self.values
-        qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights)
+        prices = working.prices(self.data.lti)
+        upper = np.full(len(working), np.inf) if prices is None else prices
+        qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
         step, new, accurate = qp.solve(self.stop)
         if not (ask or not accurate) or self.stop():
             return step, new, None

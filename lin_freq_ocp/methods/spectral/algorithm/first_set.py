@@ -87,7 +87,8 @@ def _held(lti: Lti) -> Lti:
             offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
     coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
     linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset)
+    prices = None if coarse.prices is None else coarse.prices.times(HOLD_FACTOR)
+    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
 
 
 def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Array]) -> Lti:
@@ -103,6 +104,7 @@ def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Ar
         upper=np.where(fixed, np.inf, upper),
         linear=None if lti.linear is None else cut(lti.linear),
         offset=None if lti.offset is None else cut(lti.offset),
+        prices=None if lti.prices is None else lti.prices.at(cut),
     )
 
 

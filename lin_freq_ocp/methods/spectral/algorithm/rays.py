@@ -1,6 +1,6 @@
 """Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (docs/spectral.md, 10).
 
-A ray (l >= 0, y) proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in theta) and the constraints,
+A ray (l >= 0, y), with l = 0 on soft rows, proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in theta) and the constraints,
 weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c that satisfies the dynamics.
 """
 
@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.spectral.algorithm.structure import (
     forces,
     signals,
 )
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import bounded_qp
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 
 
@@ -55,19 +55,22 @@ def row_ray(
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
-    inner = working.inner
+    inner, prices = working.inner, working.prices(data.lti)
+    hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
     free = np.full(len(working), 1 / data.lti.curvature_unit)  # x_T moves by itself
     free[inner] = structure.kernels.free_response(working.f[inner])
     decided = (np.diagonal(S) < tol.DECIDED_RESPONSE * free) & (
         d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
     )
+    decided &= hard
+    weights = np.zeros(len(d))
     if decided.any():
-        weights = np.zeros(len(d))
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
-    elif ask:
-        size = np.abs(d) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
+    elif ask and hard.any():
+        S, b = S[np.ix_(hard, hard)], d[hard]
+        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
         rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
-        weights, _ = nonnegative_qp(S + rho * np.outer(d, d), d, np.zeros(len(d)), stop=stop)
+        weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, np.zeros(len(b)), stop=stop)
         if not weights.any() or 1 + rho * float(d @ weights) >= tol.CONFLICT_TAU:
             return None
     else:

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, forces
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
+from lin_freq_ocp.methods.spectral.model.soft_sets import soft_sets
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -120,17 +121,19 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: Units,
     """Return the theorem's multipliers in the user's units."""
     n, m = problem.state_dim, problem.control_dim
     x, u = units.cost / units.x, units.cost / units.u
+    forces = found.on_rows[: n + m].T * np.concatenate([x, u])
+    on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
     return Multipliers(
         found.eta_C,
         sealed(found.eta.T * x),
-        sealed(found.on_rows[:n].T * x),
-        sealed(found.on_rows[n : n + m, :-1].T * u),
+        sealed(forces[:, :n]),
+        sealed(forces[:-1, n:]),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
-        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)},
+        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets,
     )
 
 
@@ -148,7 +151,9 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     adjoint, terms, product = _adjoint(lti, outcome, found)
     through_u = float(np.abs(lti.B).sum(0).max()) * terms
     working = outcome.working
-    complementarity = float(working.weights @ np.abs(working.limits(lti) - working.values(y, last)))
+    slack = working.limits(lti) - working.values(y, last)
+    missing = np.where(working.saturated(lti), np.maximum(slack, 0.0), np.abs(slack))
+    complementarity = float(working.weights @ missing)
     gap = complementarity + product + float(found.stationarity * np.abs(y[n:]).sum())
     return Residuals(
         primal=max(_missed_steps(lti, y, last), float(band) / energy, missed),

@@ -40,9 +40,9 @@ class Together:
 
 
 def fits(structure: Structure) -> bool:
-    """Whether a problem has neither joint rows nor state bands."""
+    """Whether a problem has neither joint or soft rows nor state bands."""
     lti = structure.border.lti
-    return len(lti.F) == len(lti.M) and not len(structure.border.bands)
+    return len(lti.F) == len(lti.M) and lti.prices is None and not len(structure.border.bands)
 
 
 def solve_together(

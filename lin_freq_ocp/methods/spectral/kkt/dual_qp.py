@@ -1,4 +1,7 @@
-"""The small QP over the working rows: min lam'S lam / 2 + d'lam over lam >= 0, S often singular (docs/spectral.md, 6).
+"""The small QP over the working rows: min lam'S lam / 2 + d'lam over 0 <= lam <= u, S often singular.
+
+docs/spectral.md, 6. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is saturated: it is
+violated, and its slope S lam + d, which is its slack, is at most 0.
 
 S is positive semidefinite, and numerically singular where a state or a control stays at a bound. The exchange measures
 every answer by the signals that follow from it.
@@ -21,13 +24,21 @@ PATIENCE = 2  # its steps in a row without fewer wrong rows
 ACTIVE_SET_ROWS = 400  # up to which an active set is grown row by row, if states are among them
 ACTIVE_SET_CONTROLS = 120  # the same where nearly all are controls: with more, an interior point is faster
 ACTIVE_SET_STEPS = 10  # per row, after which it has not converged
+SATURATIONS = 8  # exchanges of the rows at their upper bounds, after which it has not either
 MOSTLY_CONTROLS = 0.9  # share of control rows from which the multipliers are not unique, and active sets cycle
 
 
-def nonnegative_qp(
-    S: Array, d: Array, start: Array, unconstrained: Array | None = None, stop: Callable[[], str | None] = lambda: None
+def bounded_qp(
+    S: Array,
+    d: Array,
+    start: Array,
+    upper: Array | None = None,
+    unconstrained: Array | None = None,
+    stop: Callable[[], str | None] = lambda: None,
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
+
+    ``upper`` is u, None if all of it is infinite.
 
     ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
     """
@@ -35,29 +46,47 @@ def nonnegative_qp(
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
     A *= unit
-    lam = block_pivoting(A, b, warm) if len(d) <= PIVOTING_ROWS else None
+    most = None if upper is None else upper / unit / size
+    lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
     if lam is not None:
-        return lam * unit * size, True
+        return _in_units(lam, unit * size, most, upper), True
     controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
     if len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
-        lam = active_set(A, b)
+        lam = active_set(A, b, most)
     accurate = lam is not None
     if lam is None:
-        lam, accurate = interior_point(A, b, None if unconstrained is None else unconstrained * unit**2, stop, warm)
-    return lam * unit * size, accurate
+        thin = None if unconstrained is None else unconstrained * unit**2
+        lam, accurate = interior_point(A, b, thin, stop, warm, most)
+    return _in_units(lam, unit * size, most, upper), accurate
 
 
-def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
+def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
+    """Return lam in the units of the problem, exactly at its upper bounds where it is there."""
+    return lam * units if most is None or upper is None else np.where(lam >= most, upper, lam * units)
+
+
+def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
     """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
-    active, fewest, patience = (start > 0) | (A @ start + b < 0), len(b) + 1, PATIENCE
+    fewest, patience, slope = len(b) + 1, PATIENCE, A @ start + b
+    saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
+    active = ((start > 0) | (slope < 0)) & ~saturated
     for _ in range(PIVOTING_STEPS):
-        lam, rows = np.zeros(len(b)), active.nonzero()[0]
+        lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
+        if upper is not None and saturated.any():
+            lam[saturated] = upper[saturated]
+            target = b + A[:, saturated] @ lam[saturated]
         if len(rows):
-            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), b[rows], lower=1)
+            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), target[rows], lower=1)
             if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
                 return None
             lam[rows] = -solution
-        wrong = np.where(active, lam < 0, A @ lam + b < -tol.WRONG_SLOPE)
+        slope = A @ lam + b
+        wrong = np.where(active, lam < 0, slope < -tol.WRONG_SLOPE)
+        if upper is not None:
+            above = active & (lam > upper)
+            leaving = saturated & (slope > tol.WRONG_SLOPE)
+            wrong = above | leaving | (wrong & ~saturated)
+            saturated = (saturated & ~leaving) | above
         count = np.count_nonzero(wrong)
         if count == 0:
             return lam
@@ -69,8 +98,31 @@ def block_pivoting(A: Array, b: Array, start: Array) -> Array | None:
     return None
 
 
-def active_set(A: Array, b: Array) -> Array | None:
-    """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate."""
+def active_set(A: Array, b: Array, upper: Array | None = None) -> Array | None:
+    """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate.
+
+    Rows whose multiplier exceeds its bound are held there, and the others are found again.
+    """
+    if upper is None:
+        return _nonnegative(A, b)
+    lam, saturated = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
+    for _ in range(SATURATIONS):
+        rest = ~saturated
+        lam[saturated] = upper[saturated]
+        target = b[rest] + A[np.ix_(rest, saturated)] @ lam[saturated]
+        found = _nonnegative(A[np.ix_(rest, rest)], target) if rest.any() else np.zeros(0)
+        if found is None:
+            return None
+        lam[rest] = found
+        above, leaving = lam > upper, saturated & (A @ lam + b > tol.ACTIVE_SET_ACCURATE)
+        if not (above | leaving).any():
+            return lam
+        saturated = (saturated & ~leaving) | above
+    return None
+
+
+def _nonnegative(A: Array, b: Array) -> Array | None:
+    """Return the answer over lam >= 0."""
     from scipy.optimize import nnls  # slow to import
 
     regular = A + tol.QP_RIDGE * np.eye(len(b))
@@ -81,4 +133,5 @@ def active_set(A: Array, b: Array) -> Array | None:
         lam, _ = nnls(factor.T, dtrtrs(factor, -b, lower=1)[0], maxiter=ACTIVE_SET_STEPS * len(b))
     except RuntimeError:
         return None
-    return lam if (A @ lam + b).min() > -tol.ACTIVE_SET_ACCURATE * max(1.0, float(lam.max())) else None
+    accurate = (A @ lam + b).min(initial=0.0) > -tol.ACTIVE_SET_ACCURATE * max(1.0, float(lam.max(initial=0.0)))
+    return lam if accurate else None

@@ -1,4 +1,6 @@
-"""Mehrotra's predictor-corrector for z = A lam + b >= 0, lam >= 0, lam'z = 0, and a polish on the rows with lam > z.
+"""Mehrotra's predictor-corrector for min lam'A lam / 2 + b'lam over 0 <= lam <= u, and a polish on the active rows.
+
+A lam + b = z - y with lam >= 0, z >= 0, lam'z = 0, and, where u is finite, room w = u - lam >= 0, y >= 0, w'y = 0.
 
 On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
 There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
@@ -35,40 +37,46 @@ def interior_point(
     unconstrained: Array | None,
     stop: Callable[[], str | None] = lambda: None,
     start: Array | None = None,
+    upper: Array | None = None,
 ) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate); ``unconstrained``, ``stop`` and ``start`` as in ``nonnegative_qp``."""
+    """Return (lam, whether it is accurate); ``unconstrained``, ``stop``, ``start`` and ``upper`` as in ``bounded_qp``."""
     system, ridge, count = _thin(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
     lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
-    lam, z = np.maximum(lam, least), np.maximum(system.times(lam) + b, least)
-    best = np.inf, lam, z
+    caps = Caps(np.full(count, np.inf) if upper is None else upper)
+    weights = caps.inside(lam, least)
+    z = caps.slacks(system.times(weights[:count]) + b, weights, least)
+    best = np.inf, weights, z
     for _ in range(STEPS):
-        defect, mu = z - system.times(lam) - b, float(lam @ z) / count
+        lam = weights[:count]
+        defect, mu = caps.slope(z) - system.times(lam) - b, float(weights @ z) / len(weights)
         error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
         if error < best[0]:
-            best = error, lam, z
+            best = error, weights, z
         if error < tol.INTERIOR_SOLVED or not error <= tol.DIVERGED_ERROR * best[0] or stop():
             break
-        if not system.factor(z / lam + ridge):
+        if not system.factor(caps.diagonal(weights, z) + ridge):
             ridge *= 100
             if ridge > tol.LARGEST_RIDGE:
                 break
             continue
-        newton = partial(_newton, system, lam, defect)
-        _, lam, z, length = predictor_corrector(newton, lam, z, mu, max(TO_BOUNDARY, 1 - mu))
+        newton = partial(_newton, system, caps, weights, defect)
+        _, weights, z, length = predictor_corrector(newton, weights, z, mu, max(TO_BOUNDARY, 1 - mu))
         if length < tol.INTERIOR_ACCURATE:
             break
-    error, lam, z = best
-    return _polished(system, b, lam, np.asarray(lam > z)), error < tol.INTERIOR_ACCURATE
+    error, weights, z = best
+    return _polished(system, b, caps, weights, z), error < tol.INTERIOR_ACCURATE
 
 
-def _newton(system: _Dense | _Thin, lam: Array, defect: Array, target: Array) -> tuple[Array, Array]:
-    """Return the steps of no other unknowns and of lam."""
-    return np.zeros(0), system.solve(defect + target / lam)
+def _newton(
+    system: _Dense | _Thin, caps: Caps, weights: Array, defect: Array, target: Array
+) -> tuple[Array, Array]:
+    """Return the steps of no other unknowns and of (lam, w)."""
+    return np.zeros(0), caps.steps(system.solve(defect + caps.slope(target / weights)))
 
 
-def _polished(system: _Dense | _Thin, b: Array, lam: Array, active: Mask) -> Array:
-    """Return lam with zero slope on the active rows and zeros elsewhere, if that keeps it positive."""
-    lam = np.where(active, lam, 0.0)
+def _polished(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Array) -> Array:
+    """Return lam with zero slope on the active rows, and zeros or upper bounds elsewhere, if that keeps it between."""
+    active, lam = caps.split(weights, z)
     if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
         return lam
     polished = lam.copy()
@@ -79,8 +87,52 @@ def _polished(system: _Dense | _Thin, b: Array, lam: Array, active: Mask) -> Arr
     def slope_left(v: Array) -> float:
         return float(np.abs((system.times(v) + b)[active]).max())
 
-    better = np.maximum(polished, 0.0)
+    better = np.clip(polished, 0.0, caps.upper)
     return better if slope_left(better) < slope_left(lam) else lam
+
+
+class Caps:
+    """Upper bounds u of lam, (count,): pairs (weights, slacks) are (lam, z), then (w, y) of the finite bounds."""
+
+    def __init__(self, upper: Array):
+        self.upper, self.capped, self.count = upper, np.flatnonzero(np.isfinite(upper)), len(upper)
+
+    def inside(self, lam: Array, least: float) -> Array:
+        """Return (lam, w) from a lam >= 0, moved inside its bounds."""
+        lam = np.maximum(lam, least)
+        cap = self.upper[self.capped]
+        margin = np.minimum(least, cap / 4)
+        lam[self.capped] = np.clip(lam[self.capped], margin, cap - margin)
+        return np.concatenate([lam, cap - lam[self.capped]])
+
+    def slacks(self, slope: Array, weights: Array, least: float) -> Array:
+        """Return (z, y) for a slope z - y: z at least this large, y too, but smaller where the room is wide."""
+        smallest = least / np.maximum(1.0, weights[self.count :])
+        return np.concatenate([np.maximum(slope, least), np.maximum(-slope[self.capped], smallest)])
+
+    def slope(self, z: Array) -> Array:
+        """Return z - y, (count,)."""
+        slope = z[: self.count].copy()
+        slope[self.capped] -= z[self.count :]
+        return slope
+
+    def diagonal(self, weights: Array, z: Array) -> Array:
+        """Return z / lam + y / w, (count,)."""
+        quotient = z / weights
+        diagonal = quotient[: self.count].copy()
+        diagonal[self.capped] += quotient[self.count :]
+        return diagonal
+
+    def steps(self, change: Array) -> Array:
+        """Return the steps of (lam, w) from that of lam."""
+        return np.concatenate([change, -change[self.capped]])
+
+    def split(self, weights: Array, z: Array) -> tuple[Mask, Array]:
+        """Return which rows are active, between their bounds, and lam with the others at the bounds."""
+        lam, saturated = weights[: self.count], np.zeros(self.count, dtype=bool)
+        saturated[self.capped] = weights[self.count :] < z[self.count :]
+        active = (lam > z[: self.count]) & ~saturated
+        return active, np.where(saturated, self.upper, np.where(active, lam, 0.0))
 
 
 class _Dense:

@@ -4,13 +4,16 @@
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
                 ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
 
+A bound with a finite price is soft: the price times its excess joins the cost, and limits its multiplier.
+
 Units are powers of two: changing to them and back rounds nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,11 +21,32 @@ from scipy.linalg import matrix_balance
 
 from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask, assign
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.term import TermKind
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
+
+    lower: Array
+    upper: Array
+    last_lower: Array
+    last_upper: Array
+
+    def times(self, factor: float) -> Bounds:
+        """Return multiples of the numbers at t < T."""
+        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
+
+    def at(self, cut: Callable[[Array], Array]) -> Bounds:
+        """Return those at the times that a function keeps of arrays (rows, T)."""
+        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +71,7 @@ class Lti:
     last_lower: Array  # of x_T, (n,)
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
+    prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
 
     @property
     def state_dim(self) -> int:
@@ -64,7 +89,8 @@ class Lti:
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         other = self.at_points(start, end)
-        assign(other, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+        if self.prices is None:  # else, the end is the same
+            assign(other, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
         return other
 
     def at_points(self, start: Array, end: Array) -> Lti:
@@ -110,9 +136,11 @@ class Units:
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
     cost, dynamics = problem.quadratic, problem.linear
-    others = [term for term in problem.terms if term.kind != "stage rows" or not term.hard]
+    others = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS and soft_set(problem, term) is None]
     if others:
         return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    if soft_sets(problem) is None:
+        return "two bounds on the same side of a component, of which one is soft"
     if dynamics.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
@@ -199,6 +227,10 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     linear = _linear_terms(problem)
     offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
     lower, upper = _bounds(problem, units)
+    last_lower, last_upper = (side / x for side in problem.ends[1].bounds)
+    prices = None
+    if not all(term.hard for term in problem.terms):
+        (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
     start, end = (_point(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     return Lti(
@@ -217,9 +249,10 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
         lower=lower,
         upper=upper,
-        last_lower=problem.ends[1].lower / x,
-        last_upper=problem.ends[1].upper / x,
+        last_lower=last_lower,
+        last_upper=last_upper,
         constant=_cost_at_zero(problem) / units.cost,
+        prices=prices,
     )
 
 
@@ -266,6 +299,33 @@ def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]
 
     absent = [np.full((len(e), 1), -np.inf) for e in joint]
     return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
+
+
+def _soft_bounds(
+    problem: OptimalControlProblem, units: Units, lower: Array, upper: Array
+) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
+    """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
+    n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
+    given = soft_sets(problem)
+    everything = None if given is None else placed(problem, given)
+    if everything is None:
+        raise UnsupportedError("method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'.")
+    per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
+    joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
+    of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (everything.of_lower, everything.of_upper))
+    sides = list[Array]()
+    for side, own, price in ((lower, everything.lower, of_lower), (upper, everything.upper, of_upper)):
+        soft = np.isfinite(price[:, :T])
+        sides.append(np.vstack([np.where(soft, own[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
+    last = (everything.lower[T, :n] / units.x, everything.upper[T, :n] / units.x)
+    rows = np.broadcast_to(joint[:, None], (len(joint), T))
+    prices = Bounds(
+        np.vstack([of_lower[:, :T], np.full(rows.shape, np.inf)]),
+        np.vstack([of_upper[:, :T], rows]),
+        of_lower[:n, T],
+        of_upper[:n, T],
+    )
+    return (sides[0], sides[1], *last), prices
 
 
 def _as_columns(bounds: Array, first: Array) -> Array:

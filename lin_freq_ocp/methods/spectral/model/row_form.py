@@ -1,4 +1,4 @@
-"""Polyhedral sets as joint rows, which the Fourier-domain method takes, and their multipliers.
+"""Polyhedral sets, hard and soft, as joint rows, which the Fourier-domain method takes, and their multipliers.
 
 F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There the
 adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.methods.spectral.model.soft_sets import SETS, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -44,13 +46,17 @@ class RowForm:
 
 
 def row_form(problem: OptimalControlProblem) -> RowForm:
-    """Return the problem with its hard polyhedral sets as joint rows; unchanged if it has none, or other sets too."""
+    """Return the problem with its polyhedral sets as joint rows.
+
+    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
+    """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
-    polyhedra = tuple(rows for term in sets if (rows := _polyhedron(problem, term)) is not None)
-    if not sets or problem.linear.time_varying or len(polyhedra) < len(sets):
+    found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
+    if problem.linear.time_varying or len(found) < len(sets) or soft_sets(problem) is not None:
         return RowForm(problem, problem, ())
+    polyhedra = tuple(rows for rows, _ in found)
     try:
-        rows = [joint for given in polyhedra for joint in _stage_rows(problem, given)]
+        rows = [joint for given, term in found for joint in _stage_rows(problem, given, _price(term))]
         changed = replace(
             problem,
             state_set=problem.state_boxes,
@@ -65,23 +71,31 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
-    """Return the rows of a polyhedral set that is the same at all its times; else None."""
-    rows = term.polyhedron(problem.state_dim, problem.control_dim)
-    if rows is None or term.kind not in (TermKind.STATE_SET, TermKind.CONTROL_SET) or len(rows.C) > 1:
+    """Return the rows of a polyhedral set that is the same at all its times, with one price; else None."""
+    if term.kind not in SETS or not term.penalty.polyhedral or len(np.unique(term.penalty.weights)) > 1:
+        return None
+    hard = term if term.hard else replace(term, penalty=term.penalty.softened(HARD))
+    rows = hard.polyhedron(problem.state_dim, problem.control_dim)
+    if rows is None or len(rows.C) > 1:
         return None
     return rows if len(set(rows.times)) == len(rows.times) else None
 
 
-def _stage_rows(problem: OptimalControlProblem, given: LinearRows) -> list[StageRows]:
+def _price(term: Term) -> float | None:
+    """Return the price of a unit of excess; None for what must hold."""
+    return None if term.hard else float(np.max(term.penalty.weights))
+
+
+def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
     T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
     before, rows = given.times < T, list[StageRows]()
     C, D = given.C[0, :, :n], given.C[0, :, n:]
     if before.any():
         e = np.full((T, given.e.shape[1]), np.inf)
         e[given.times[before]] = given.e[before]
-        rows.append(StageRows(C, D, e, given.name))
+        rows.append(StageRows(C, D, e, given.name, price))
     if not before.all():
         e = np.full((T, given.e.shape[1]), np.inf)
         e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
-        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END))
+        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END, price))
     return rows

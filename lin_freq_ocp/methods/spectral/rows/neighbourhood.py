@@ -59,9 +59,9 @@ class Neighbourhood:
 
 
 def around(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if there are none or many, or the horizon is short."""
+    """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
     T, inner = violations.lti.horizon, working.inner
-    if T < LEAST_HORIZON:
+    if T < LEAST_HORIZON or violations.lti.prices is not None:
         return None
     window = np.arange(-WINDOW, WINDOW + 1)
     times = (working.t[inner, None] + window).clip(0, T - 1)

@@ -18,7 +18,8 @@ class Violations:
     """Excess over the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
     ``rows`` are the rows of F with a bound at some time, ``excess`` (bounded, T) is theirs at t < T, ``last`` (n,) that
-    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated.
+    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated. Nor
+    can those of saturated rows, which may exceed their bounds.
     """
 
     def __init__(self, lti: Lti):
@@ -42,6 +43,14 @@ class Violations:
         self.fixed = index[f[bounded]], t[bounded]
         self.fixed_keys = f * lti.horizon + t
         self.excess, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
+        self._index, none = index, np.zeros(0, dtype=np.intp)
+        self.set_saturated(none, none)
+
+    def set_saturated(self, t: Indices, f: Indices) -> None:
+        """Take the rows f of F at times t, at T of components of x_T, as saturated, and no others."""
+        inner = t < self.lti.horizon
+        self._saturated = self._index[f[inner]], t[inner]
+        self._saturated_last = f[~inner]
 
     def measure(self, y: Array, last: Array) -> float:
         """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
@@ -60,7 +69,9 @@ class Violations:
         np.maximum(self.excess, below, out=self.excess)
         self.excess /= self._row_scale
         self.excess[self.fixed] = ABSENT
+        self.excess[self._saturated] = ABSENT
         over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        over[self._saturated_last] = ABSENT
         self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
         self.worst = max(float(self.excess.max(initial=ABSENT)), float(self.last.max()))
         return self.worst
@@ -88,11 +99,21 @@ class Violations:
         lti = self.lti
         return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
 
+    def flat_prices(self) -> tuple[Array, Array] | None:
+        """Return the prices of lower and upper bounds over the same; None if all are hard."""
+        prices = self.lti.prices
+        if prices is None:
+            return None
+        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
+        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
+
     def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
-        """Return (i, t) of the entries of ``excess`` that enter."""
+        """Return (i, t) of the entries of ``excess`` that enter: of states with saturated samples, not only peaks."""
         threshold = np.where(self.state_rows, tolerance / 2, nearly_active(self.worst, tolerance))
         i, t = np.nonzero(self.excess > threshold[:, None])
         states = self.state_rows[i]
+        if len(self._saturated[0]):
+            states &= ~np.isin(i, self._saturated[0])
         if not states.any():
             return i, t
         here, last = self.excess[i, t], self.lti.horizon - 1

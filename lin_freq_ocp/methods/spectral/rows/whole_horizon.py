@@ -15,7 +15,7 @@ from scipy import fft
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import bounded_qp
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows
 
@@ -114,21 +114,27 @@ def exchanged(
 ) -> ActiveSetDuals:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``nonnegative_qp``.
+    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
     found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
-    lower, upper = violations.flat_bounds()
+    none = np.zeros(0, dtype=np.intp)
+    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
     for count in range(1, MODEL_ROUNDS + 1):
         values = base
+        violations.set_saturated(none, none)
         if len(index):
             d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
             free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            weights, accurate = nonnegative_qp(whole.gram(index) * sign * sign[:, None], d, weights, free, stop)
+            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
+            weights, accurate = bounded_qp(whole.gram(index) * sign * sign[:, None], d, weights, most, free, stop)
             found = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
+            if most is not None:
+                saturated = index[weights >= most]
+                violations.set_saturated(whole.t[saturated], whole.f[saturated])
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
             break
         kept = weights > 0

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
-from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.model.lti import Bounds, Lti
 from lin_freq_ocp.system.memory import require_memory
 
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
@@ -42,6 +42,8 @@ def bounded(rows: Rows, lti: Lti) -> Rows:
 
 class WorkingSet:
     """Rows sign F_f y_t <= limit with multipliers ``weights`` >= 0; at t = T, rows on the free components of x_T.
+
+    Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
 
     ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
     """
@@ -133,12 +135,25 @@ class WorkingSet:
 
     def limits(self, lti: Lti) -> Array:
         """Return the right-hand sides of the rows, shape (count,)."""
+        return self.sign * self._of_bounds(Bounds(lti.lower, lti.upper, lti.last_lower, lti.last_upper))
+
+    def prices(self, lti: Lti) -> Array | None:
+        """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
+        return None if lti.prices is None else self._of_bounds(lti.prices)
+
+    def saturated(self, lti: Lti) -> Mask:
+        """Return which rows have their price as multiplier, (count,)."""
+        prices = self.prices(lti)
+        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
+
+    def _of_bounds(self, bounds: Bounds) -> Array:
+        """Return the entries of the rows in arrays for all bounds, (count,)."""
         inner, upper = self.inner, self.sign > 0
-        limit, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
-        limit[inner] = np.where(upper[inner], lti.upper[f, t], -lti.lower[f, t])
+        found, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
+        found[inner] = np.where(upper[inner], bounds.upper[f, t], bounds.lower[f, t])
         last = self.f[~inner]
-        limit[~inner] = np.where(upper[~inner], lti.last_upper[last], -lti.last_lower[last])
-        return limit
+        found[~inner] = np.where(upper[~inner], bounds.last_upper[last], bounds.last_lower[last])
+        return found
 
     def values(self, y: Array, last: Array) -> Array:
         """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
