@@ -2,7 +2,8 @@
 
 Every problem is built around trajectories that obey its dynamics and stop bands to rounding: a moderate one that gives
 the ends, one that the cost would like best, and a calm one with the same ends. Bounds lie between the last two, so that
-most problems are feasible with active bounds, however unstable their dynamics are; about one in five is then spoilt.
+most problems are feasible with active bounds, however unstable their dynamics are; about one in five is then spoilt. Of
+every fourth problem, bounds and rows are soft, at prices far below, near and far above their multipliers.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.loop.softening import softened
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 # Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible
 SPOILT = 0.18
+SOFT_EVERY = 4  # seeds per problem with soft bounds or rows
 HARMLESS_GROWTH = 1e3  # open-loop growth over the horizon from which the end of the horizon must not be left to itself
 FAR = 100.0  # multiple of a moderate trajectory that linear costs may ask for: integrators follow them a long way
 FREE, BOXED, FIXED = 0, 1, 2  # what an end of the horizon says of one state component
@@ -44,7 +47,10 @@ def with_witness(seed: int) -> tuple[lfo.OptimalControlProblem, lfo.Trajectory |
         warnings.simplefilter("ignore", lfo.errors.BandWarning)
         problem, calm = _around_trajectories(rng, kind_of(seed), n, m, T)
         problem = replace(problem, name=f"random LTI {seed}, {kind_of(seed)}")
-        return (_spoilt(rng, problem, calm), None) if rng.random() < SPOILT else (problem, calm)
+        spoilt = rng.random() < SPOILT
+        problem = _spoilt(rng, problem, calm) if spoilt else problem
+        soft = _with_prices(rng, problem, calm) if seed % SOFT_EVERY == SOFT_EVERY - 1 else problem
+        return soft, None if spoilt else calm
 
 
 def _around_trajectories(
@@ -292,6 +298,22 @@ def _spoilt(
         initial_state=None,
         terminal_state=None,
     )
+
+
+def _with_prices(
+    rng: np.random.Generator, problem: lfo.OptimalControlProblem, calm: lfo.Trajectory
+) -> lfo.OptimalControlProblem:
+    """Return the problem with soft bounds or rows, two thirds of what it has, at prices from 1e-3 to 1e3."""
+    level = float(np.trace(problem.quadratic.R)) / problem.control_dim * max(float(np.abs(calm.u).max()), 1e-3)
+    prices = {
+        field: float(level * 10.0 ** rng.uniform(-3, 3))
+        for field in ("state_set", "control_set", "stage_rows")
+        if getattr(problem, field) and rng.random() < 2 / 3
+    }
+    price = prices.pop("control_set", None)
+    if price is not None:
+        problem = replace(problem, control_set=lfo.sets.Soft(problem.control_tube.at(0), price))
+    return softened(problem, prices)
 
 
 def least_cost(problem: lfo.OptimalControlProblem) -> lfo.Trajectory:

@@ -28,6 +28,7 @@ SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on a soft border, relative
 # Small QPs, scaled to order 1 (kkt/)
 TINY = 1e-300  # keeps quotients of exact zeros finite
 QP_RIDGE = 1e-13  # added to the diagonal: dependent rows and equations then share their multipliers
+DECIDED_SOFT = 1e-13  # part of a soft row's own response left by the equations that is rounding of zero
 PIVOTING_PIVOT = 1e-6  # Cholesky pivot below which rows are too dependent for block pivoting
 WRONG_SLOPE = 1e-13  # slope below which a row without multiplier is wrong
 ACTIVE_SET_ACCURATE = 1e-9  # slope left up to which the active set's answer is accurate

@@ -10,7 +10,7 @@ import qpsolvers
 from scipy.optimize import nnls
 
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import active_set, block_pivoting, nonnegative_qp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import active_set, block_pivoting, bounded_qp
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 
 Qp = tuple[np.ndarray, np.ndarray]
@@ -89,7 +89,7 @@ def independent_value(qp: Qp) -> float:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_answer_is_optimal(family, count):
     qp = FAMILIES[family](count)
-    lam, accurate = nonnegative_qp(*qp, np.zeros(len(qp[1])))
+    lam, accurate = bounded_qp(*qp, np.zeros(len(qp[1])))
     violation, complementarity = errors(qp, lam)
     assert accurate
     assert violation < 2e-9
@@ -98,7 +98,7 @@ def test_an_answer_is_optimal(family, count):
 
 
 def test_a_textbook_answer():
-    lam, accurate = nonnegative_qp(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
+    lam, accurate = bounded_qp(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
     np.testing.assert_allclose(lam, [1, 0, 5], rtol=1e-14)
     assert accurate
 
@@ -107,7 +107,7 @@ def test_an_answer_is_that_of_nonnegative_least_squares():
     rng = np.random.default_rng(3)
     for _ in range(10):
         G, target = rng.standard_normal((40, 25)), rng.standard_normal(40)
-        lam, _ = nonnegative_qp(G.T @ G, -G.T @ target, np.zeros(25))
+        lam, _ = bounded_qp(G.T @ G, -G.T @ target, np.zeros(25))
         np.testing.assert_allclose(lam, nnls(G, target)[0], atol=1e-12)
 
 
@@ -115,8 +115,8 @@ def test_an_answer_is_that_of_nonnegative_least_squares():
 def test_units_of_rows_do_not_matter(family):
     S, d = FAMILIES[family](40)
     units = 10.0 ** np.random.default_rng(2).uniform(-6, 6, 40)
-    plain, _ = nonnegative_qp(S, d, np.zeros(40))
-    scaled, accurate = nonnegative_qp(1e3 * S * units * units[:, None], d * units, np.zeros(40))
+    plain, _ = bounded_qp(S, d, np.zeros(40))
+    scaled, accurate = bounded_qp(1e3 * S * units * units[:, None], d * units, np.zeros(40))
     assert accurate
     assert value((S, d), 1e3 * scaled * units) == pytest.approx(value((S, d), plain), rel=1e-8)
 
@@ -124,14 +124,14 @@ def test_units_of_rows_do_not_matter(family):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_warm_start_does_not_change_the_answer(family):
     qp = FAMILIES[family](120)
-    optimum = value(qp, nonnegative_qp(*qp, np.zeros(120))[0])
+    optimum = value(qp, bounded_qp(*qp, np.zeros(120))[0])
     wrong = np.where(np.arange(120) % 3 == 0, 5.0, 0.0)
-    assert value(qp, nonnegative_qp(*qp, wrong)[0]) == pytest.approx(optimum, rel=1e-8)
+    assert value(qp, bounded_qp(*qp, wrong)[0]) == pytest.approx(optimum, rel=1e-8)
 
 
 def test_rows_that_nothing_restricts_get_exact_zeros():
     S, d = well_conditioned(30)
-    lam, _ = nonnegative_qp(S, np.abs(d), np.zeros(30))
+    lam, _ = bounded_qp(S, np.abs(d), np.zeros(30))
     assert not lam.any()
 
 
@@ -151,7 +151,7 @@ def test_an_active_set_is_accurate(family):
 
 def test_a_conflict_is_no_answer():
     """Two opposite rows with a gap between them: the QP has no lower bound, and its weights say so."""
-    lam, accurate = nonnegative_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
+    lam, accurate = bounded_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
     assert np.isfinite(lam).all()
     assert not accurate or lam.min() > 1e9
 
@@ -173,8 +173,37 @@ def test_the_factor_of_low_rank_gives_the_same_answer(share):
     for lam, accurate in (interior_point(*qp, np.ones(300)), interior_point(*qp, None)):
         assert accurate
         assert max(errors(qp, lam)) < 1e-9
-    cheap, _ = nonnegative_qp(*qp, np.zeros(300), np.ones(300))
+    cheap, _ = bounded_qp(*qp, np.zeros(300), np.ones(300))
     assert value(qp, cheap) == pytest.approx(independent_value(qp), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [5, 70, 130, 320])
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("most", ["low", "some infinite"])
+def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
+    S, d = FAMILIES[family](count)
+    free = bounded_qp(S, d, np.zeros(count))[0]
+    upper = np.full(count, 0.3 * float(np.median(free[free > 0])))
+    upper[:: 2 if most == "some infinite" else count + 1] = np.inf
+    for start in (np.zeros(count), np.minimum(free, upper)):
+        lam, accurate = bounded_qp(S, d, start, upper=upper)
+        slope = S @ lam + d
+        assert accurate
+        assert lam.min() >= 0
+        assert (lam <= upper).all()
+        assert (lam == upper).any() or count == 5
+        assert np.where(lam < upper, slope, 0.0).min() > -2e-9
+        assert np.where(lam > 0, slope, 0.0).max() < 2e-7
+
+
+@pytest.mark.parametrize("method", [block_pivoting, active_set, None])
+def test_a_textbook_answer_with_upper_bounds(method):
+    S, d, upper = np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.array([np.inf, 1.0, 2.0])
+    if method is None:
+        lam = interior_point(S, d, None, upper=upper)[0]
+    else:
+        lam = method(S, d, np.zeros(3), upper) if method is block_pivoting else method(S, d, upper)
+    np.testing.assert_allclose(lam, [1, 0, 2], rtol=1e-12)
 
 
 def bordered(size: int, equations: int, count: int, hessian: float, seed: int = 0) -> tuple[BorderedQp, dict]:
@@ -195,6 +224,7 @@ def bordered(size: int, equations: int, count: int, hessian: float, seed: int = 
         r=np.concatenate([-h, e]),
         slack=limit,
         weights=np.zeros(count),
+        upper=np.full(count, np.inf),
     )
     return qp, {"H": H, "h": h, "E": E, "F": F, "e": e, "G": G, "W": W, "limit": limit}
 
@@ -247,3 +277,18 @@ def test_a_bordered_step_from_its_answer_is_none():
     assert accurate
     assert np.abs(further).max() < 1e-8 * np.abs(step).max()
     np.testing.assert_allclose(same, weights, atol=1e-8 * weights.max())
+
+
+def test_a_bordered_answer_with_upper_bounds_is_optimal():
+    qp, _ = bordered(4, 3, 30, 1e-3)
+    free = qp.solve()[1]
+    upper = np.where(np.arange(30) % 3 == 0, np.inf, 0.5 * free.max())
+    qp = replace(qp, upper=upper)
+    step, weights, accurate = qp.solve()
+    assert accurate
+    assert (weights <= upper).all()
+    assert (weights == upper).any()
+    z = qp.slack - qp.C.T @ step + qp.S @ weights
+    assert np.abs(qp.K @ step + qp.C @ weights - qp.r).max() < 1e-9
+    assert np.where(weights < upper, z, 0.0).min() > -1e-9
+    assert np.where(weights > 0, z, 0.0).max() < 1e-9

@@ -88,9 +88,7 @@ class Exchange:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
                 prices = self.working.prices(data.lti)
-                self.working.weights = (
-                    self.first.weights if prices is None else np.minimum(self.first.weights, prices)
-                )
+                self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
         self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
@@ -241,7 +239,9 @@ class Exchange:
         Z, S = working.eliminated(inverse)
         d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
-        new, accurate = bounded_qp(S, d, guess, working.prices(self.data.lti), unconstrained, self.stop)
+        prices = working.prices(self.data.lti)
+        response = None if prices is None else working.free_response()
+        new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
         asked = (ask or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
         if ray is None and asked:

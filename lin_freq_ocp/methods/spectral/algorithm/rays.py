@@ -1,7 +1,8 @@
 """Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (docs/spectral.md, 10).
 
-A ray (l >= 0, y), with l = 0 on soft rows, proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in theta) and the constraints,
-weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c that satisfies the dynamics.
+A ray (l >= 0, y), with l = 0 on soft rows, proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in
+theta) and the constraints, weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c
+that satisfies the dynamics.
 """
 
 from __future__ import annotations
@@ -55,10 +56,8 @@ def row_ray(
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
-    inner, prices = working.inner, working.prices(data.lti)
+    prices, free = working.prices(data.lti), working.free_response()
     hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
-    free = np.full(len(working), 1 / data.lti.curvature_unit)  # x_T moves by itself
-    free[inner] = structure.kernels.free_response(working.f[inner])
     decided = (np.diagonal(S) < tol.DECIDED_RESPONSE * free) & (
         d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
     )

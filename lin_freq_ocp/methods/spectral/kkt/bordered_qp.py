@@ -13,7 +13,7 @@ soft borders).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -43,7 +43,14 @@ class BorderedQp:
     upper: Array
 
     def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
-        """Return the step p, the weights l, and whether they are accurate; the best iterate when asked to stop."""
+        """Return the step p, the weights l, and whether they are accurate; the best iterate when asked to stop.
+
+        First without upper bounds, which are often far above the weights: they cost digits.
+        """
+        if np.isfinite(self.upper).any():
+            step, weights, accurate = replace(self, upper=np.full(len(self.upper), np.inf)).solve(stop)
+            if accurate and (weights <= self.upper).all():
+                return step, weights, True
         scaled, border, rows, size = self._scaled()
         p, weights, z, accurate = _interior_point(scaled, stop)
         active, held = Caps(scaled.upper).split(weights, z)

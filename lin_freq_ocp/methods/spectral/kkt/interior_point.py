@@ -39,7 +39,7 @@ def interior_point(
     start: Array | None = None,
     upper: Array | None = None,
 ) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate); ``unconstrained``, ``stop``, ``start`` and ``upper`` as in ``bounded_qp``."""
+    """Return (lam, whether it is accurate); what follows b is as in ``bounded_qp``."""
     system, ridge, count = _thin(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
     lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
     caps = Caps(np.full(count, np.inf) if upper is None else upper)
@@ -67,9 +67,7 @@ def interior_point(
     return _polished(system, b, caps, weights, z), error < tol.INTERIOR_ACCURATE
 
 
-def _newton(
-    system: _Dense | _Thin, caps: Caps, weights: Array, defect: Array, target: Array
-) -> tuple[Array, Array]:
+def _newton(system: _Dense | _Thin, caps: Caps, weights: Array, defect: Array, target: Array) -> tuple[Array, Array]:
     """Return the steps of no other unknowns and of (lam, w)."""
     return np.zeros(0), caps.steps(system.solve(defect + caps.slope(target / weights)))
 

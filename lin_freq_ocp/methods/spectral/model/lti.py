@@ -309,7 +309,9 @@ def _soft_bounds(
     given = soft_sets(problem)
     everything = None if given is None else placed(problem, given)
     if everything is None:
-        raise UnsupportedError("method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'.")
+        raise UnsupportedError(
+            "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."
+        )
     per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
     joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
     of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (everything.of_lower, everything.of_upper))

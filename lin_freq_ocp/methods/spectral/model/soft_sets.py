@@ -1,8 +1,8 @@
 """Soft sets whose rows are bounds on single components, in the places of hard bounds (docs/spectral.md, 6).
 
-A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It stands in
-the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the component, the
-excess is a constant, and its subgradient is the price or zero.
+A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It stands
+in the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the component,
+the excess is a constant, and its subgradient is the price or zero.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
         for t, end in zip((0, problem.horizon), problem.ends, strict=True):
             here = times == t
             fixed[here] = end.fixed[f]
-            excess[here] = np.where(end.fixed[f], sign * end.lower[f] - limit[here], 0.0)
+            excess[here] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[here]
     return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, excess)
 
 

@@ -18,8 +18,8 @@ class Violations:
     """Excess over the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
     ``rows`` are the rows of F with a bound at some time, ``excess`` (bounded, T) is theirs at t < T, ``last`` (n,) that
-    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated. Nor
-    can those of saturated rows, which may exceed their bounds.
+    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated,
+    nor can saturated rows, which may exceed their bounds.
     """
 
     def __init__(self, lti: Lti):

@@ -78,6 +78,13 @@ class WholeHorizon:
         S[np.ix_(inner, inner)] += self._border.kernels.gram(t[inner], f[inner], t[inner], f[inner])
         return S
 
+    def free_response(self, index: Indices) -> Array:
+        """Return how far a unit force moves each of some values without equations; x_T moves by itself."""
+        free = np.full(len(index), 1 / self._border.lti.curvature_unit)
+        inner = index < self._inner
+        free[inner] = self._border.kernels.free_response(self.f[index[inner]])
+        return free
+
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
         if self.tabulated:
@@ -127,7 +134,9 @@ def exchanged(
             d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
             free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
             most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
-            weights, accurate = bounded_qp(whole.gram(index) * sign * sign[:, None], d, weights, most, free, stop)
+            response = None if prices is None else whole.free_response(index)
+            gram = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
             found = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break

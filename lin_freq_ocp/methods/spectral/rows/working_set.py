@@ -141,6 +141,13 @@ class WorkingSet:
         """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
         return None if lti.prices is None else self._of_bounds(lti.prices)
 
+    def free_response(self) -> Array:
+        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
+        inner = self.inner
+        free = np.full(len(self), 1 / self._border.lti.curvature_unit)
+        free[inner] = self._border.kernels.free_response(self.f[inner])
+        return free
+
     def saturated(self, lti: Lti) -> Mask:
         """Return which rows have their price as multiplier, (count,)."""
         prices = self.prices(lti)
