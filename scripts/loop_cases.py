@@ -1,10 +1,11 @@
-"""Problems of control loops: the pendulum and random plants, with bounds, bands and windows."""
+"""Problems of control loops: the pendulum, a cart-pole between walls, random plants; bounds, bands and windows."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 
@@ -17,6 +18,16 @@ def pendulum(horizon: int, low_pass: bool = False) -> lfo.OptimalControlProblem:
     cost = lfo.QuadraticCost(Q=np.diag([1.0, 10.0, 0.1, 0.1]), R=0.1, P=ARRIVAL)
     spectrum = base.control_spectrum if low_pass else None
     return replace(base, cost=cost, terminal_state=None, control_spectrum=spectrum)
+
+
+def cart_pole(horizon: int = 20, sampling_time: float = 0.05) -> lfo.OptimalControlProblem:
+    """Return the cart with a pole between soft walls of Marcucci and Tedrake (IEEE TAC 66(6), 2021), section VII."""
+    base = lfo.library.cart_pole_with_walls(
+        horizon, sampling_time, damping=10.0, state_bounds=(0.5, np.pi / 10, 1.0, 1.0), force_bound=1.0
+    )
+    free = next(mode.linear for mode in base.piecewise.modes if mode.name == "free")
+    Q, R = sampling_time**2 * np.eye(4), sampling_time**2 * np.eye(1)
+    return replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
 
 
 def windowed(horizon: int) -> lfo.OptimalControlProblem:

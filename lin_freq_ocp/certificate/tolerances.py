@@ -25,7 +25,6 @@ NEGLIGIBLE_SHARE = 1e-2  # part of the allowed gap that all losses of stated bou
 POWER_BLOCK = 1024  # powers of A that are kept at a time
 MAX_STEPS = 20_000  # horizon up to which radii are computed step by step, at 0.1 ms each
 MAX_UNKNOWN = 1000  # components whose radii are computed at once, by a dense matrix, in a second
-MINIMISATION_SWEEPS = 30  # coordinate descents where a Hessian is not diagonal: any point bounds, the minimiser best
 
 # Interval arithmetic over modes
 INFINITE = 1e100  # stands for infinity in intervals, so that its product with zero is zero

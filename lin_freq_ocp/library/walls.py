@@ -192,12 +192,13 @@ def cart_pole_with_walls(
     terminal_cost: bool = True,
     state_bounds: Sequence[float] = (WALL, pi / 8, 2.0, 1.0),
     force_bound: float = 2.0,
+    damping: float = DAMPING,
 ) -> OptimalControlProblem:
     """Balance a pole on a cart between two soft walls that may be used to push off.
 
     Minimise the sum of |x_t|^2/2 + u_t^2/20 (no other 1/2). Linearised at the top, with masses and length 1,
     q'' = 10 theta + u and theta'' = 20 theta + u + f_r - f_l, by forward Euler. With the penetration p_r = q - theta -
-    0.5 of the right wall, f_r = max(0, 100 p_r + 30 p_r') where p_r >= 0, else 0; likewise on the left, with p_l =
+    0.5 of the right wall, f_r = max(0, 100 p_r + damping p_r') where p_r >= 0, else 0; likewise on the left, with p_l =
     -q + theta - 0.5.
 
     Parameters
@@ -216,6 +217,8 @@ def cart_pole_with_walls(
         Symmetric bounds on the states.
     force_bound : float
         Symmetric bound on the force [N] on the cart.
+    damping : float
+        Of the walls [N s/m].
 
     Returns
     -------
@@ -232,8 +235,8 @@ def cart_pole_with_walls(
     Transactions on Automatic Control 66(6), 2021; bounds, weights and horizon are chosen here. With p_r + p_l = -1 only
     one wall is touched at a time. Five modes: "right wall", "left wall" (penetrated, with force), listed first because
     the force counts at p = 0, then "free" (p_r <= 0, p_l <= 0), "leaving right", "leaving left" (penetrated, but moving
-    away so fast that damping would pull: no force, the same map as "free"). The force jumps by 30 p' where p = 0 is
-    crossed inwards: the two borders between "free" and a wall jump, the other borders are continuous.
+    away so fast that damping would pull: no force, the same map as "free"). The force jumps by damping p' where p = 0
+    is crossed inwards: the two borders between "free" and a wall jump, the other borders are continuous.
 
     Examples
     --------
@@ -241,8 +244,9 @@ def cart_pole_with_walls(
     30
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
+    damping = positive_number("damping", damping)
     into_right, into_left = np.append(TIP, [0.0, 0.0]), np.append(-TIP, [0.0, 0.0])
-    push_right, push_left = np.append(STIFFNESS * TIP, DAMPING * TIP), np.append(-STIFFNESS * TIP, -DAMPING * TIP)
+    push_right, push_left = np.append(STIFFNESS * TIP, damping * TIP), np.append(-STIFFNESS * TIP, -damping * TIP)
     free, B = _euler(h)
     pushed = STIFFNESS * WALL  # k p + nu p' = push x - k d, which is >= 0 iff push x >= k d
     regions = {

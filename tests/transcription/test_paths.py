@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
@@ -116,7 +117,22 @@ def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypat
     assert result.cost == pytest.approx(lfo.solve(problem, method="enumerate").cost, rel=1e-6)
 
 
-def test_where_modes_are_many_shares_have_to_do():
-    relaxation, reach = root(random_problem(0, horizon=3, kinks=3))
+def test_where_edges_of_many_modes_are_many_shares_have_to_do():
+    relaxation, reach = root(random_problem(0, horizon=6, kinks=3))
     assert relaxation.path_member(reach) is None
     assert np.isfinite(relaxed(relaxation, reach).bound)
+    relaxation, reach = root(random_problem(0, horizon=3, kinks=3))  # the reach leaves few
+    assert relaxation.path_member(reach) is not None
+
+
+def test_a_small_cost_gets_units_in_which_its_tree_is_proven():
+    """Weights of a Riccati equation, a thousand times those of the stages; a cost a ten-thousandth of what is usual."""
+    base = lfo.library.cart_pole_with_walls(12, damping=10.0, initial_state=(0.43, -0.05, 0.3, 0.0))
+    free = next(mode.linear for mode in base.piecewise.modes if mode.name == "free")
+    Q, R = 0.0025 * np.eye(4), 0.0025 * np.eye(1)
+    problem = replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
+    result = lfo.solve(problem)
+    relaxation = PathRelaxation(problem)
+    assert relaxation.objective(result.cost) < 0.1 <= relaxation.for_cost(result.cost).objective(result.cost)
+    assert result.status == "optimal"
+    assert abs(result.gap) < 1e-6

@@ -31,13 +31,8 @@ from lin_freq_ocp.certificate.bound import (
 )
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.modes.reach import IntervalReach, Stages
-from lin_freq_ocp.certificate.tolerances import (
-    ARITHMETIC_ROUNDING,
-    FINITE,
-    INFINITE,
-    INTERVAL_ROUNDING,
-    MINIMISATION_SWEEPS,
-)
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
+from lin_freq_ocp.geometry.box_quadratic import box_minimiser
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -278,15 +273,8 @@ def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple
     curvature = diagonal_curvature(hessian)
     if curvature is None:
         return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
-    diagonal = np.broadcast_to(np.diagonal(hessian, axis1=-2, axis2=-1), slope.shape)
-    v = np.zeros_like(slope)
-    if not np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1)):
-        v = np.clip(v, low, high)
-        for _ in range(MINIMISATION_SWEEPS):
-            for j in range(slope.shape[-1]):
-                gradient = slope[..., j] + (hessian[..., j, :] * v).sum(-1)
-                step = np.where(diagonal[..., j] > 0, gradient / np.where(diagonal[..., j] > 0, diagonal[..., j], 1), 0)
-                v[..., j] = np.clip(v[..., j] - step, low[..., j], high[..., j])
+    diagonal = np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
+    v = np.zeros_like(slope) if diagonal else box_minimiser(slope, hessian, low, high)  # any v gives a bound
     moved = (hessian * v[..., None, :]).sum(-1)
     there = (slope * v).sum(-1) + 0.5 * (v * moved).sum(-1)
     minimum = there + box_minimum(slope + moved, curvature, low - v, high - v).sum(-1)

@@ -238,8 +238,14 @@ class BranchAndBound:
 
     def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
         self._solved += 1
-        end, compiled = self._started + self.limits.search_seconds, self._solved > COMPILED_FROM
-        return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        end = self._started + self.limits.search_seconds
+        compiled = self._solved > COMPILED_FROM
+        answer = relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        if self._solved == 1 and np.isfinite(answer.bound):
+            first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
+            if self._relaxation is not first:
+                return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        return answer
 
     def _report(self, bound: float) -> None:
         if self.progress is not None:

@@ -16,7 +16,8 @@ from lin_freq_ocp.transcription.modes.paths import PathModel, PathProgram, path_
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 from lin_freq_ocp.transcription.modes.rows import symmetric_roots
 
-MOST_MODES = 4  # beyond, edges are many: a relaxation takes longer than the nodes that it saves
+# With more modes, nodes with more edges per time than these are solved by shares of modes: that takes less time
+MOST_MODES, MOST_EDGES = 4, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +39,8 @@ class PathRelaxation(ModeRelaxation):
     @cached_property
     def _paths(self) -> tuple[PathModel, PathBounds] | None:
         parts, stages = self._lagrangian, self._stages
-        T, modes, n, k = stages.maps.shape
-        if parts is None or modes > MOST_MODES:
+        T, _, n, k = stages.maps.shape
+        if parts is None:
             return None
         hessians = np.zeros((T + 1, k, k))
         hessians[:-1], hessians[-1, :n, :n] = parts.hessians, parts.last
@@ -76,6 +77,8 @@ class PathRelaxation(ModeRelaxation):
         if (np.abs(low) >= UNBOUNDED).any() or (np.abs(high) >= UNBOUNDED).any():
             return None
         pairs = self._paths[0].pairs(allowed, low, high)
+        if modes > MOST_MODES and np.count_nonzero(pairs) > MOST_EDGES * T:
+            return None
         return PathMember(reach, pairs, low, high, path_program(self._paths[0], pairs, low, high))
 
     def path_duals(self, program: PathProgram, p: Array, z: Array, w: Array | None) -> PathDuals:

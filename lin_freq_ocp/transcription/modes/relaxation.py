@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,6 +36,8 @@ from lin_freq_ocp.transcription.modes.stage_bounds import Lagrangian, StageBound
 from lin_freq_ocp.transcription.program import Block, StandardForm
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
+SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units
+LARGEST_LEVEL = 1e6  # of these units: a smaller cost is that of rounding errors
 FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: interior-point methods need an interior
 
 
@@ -65,15 +68,15 @@ class ModeRelaxation:
 
     bounds_where_several = False  # whether (x_t, u_t) has its own bounds where shares have them, too
 
-    def __init__(self, problem: OptimalControlProblem):
-        self.problem, self.reach = problem, ModeReach(problem)
+    def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
+        self.problem, self.reach, self._level = problem, ModeReach(problem), level
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(problem.piecewise.modes)
         hosts = [
             LinearTranscription(replace(problem, dynamics=problem.piecewise.along(np.full(T, mode))))
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts)
-        self._scaling = replace(units, cost=COST_SHARE * units.cost)
+        self._scaling = replace(units, cost=COST_SHARE * level * units.cost)
         self._program = self._host.program.scaled(self._scaling)
         states = (T + 1) * n
         sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
@@ -88,7 +91,7 @@ class ModeRelaxation:
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
         self._price = np.zeros(self._at.count)
         self._price[: len(self._program.q)] = self._program.q
-        self._price[self._at.epsilon] = COST_SHARE
+        self._price[self._at.epsilon] = COST_SHARE * level
         self._stage = np.full(self._at.count, -1)
         self._stage[self._at.y] = np.arange(T)[:, None]
 
@@ -121,6 +124,13 @@ class ModeRelaxation:
             sign=part.sign,
         )
         return Member(form, reach, kept)
+
+    def for_cost(self, cost: float) -> Self:
+        """Return the same relaxations in units in which the objective of this cost is not far below 1."""
+        objective = abs(self.objective(cost))
+        if objective >= SMALL_OBJECTIVE or self._level >= LARGEST_LEVEL:
+            return self
+        return type(self)(self.problem, min(self._level / max(objective, 1 / LARGEST_LEVEL), LARGEST_LEVEL))
 
     @property
     def state_curvature(self) -> Array:

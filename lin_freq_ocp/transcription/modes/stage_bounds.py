@@ -16,9 +16,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.geometry.box_quadratic import box_minimiser
 from lin_freq_ocp.transcription.modes.rows import ModeStages
-
-SWEEPS = 5  # of minimisation by coordinates, where the Hessian is not diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +56,7 @@ class Quadratic:
         """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...)."""
         if self._alone:
             return _box_minimum(slope, self._diagonal, low, high)
-        y = np.clip(np.zeros(np.broadcast_shapes(slope.shape, low.shape)), low, high)
-        for _ in range(SWEEPS):
-            for j in range(y.shape[-1]):
-                gradient = slope[..., j] + (self._hessians[..., j, :] * y).sum(axis=-1)
-                size = self._diagonal[..., j]
-                step = np.where(size > 0, gradient / np.where(size > 0, size, 1.0), 0.0)
-                y[..., j] = np.clip(y[..., j] - step, low[..., j], high[..., j])
+        y = box_minimiser(slope, self._hessians, low, high)
         moved = (self._hessians * y[..., None, :]).sum(axis=-1)
         there = ((slope + 0.5 * moved) * y).sum(axis=-1)
         return there + _box_minimum(slope + moved, self._least, low - y, high - y)
