@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
-from lin_freq_ocp.methods.modes import branch_and_bound
+from lin_freq_ocp.methods.modes import path_node
 from lin_freq_ocp.methods.modes.path_node import compiled_is_there
 from lin_freq_ocp.methods.modes.search import TOLERANCES, relaxed
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
@@ -97,6 +97,18 @@ def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
 
 
+@pytest.mark.parametrize("name", ["plain", "band", "free"])
+def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
+    pytest.importorskip("numba", reason="the extra fast is not installed")
+    relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
+    exact, member = relaxed(relaxation, reach).bound, relaxation.path_member(reach)
+    for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
+        answer = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
+        assert answer.bound == pytest.approx(relaxation.path_bound(member, answer.duals), rel=1e-9)
+        assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
+        assert (answer.bound > cutoff) == (exact > cutoff)
+
+
 def test_what_has_no_trajectory_is_proven_empty(compiled):
     problem = random_problem(0, horizon=4, terminal_state=[2, 2], control_spectrum=lfo.stop_band(bins=[1]))
     relaxation, reach = root(problem)
@@ -108,7 +120,7 @@ def test_what_has_no_trajectory_is_proven_empty(compiled):
 
 @pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
 def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypatch):
-    monkeypatch.setattr(branch_and_bound, "COMPILED_FROM", -1 if compiled else 10**9)
+    monkeypatch.setattr(path_node, "compiled_is_there", lambda: compiled)
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)
     result = lfo.solve(problem)

@@ -21,6 +21,7 @@ from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.methods.modes.node import Relaxed, adjoint_of, multipliers_of
+from lin_freq_ocp.methods.modes.path_node import compiled_is_loaded
 from lin_freq_ocp.methods.modes.search import (
     TOLERANCES,
     SearchLimits,
@@ -41,7 +42,7 @@ SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is fo
 # Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
 ROUNDING_EVERY, ROUNDING_SELDOM = 5, 20
 TRIED_TOGETHER = 8  # sequences, likewise
-COMPILED_FROM = 10  # nodes: until then, less time goes by than compiled code takes to be loaded
+COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
 
@@ -56,6 +57,7 @@ class BranchAndBound:
     limits: SearchLimits = field(default_factory=SearchLimits)
     progress: Callable[[SearchProgress], None] | None = None
     relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation
+    compiled_from: int = COMPILED_FROM
 
     def __post_init__(self):
         self._started = time.perf_counter()
@@ -239,7 +241,7 @@ class BranchAndBound:
     def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
         self._solved += 1
         end = self._started + self.limits.search_seconds
-        compiled = self._solved > COMPILED_FROM
+        compiled = self._solved > self.compiled_from or compiled_is_loaded()
         answer = relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         if self._solved == 1 and np.isfinite(answer.bound):
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)

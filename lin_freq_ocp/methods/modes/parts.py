@@ -64,8 +64,8 @@ def search_in_parts(
 def search_part(
     problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
 ) -> SearchOutcome:
-    """Search the sequences within a reach."""
-    return BranchAndBound(problem, limits).run(start, reach)
+    """Search the sequences within a reach, in the same way be compiled code loaded or not."""
+    return BranchAndBound(problem, limits, compiled_from=0).run(start, reach)
 
 
 def _progress(outcome: SearchOutcome, found: dict[int, SearchOutcome], parts: int, seconds: float) -> SearchProgress:

@@ -6,6 +6,7 @@ closed by that bound only.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -16,7 +17,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.backends.base import Claim
-from lin_freq_ocp.methods.modes.node import CLEAR_GAP, CLEAR_RESIDUAL, Decision, Relaxed
+from lin_freq_ocp.methods.modes.node import Decision, Relaxed
 from lin_freq_ocp.transcription.modes.path_relaxation import PathMember, PathRelaxation
 from lin_freq_ocp.transcription.modes.paths import PathProgram, path_form
 
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import PathData
 
 COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
+# Part of what is left to the cutoff by which the bound of a node that is split may miss its cost: points within give
+# better splits than solutions, and take fewer steps
+CLEAR = 0.7
 PROVEN = 2e-7  # a bound this close to the cost, relative to it, is that of a solution
 
 
@@ -68,6 +72,12 @@ def compiled_is_there() -> bool:
     return paths.KERNELS.ready
 
 
+def compiled_is_loaded() -> bool:
+    """Whether this process has loaded the compiled code of path relaxations."""
+    paths = sys.modules.get("lin_freq_ocp.methods.structured.kkt.compiled.paths")
+    return paths is not None and paths.KERNELS.loaded
+
+
 def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: Decision | None) -> Relaxed | None:
     """Return the node if compiled code decides it, and its bound holds."""
     from lin_freq_ocp.methods.structured.kkt.compiled import paths
@@ -76,36 +86,25 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
     assert program is not None
     paths.KERNELS.prepare()
     data = _data(program, paths.PathData)
-    several = enough is not None and enough.several
+    cutoff, clear = (np.inf, 0.0) if enough is None else (enough.cutoff, CLEAR * enough.several)
     rows = len(data.G), len(program.t)
-    point = np.zeros(data.cost.shape), np.zeros(len(program.b)), np.zeros(rows), np.zeros(rows)
-    numbers = np.zeros(paths.NUMBERS)
-    for cutoff in [np.inf] if enough is None else [enough.cutoff, np.inf]:
-        cold = not numbers[paths.TAU]
-        end = paths.path_run(
-            *data, *point, numbers, cold, COMPILED_TOLERANCE, cutoff, several, CLEAR_RESIDUAL, CLEAR_GAP
-        )
-        tau, cost = float(numbers[paths.TAU]), float(numbers[paths.COST])
-        w, p, z = point[0].T, point[1], point[2][: data.linear].T
-        if not (np.isfinite(p).all() and np.isfinite(z).all() and tau > 0):
-            return None
-        if end == paths.INFEASIBLE:
-            unit = tau * float(numbers[paths.BOUND])
-            duals = relaxation.path_duals(program, p / unit, z / unit, None)
-            return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
-        duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
-        bound = relaxation.path_bound(member, duals)
-        objective = relaxation.objective(bound)
-        split, solved = end == paths.DECIDED and cost < cutoff, cost - objective <= PROVEN * max(1.0, abs(cost))
-        if split or solved or objective > cutoff:
-            return Relaxed(member.reach, bound, duals, *relaxation.path_point(program, w / tau))
-        if end == paths.STALLED:
-            break
-    return None
+    point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
+    numbers = np.empty(paths.NUMBERS)
+    end = paths.path_run(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, cutoff, clear)
+    w, p, z, tau = point[0].T, point[1], point[2][: data.linear].T, float(numbers[paths.TAU])
+    if end == paths.STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
+        return None
+    if end == paths.INFEASIBLE:
+        unit = tau * float(numbers[paths.BOUND])
+        duals = relaxation.path_duals(program, p / unit, z / unit, None)
+        return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
+    duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
+    return Relaxed(member.reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
 
 
 def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
     """Return the arrays with edges side by side: the last index."""
+    k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
     rows = np.concatenate([program.C, program.signals], axis=1)
     G = np.concatenate([program.linear, program.cone], axis=1)
     return form(
@@ -117,6 +116,10 @@ def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
         np.ascontiguousarray(program.cost.T),
         np.ascontiguousarray(G.transpose(1, 2, 0)),
         program.linear.shape[1],
+        np.ascontiguousarray((program.present / program.sizes)[:, 2 * k :].T),
+        program.i,
+        program.j,
+        n,
     )
 
 

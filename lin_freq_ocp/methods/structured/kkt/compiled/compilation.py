@@ -62,17 +62,17 @@ class Kernels:
         """Compile nothing yet; ``sources`` are the files that the code is made of, that of the functions first."""
         self._sources = [Path(source) for source in sources]
         self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
-        self._all_here = False
+        self._loaded = False
 
     @property
     def ready(self) -> bool:
         """Whether nothing remains to be compiled."""
         record = self._record
-        return self._here or (record is not None and record.exists())
+        return self.loaded or (record is not None and record.exists())
 
     def prepare(self) -> None:
         """Compile everything, or take it from the cache; a terminal is told when that takes long."""
-        if self._here:
+        if self.loaded:
             return
         compiles, start = not self.ready, time.perf_counter()
         if compiles:
@@ -89,9 +89,10 @@ class Kernels:
             _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
 
     @property
-    def _here(self) -> bool:
-        self._all_here = self._all_here or all(kernel.signatures for kernel, _ in self._kernels)
-        return self._all_here
+    def loaded(self) -> bool:
+        """Whether this process has the code."""
+        self._loaded = self._loaded or all(kernel.signatures for kernel, _ in self._kernels)
+        return self._loaded
 
     @property
     def _folder(self) -> Path | None:

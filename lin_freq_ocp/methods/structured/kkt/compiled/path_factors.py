@@ -27,6 +27,10 @@ class PathData(NamedTuple):
     cost: Array  # (W, E)
     G: Array  # (linear + cone rows, W, E)
     linear: int
+    shares: Array  # (rows of regions and images, E): 1 / size, zero where a row is not present
+    leaves: Indices  # (E,): the mode of the vertex that an edge leaves
+    enters: Indices
+    images: int  # upper rows of images, the last of the linear rows but for as many lower rows
 
 
 PathFactors = tuple[Array, Array, Array, Array, Array]
@@ -146,7 +150,7 @@ def edges_factored(L: Array, rows: Array) -> Array:
 @jit
 def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
     """Return the factors; L (W, W, E) is Phi first."""
-    rows, places, times, coupled, b, _, _, _ = data
+    rows, places, times, coupled, b = data.rows, data.places, data.times, data.coupled, data.b
     (whole, size, edges), q, count = rows.shape, len(coupled), len(places)
     a, vertices, last = whole - count, len(b) - q, width - 1
     X, S, value = edges_factored(L, rows), np.zeros((vertices, width)), np.empty(edges)
@@ -230,7 +234,7 @@ def path_solved(data: PathData, factors: PathFactors, of_w: Array, of_p: Array) 
 @jit
 def add_rows(data: PathData, rows: Array, w: Array, out: Array) -> None:
     """Add the rows of vertices and over all times, with these coefficients, applied to w."""
-    _, places, times, coupled, _, _, _, _ = data
+    places, times, coupled = data.places, data.times, data.coupled
     (whole, size, edges), count, q = rows.shape, len(places), len(coupled)
     sums, value = np.zeros((coupled.shape[1], whole - count)), np.empty(edges)
     for r in range(whole):
@@ -252,7 +256,7 @@ def add_rows(data: PathData, rows: Array, w: Array, out: Array) -> None:
 @jit
 def add_adjoint(data: PathData, rows: Array, p: Array, out: Array) -> None:
     """Add the adjoint of ``add_rows``."""
-    _, places, times, coupled, _, _, _, _ = data
+    places, times, coupled = data.places, data.times, data.coupled
     (whole, size, edges), count, q = rows.shape, len(places), len(coupled)
     pulled, price = np.zeros((coupled.shape[1], whole - count)), np.empty(edges)
     for r in range(q):

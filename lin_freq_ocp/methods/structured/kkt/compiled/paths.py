@@ -13,7 +13,7 @@ from numba import types
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors
+from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors, path_lengths
 from lin_freq_ocp.methods.structured.kkt.compiled import rows as vectors
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.path_cones import (
@@ -34,6 +34,7 @@ from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import (
     path_factored,
     path_solved,
 )
+from lin_freq_ocp.methods.structured.kkt.compiled.path_lengths import path_proven
 from lin_freq_ocp.methods.structured.kkt.compiled.rows import dot, largest
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
@@ -42,12 +43,14 @@ OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 MOST_STEPS = 60
 SHORTEST = 1e-5  # a step that makes no progress
 VANISHED = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
-ROUGH = 1e-6  # dual residual at an optimum: bounds are computed from the multipliers alone
 RAY = 1e-7  # residual of a ray relative to -b'p
+CLEAR_RESIDUAL = 1e-3  # of a point whose cost is good enough to say that a node must be split
+BOUNDED_FROM = 4  # steps: the bounds of points before prove nothing of use
 
-NUMBERS = 9
-TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS = range(NUMBERS)
-"""What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray."""
+NUMBERS = 10
+TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS, PROVEN = range(NUMBERS)
+"""What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that
+its multipliers prove by a shortest path."""
 
 Point = tuple[Array, Array, Array, Array]
 """w (W, E), p, z (rows, E), s."""
@@ -95,19 +98,21 @@ def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Ar
 
 
 @jit
-def ended(numbers: Array, tolerance: float, cutoff: float, several: bool, clear: tuple[float, float]) -> int:
-    """Return how the run ends at a point, or -1; ``clear`` is the residual and the gap from which a cutoff decides."""
-    cost, bound, residual = numbers[COST], numbers[BOUND], max(numbers[OF_PRIMAL], numbers[OF_DUAL])
-    gap, size = cost - bound, max(1.0, min(abs(cost), abs(bound)))
-    if numbers[OF_PRIMAL] <= tolerance and abs(gap) <= tolerance * size:
-        return OPTIMAL if numbers[OF_DUAL] <= ROUGH else STALLED
+def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
+    """Return how the run ends at a point, or -1; tolerances of the point, and of the bound that it proves.
+
+    A node is to be split where the bound misses the cost by less than ``clear`` times what is left to the cutoff.
+    """
+    cost, proven = numbers[COST], numbers[PROVEN]
+    gap, size = abs(cost - numbers[BOUND]), max(1.0, min(abs(cost), abs(proven)))
+    if numbers[OF_PRIMAL] <= tolerances[0] and gap <= tolerances[0] * size and cost - proven <= tolerances[1] * size:
+        return OPTIMAL
     if numbers[TAU] < VANISHED * min(1.0, numbers[KAPPA]) and numbers[OF_RAY] <= RAY:
         return INFEASIBLE
-    if cutoff < np.inf and residual <= clear[0] and gap >= 0.0:
-        split = several and gap <= clear[1] * size and cost + gap < cutoff
-        if split or bound - gap > cutoff:
-            return DECIDED
-    return -1
+    if proven > cutoff:
+        return DECIDED
+    split = clear > 0.0 and cutoff < np.inf and abs(cost - proven) <= clear * (cutoff - cost)
+    return DECIDED if split and numbers[OF_PRIMAL] <= CLEAR_RESIDUAL else -1
 
 
 @jit
@@ -209,35 +214,34 @@ def path_run(
     cost: Array,
     G: Array,
     linear: int,
+    shares: Array,
+    leaves: Indices,
+    enters: Indices,
+    images: int,
     w: Array,
     p: Array,
     z: Array,
     s: Array,
     numbers: Array,
-    cold: bool,
     tolerance: float,
+    proven: float,
     cutoff: float,
-    several: bool,
-    clear_residual: float,
-    clear_gap: float,
+    clear: float,
 ) -> int:
-    """Run from the first point, or from the given, until it ends; return how. ``PathData``, ``Point``, and ``ended``.
+    """Run from the first point until it ends; return how. ``PathData``, ``Point``, and ``ended``.
 
     Arguments are flat, as it takes numba long to look into tuples.
     """
-    data, point, clear = (
-        PathData(rows, places, times, coupled, b, cost, G, linear),
-        (w, p, z, s),
-        (clear_residual, clear_gap),
-    )
-    width = band_width(data.places)
-    residuals = np.empty(data.cost.shape), np.empty(len(data.b)), np.empty(point[3].shape)
-    if cold:
-        numbers[TAU], numbers[KAPPA], numbers[STEPS] = 1.0, 1.0, 0.0
-        path_begin(data, point, width)
+    data = PathData(rows, places, times, coupled, b, cost, G, linear, shares, leaves, enters, images)
+    point, width = (w, p, z, s), band_width(places)
+    residuals = np.empty(cost.shape), np.empty(len(b)), np.empty(s.shape)
+    numbers[TAU], numbers[KAPPA], numbers[STEPS], numbers[PROVEN] = 1.0, 1.0, 0.0, -np.inf
+    path_begin(data, point, width)
     while numbers[STEPS] <= MOST_STEPS:
         path_measure(data, point, residuals, numbers)
-        end = ended(numbers, tolerance, cutoff, several, clear)
+        if numbers[STEPS] >= BOUNDED_FROM:
+            numbers[PROVEN] = path_proven(data, w, p, z, numbers[TAU])
+        end = ended(numbers, (tolerance, proven), cutoff, clear)
         if end >= 0:
             return end
         if not (path_step(data, point, residuals, numbers, width) > SHORTEST and numbers[TAU] > 0.0):
@@ -248,13 +252,18 @@ def path_run(
 
 _ONE, _TWO, _THREE = WRITTEN[1:]
 _PLACES, _REAL = types.Array(types.intp, 2, "C"), types.float64
+_DATA = (_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp)
+_DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
+_POINT = _TWO, _ONE, _TWO, _TWO, _ONE
 KERNELS = Kernels(
-    (__file__, path_factors.__file__, path_cones.__file__, vectors.__file__, loops.__file__, embedding.__file__),
     (
-        path_run,
-        (
-            *(_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp, _TWO, _ONE, _TWO, _TWO, _ONE),
-            *(types.boolean, _REAL, _REAL, types.boolean, _REAL, _REAL),
-        ),
+        __file__,
+        path_factors.__file__,
+        path_cones.__file__,
+        path_lengths.__file__,
+        vectors.__file__,
+        loops.__file__,
+        embedding.__file__,
     ),
+    (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)),
 )
