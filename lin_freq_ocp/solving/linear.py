@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
-from lin_freq_ocp.methods.structured.solver import solve_structured
+from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -157,6 +157,12 @@ class Structured:
             return excluded
         first, doubtful, certified = None, False, 0.0
         prepared = None if request.again is None else request.again[0].prepared
+        again = None if prepared is None else solve_again(problem, prepared, self.tolerance, _left(end))
+        if prepared is not None and again is not None:
+            outcome = judged(problem, again, "structured", None, self.tolerance)
+            if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
+                prepared.near = outcome.trajectory
+                return outcome
         excludes = partial(_excluding, problem)
         for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")

@@ -48,19 +48,17 @@ def solve_structured(
     require_convex(problem)
     _require_memory(problem)
     started = time.perf_counter()
-    end = np.inf if time_limit is None else started + time_limit
-    prepared = prepared or Prepared()
-    assembly, recursions = prepared.assembly(problem), loops(compiled, patient=time_limit is None)
-    targets = Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
+    targets = _targets(tolerance, time_limit)
+    end, assembly = targets.end, (prepared or Prepared()).assembly(problem)
+    recursions = loops(compiled, patient=time_limit is None)
     setup = time.perf_counter() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and time.perf_counter() + needed > end:
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
     while True:
-        answer = _again(assembly, recursions, targets, prepared) or _solved(assembly, recursions, targets, excludes)
+        answer = _solved(assembly, recursions, targets, excludes)
         seconds = {"setup": setup, "solve": time.perf_counter() - started - setup}
-        prepared.near = None  # other units start anew
         yield _candidate(answer, assembly.recovery, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
         if revised is None or time.perf_counter() + needed > end:
@@ -68,20 +66,40 @@ def solve_structured(
         assembly = revised
 
 
+def solve_again(
+    problem: OptimalControlProblem, prepared: Prepared, tolerance: float | None = None, time_limit: float | None = None
+) -> Candidate | None:
+    """Return the answer from the active rows of a trajectory near it; None without one, or where rows are in cones.
+
+    Raises what ``solve_structured`` raises.
+    """
+    if prepared.near is None:
+        return None
+    require_convex(problem)
+    started, targets = time.perf_counter(), _targets(tolerance, time_limit)
+    assembly, recursions = prepared.assembly(problem), loops(patient=time_limit is None)
+    stages, near = assembly.stages, prepared.near
+    if near is None or stages.cones or stages.coupling.balls:
+        return None
+    if time_limit is not None and LATE * step_seconds(stages, recursions) > time_limit:
+        return None
+    responses, system = prepared.responses(assembly, recursions), System(stages, recursions)
+    answer = solve_active(system, responses, targets, assembly.point(near))
+    seconds = {"setup": 0.0, "solve": time.perf_counter() - started}
+    return None if answer is None else _candidate(answer, assembly.recovery, seconds)
+
+
+def _targets(tolerance: float | None, time_limit: float | None) -> Targets:
+    """Return what a solve that begins now is to reach."""
+    end = np.inf if time_limit is None else time.perf_counter() + time_limit
+    return Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
+
+
 def _require_memory(problem: OptimalControlProblem) -> None:
     entries = problem.state_dim + problem.control_dim
     size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
     what = f"method 'structured' with horizon = {problem.horizon}"
     require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
-
-
-def _again(assembly: Assembly, recursions: Loops, targets: Targets, prepared: Prepared) -> Answer | None:
-    """Return the answer from the active rows of a trajectory near it, if there is one and rows are in no cone."""
-    stages = assembly.stages
-    if prepared.near is None or stages.cones or stages.coupling.balls:
-        return None
-    near, responses = assembly.point(prepared.near), prepared.responses(assembly, recursions)
-    return solve_active(System(stages, recursions), responses, targets, near)
 
 
 def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:

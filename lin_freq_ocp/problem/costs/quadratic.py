@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -261,6 +262,10 @@ class QuadraticCost(Cost):
 
     def magnitudes(self) -> QuadraticCost:
         """Return the cost with the absolute values of all data, without references."""
+        return self._magnitudes
+
+    @cached_property
+    def _magnitudes(self) -> QuadraticCost:
         other = copy(self)
         assign(other, **{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
         assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))

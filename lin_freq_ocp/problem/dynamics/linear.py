@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -271,6 +272,10 @@ class LinearDynamics(StandardDynamics):
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
+        return self._magnitudes
+
+    @cached_property
+    def _magnitudes(self) -> LinearDynamics:
         other = copy(self)
         assign(other, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))
         return other

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.structured.algorithm import active
 from lin_freq_ocp.methods.structured.algorithm.active import solve_active
 from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
@@ -167,3 +168,16 @@ def test_single_changes_suffice(monkeypatch):
     found = solve_active(System(problem, loops(False)), responses(problem), Targets(), near)
     assert found is not None
     assert np.abs(found.y - expected.y).max() < 1e-5
+
+
+def test_an_answer_that_is_not_proven_is_solved_from_scratch(monkeypatch):
+    problem = touching()
+    kept = Kept(problem)
+    expected = again(kept, Change())
+    wrong = replace(expected.trajectory, u=1.01 * expected.trajectory.u)
+    monkeypatch.setattr(
+        "lin_freq_ocp.solving.linear.solve_again", lambda *given: Candidate("optimal", wrong, expected.multipliers)
+    )
+    found = again(kept, Change())
+    assert found.status == "optimal"
+    np.testing.assert_allclose(found.trajectory.u, expected.trajectory.u, atol=1e-9)
