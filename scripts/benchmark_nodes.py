@@ -96,7 +96,6 @@ VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
     "by Clarabel": (PathRelaxation, {"relaxed": by_clarabel}),
     "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
     "reaches each alone": (PathRelaxation, {"SPLIT_TOGETHER": 1, "TRIED_TOGETHER": 1}),
-    "rounded as often as at first": (PathRelaxation, {"ROUNDING_SELDOM": branch_and_bound.ROUNDING_EVERY}),
 }
 """Our search without each of its means: the relaxation, and what is changed in ``branch_and_bound``."""
 

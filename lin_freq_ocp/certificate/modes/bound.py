@@ -151,6 +151,7 @@ class _LeafJudge:
         x = np.broadcast_to(cost.x_ref, (T + 1, n))
         u = np.broadcast_to(cost.u_ref, (T, m))
         self._centre = Trajectory(x, u)
+        self._cost = problem.value(x, u)
         self._y = np.hstack([self._centre.x[:-1], self._centre.u])
         self._images = np.einsum("tijk,tk->tij", self._maps, self._y) + self._arrays.offset
         self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
@@ -182,7 +183,7 @@ class _LeafJudge:
         end_low, end_high = boxes.low[-1, 0, :last], boxes.high[-1, 0, :last]
         final, largest = _box_minimum(end_slope, end, end_low, end_high)
         size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
-        cost = self._problem.value(centre.x, centre.u) if eta_C else 0.0
+        cost = self._cost if eta_C else 0.0
         gaps = float(sum(one.gap.sum() for one in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
         at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())

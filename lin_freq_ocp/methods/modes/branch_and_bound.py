@@ -39,9 +39,8 @@ from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
-# Nodes between two attempts to round a relaxed point to a sequence: at first, and after many attempts without success
-ROUNDING_EVERY, ROUNDING_SELDOM = 5, 20
-TRIED_TOGETHER = 8  # sequences, likewise
+ROUNDING_EVERY = 20  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
+TRIED_TOGETHER = 8  # sequences, whose reaches are computed side by side
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
@@ -69,7 +68,7 @@ class BranchAndBound:
         self._best: Indices | None = None
         self._cost, self._scale = np.inf, 0.0
         self._tried: set[bytes] = set()
-        self._solved, self._rounding, self._next_rounding = 0, ROUNDING_EVERY, 0
+        self._solved, self._next_rounding = 0, 0
         self._setup = time.perf_counter() - self._started
 
     def run(
@@ -164,11 +163,8 @@ class BranchAndBound:
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
             if index >= self._next_rounding or self._best is None:
-                before = self._best
                 self._try(self._rounded(answer))
-                longer = min(2 * self._rounding, ROUNDING_SELDOM)
-                self._rounding = longer if self._best is before else ROUNDING_EVERY
-                self._next_rounding = index + self._rounding
+                self._next_rounding = index + ROUNDING_EVERY
 
     def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
         """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
