@@ -12,10 +12,11 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import cvxpy as cp
 import numpy as np
-from loop_cases import pendulum
+from loop_cases import pendulum, soft_pendulum
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -28,6 +29,8 @@ NOISE = 1e-3
 WIDTH = 110
 """Columns of the table, also where it is written into a file."""
 
+CASES = {"": pendulum, ", low pass": partial(pendulum, low_pass=True), ", soft bounds": soft_pendulum}
+
 Step = Callable[[np.ndarray], np.ndarray]
 
 
@@ -38,7 +41,10 @@ def parametric(problem: lfo.OptimalControlProblem, solver: str) -> Step:
     cost, dynamics = problem.quadratic, problem.linear
     roots = {name: np.linalg.cholesky(getattr(cost, name)) for name in ("Q", "R", "P")}
     objective = cp.sum_squares(x[:T] @ roots["Q"]) + cp.sum_squares(u @ roots["R"]) + cp.sum_squares(x[T] @ roots["P"])
-    bounds, states = problem.control_tube, problem.state_boxes
+    bounds, states, soft = problem.control_tube, problem.state_boxes, problem.state_set
+    if isinstance(soft, lfo.sets.Soft):
+        excess = cp.pos(x[1:] - soft.soft_set.bounds[1]) + cp.pos(soft.soft_set.bounds[0] - x[1:])
+        objective += 2 * soft.penalty * cp.sum(excess)
     constraints = [x[0] == start, x[1:] == x[:T] @ dynamics.A.T + u @ dynamics.B.T]
     constraints += [u >= bounds.lower, u <= bounds.upper]
     for i in range(n):
@@ -101,9 +107,9 @@ def main() -> int:
         table.add_column(column, justify="right")
     with threadpool_limits(1):
         for horizon in options.horizons:
-            for low_pass in (False, True):
-                what = f"pendulum, T = {horizon}{', low pass' if low_pass else ''}"
-                for row in measured(pendulum(horizon, low_pass), options.steps, options.seed):
+            for name, make in CASES.items():
+                what = f"pendulum, T = {horizon}{name}"
+                for row in measured(make(horizon), options.steps, options.seed):
                     table.add_row(what, *row)
                     what = ""
     Console(width=WIDTH).print(table)

@@ -30,6 +30,12 @@ def cart_pole(horizon: int = 20, sampling_time: float = 0.05) -> lfo.OptimalCont
     return replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
 
 
+def soft_pendulum(horizon: int) -> lfo.OptimalControlProblem:
+    """Return the pendulum with its low pass, and soft bounds on the states that its first half second exceeds."""
+    narrow = lfo.Box([-0.12, -0.06, -0.3, -1.0], [0.12, 0.06, 0.3, 1.0])
+    return replace(pendulum(horizon, low_pass=True), state_set=lfo.sets.Soft(narrow, 5.0))
+
+
 def windowed(horizon: int) -> lfo.OptimalControlProblem:
     """Return a double integrator with bounded windows of its control."""
     mask = lfo.MagnitudeBound(0.4, band=lfo.low_pass(1.2), window="hann")

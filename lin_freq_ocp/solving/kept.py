@@ -13,10 +13,12 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
 from lin_freq_ocp.methods.spectral.algorithm.together import Together
 from lin_freq_ocp.methods.spectral.model.row_form import RowForm
+from lin_freq_ocp.methods.spectral.model.soft_bins import SoftBins, soft_bins
 from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
+from lin_freq_ocp.problem.trajectory import Multipliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +41,46 @@ class Change:
         return problem.with_ends(self.initial_state, self.terminal_state)
 
 
+@dataclass(frozen=True, eq=False)
+class SpectralForm:
+    """A problem as the Fourier-domain method takes it: soft bins removed, polyhedral sets as joint rows."""
+
+    bins: SoftBins
+    rows: RowForm
+
+    @property
+    def problem(self) -> OptimalControlProblem:
+        """Return the problem that is solved."""
+        return self.rows.problem
+
+    @property
+    def changed(self) -> bool:
+        """Whether that is not the given problem."""
+        return bool(self.bins.terms or self.rows.polyhedra)
+
+    def given(self, candidate: Candidate) -> Candidate:
+        """Return a candidate of the problem that is solved as one of the given problem."""
+        if not self.changed:
+            return candidate
+        found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
+        return replace(candidate, **{name: one and self._of_given(one) for name, one in found.items()})
+
+    def _of_given(self, found: Multipliers) -> Multipliers:
+        return self.bins.multipliers(self.rows.multipliers(found))
+
+
+def spectral_form(problem: OptimalControlProblem) -> SpectralForm:
+    """Return a problem in the form that the Fourier-domain method takes."""
+    bins = soft_bins(problem)
+    return SpectralForm(bins, row_form(bins.problem))
+
+
 class Kept:
     """A problem, its Fourier-domain solver with the last solution, and its stages; each is made when it is needed."""
 
     def __init__(self, problem: OptimalControlProblem):
         self.problem = problem
-        self._rows: RowForm | None = None
+        self._form: SpectralForm | None = None
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
@@ -59,10 +95,12 @@ class Kept:
             (change.terminal_state, problem.terminal_state, self.problem.terminal_state),
         )
         sets = any(given is not None and (new.members or old.members) for given, new, old in ends)
-        if sets or (change.bounds and (row_form(problem).polyhedra or row_form(self.problem).polyhedra)):
-            rows = row_form(problem)
-            return in_given_form(rows, SpectralSolver(rows.problem).solve(tolerance=tolerance, time_limit=time_limit))
-        rows, solver = self._spectral_solver()
+        if sets or (
+            change.bounds and (spectral_form(problem).rows.polyhedra or spectral_form(self.problem).rows.polyhedra)
+        ):
+            form = spectral_form(problem)
+            return form.given(SpectralSolver(form.problem).solve(tolerance=tolerance, time_limit=time_limit))
+        form, solver = self._spectral_solver()
         found = solver.solve(
             change.initial_state,
             change.terminal_state,
@@ -74,32 +112,24 @@ class Kept:
         )
         if found.status == "optimal":
             self._last = found
-        return in_given_form(rows, found)
+        return form.given(found)
 
     def together(self, initial_states: Array) -> Together | None:
         """Solve from initial states (N, n) at once, where the Fourier-domain method can."""
         try:
-            rows, solver = self._spectral_solver()
+            form, solver = self._spectral_solver()
         except UnsupportedError:
             return None
-        return None if rows.polyhedra else solver.solve_together(initial_states)
+        return None if form.changed else solver.solve_together(initial_states)
 
-    def _spectral_solver(self) -> tuple[RowForm, SpectralSolver]:
+    def _spectral_solver(self) -> tuple[SpectralForm, SpectralSolver]:
         if self._refusal is not None:
             raise self._refusal
-        if self._rows is None or self._solver is None:
-            self._rows = row_form(self.problem)
+        if self._form is None or self._solver is None:
+            self._form = spectral_form(self.problem)
             try:
-                self._solver = SpectralSolver(self._rows.problem)
+                self._solver = SpectralSolver(self._form.problem)
             except UnsupportedError as error:
                 self._refusal = error
                 raise
-        return self._rows, self._solver
-
-
-def in_given_form(rows: RowForm, candidate: Candidate) -> Candidate:
-    """Return a candidate for the problem in rows as one for the given problem."""
-    if not rows.polyhedra:
-        return candidate
-    found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
-    return replace(candidate, **{name: one and rows.multipliers(one) for name, one in found.items()})
+        return self._form, self._solver

@@ -14,14 +14,14 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
-from lin_freq_ocp.methods.spectral import SpectralSolver, row_form
+from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.choice import structured_first
 from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
-from lin_freq_ocp.solving.kept import in_given_form
+from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
@@ -115,9 +115,9 @@ class Spectral:
         if excluded is not None:
             return excluded
         if request.again is None:
-            rows = row_form(problem)
-            found = SpectralSolver(rows.problem).solve(tolerance=self.tolerance, time_limit=_left(end))
-            candidate = in_given_form(rows, found)
+            form = spectral_form(problem)
+            found = SpectralSolver(form.problem).solve(tolerance=self.tolerance, time_limit=_left(end))
+            candidate = form.given(found)
         else:
             kept, change = request.again
             candidate = kept.spectral(problem, change, self.tolerance, _left(end))

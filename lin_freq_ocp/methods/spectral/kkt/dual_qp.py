@@ -1,7 +1,7 @@
 """The small QP over the working rows: min lam'S lam / 2 + d'lam over 0 <= lam <= u, S often singular.
 
-docs/spectral.md, 6. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is saturated: it
-is violated, and its slope S lam + d, which is its slack, is at most 0.
+docs/spectral.md, 6 and 12. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is
+saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0.
 
 S is positive semidefinite, and numerically singular where a state or a control stays at a bound. The exchange measures
 every answer by the signals that follow from it.

@@ -1,4 +1,4 @@
-"""Soft sets whose rows are bounds on single components, in the places of hard bounds (docs/spectral.md, 6).
+"""Soft sets whose rows are bounds on single components, in the places of hard bounds (docs/spectral.md, 12).
 
 A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It stands
 in the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the component,
