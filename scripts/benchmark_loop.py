@@ -1,6 +1,6 @@
 """Time of a step of a control loop, beside the program that users write: CVXPY with a parameter for the state.
 
-    python scripts/benchmark_loop.py [--horizons 60 240] [--steps 60]
+    python scripts/benchmark_loop.py [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 60]
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
 not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
@@ -29,7 +29,7 @@ NOISE = 1e-3
 WIDTH = 110
 """Columns of the table, also where it is written into a file."""
 
-CASES = {"": pendulum, ", low pass": partial(pendulum, low_pass=True), ", soft bounds": soft_pendulum}
+CASES = {"free": pendulum, "low pass": partial(pendulum, low_pass=True), "soft bounds": soft_pendulum}
 
 Step = Callable[[np.ndarray], np.ndarray]
 
@@ -99,6 +99,7 @@ def main() -> int:
     """Measure the steps and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--horizons", type=int, nargs="+", default=[60, 240])
+    parser.add_argument("--problems", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -107,9 +108,9 @@ def main() -> int:
         table.add_column(column, justify="right")
     with threadpool_limits(1):
         for horizon in options.horizons:
-            for name, make in CASES.items():
-                what = f"pendulum, T = {horizon}{name}"
-                for row in measured(make(horizon), options.steps, options.seed):
+            for name in options.problems:
+                what = f"pendulum, T = {horizon}, {name}"
+                for row in measured(CASES[name](horizon), options.steps, options.seed):
                     table.add_row(what, *row)
                     what = ""
     Console(width=WIDTH).print(table)
