@@ -1,6 +1,6 @@
 """Time of a step of a control loop, beside the program that users write: CVXPY with a parameter for the state.
 
-    python scripts/benchmark_loop.py [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 60]
+    python scripts/benchmark_loop.py [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 30]
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
 not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
@@ -100,7 +100,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--horizons", type=int, nargs="+", default=[60, 240])
     parser.add_argument("--problems", nargs="+", choices=CASES, default=list(CASES))
-    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     table = Table("problem", "contender", title="a step of a control loop, warm")
