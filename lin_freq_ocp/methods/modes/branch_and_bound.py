@@ -39,7 +39,7 @@ from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
-ROUNDING_EVERY = 20  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
+ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
 TRIED_TOGETHER = 8  # sequences, whose reaches are computed side by side
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
