@@ -4,6 +4,10 @@
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
 not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
+
+    python scripts/benchmark_loop.py --modes
+
+A cart-pole between soft walls instead: each step from the tree of the step before ("warm"), and each alone ("cold").
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from functools import partial
 
 import cvxpy as cp
 import numpy as np
-from loop_cases import pendulum, soft_pendulum
+from loop_cases import cart_pole, pendulum, soft_pendulum
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -25,6 +29,9 @@ import lin_freq_ocp as lfo
 
 NOISE = 1e-3
 """Standard deviation of the disturbance of every state."""
+
+CART_POLE_NOISE = 3e-3
+"""The same, of the cart-pole (Marcucci and Tedrake 2021)."""
 
 WIDTH = 110
 """Columns of the table, also where it is written into a file."""
@@ -95,6 +102,32 @@ def measured(problem: lfo.OptimalControlProblem, steps: int, seed: int) -> list[
     return rows
 
 
+def with_modes(steps: int, seed: int) -> Table:
+    """Return a table of relaxations and times of steps with modes, after the first, warm and cold in turns."""
+    rng, problem = np.random.default_rng(seed), cart_pole()
+    warm, x, step = lfo.RecedingHorizon(problem), problem.initial_box.lower, problem.dynamics.stepper(1)
+    found: dict[str, list[tuple[float, ...]]] = {"warm": [], "cold": []}
+    for _ in range(steps):
+        controls: dict[str, np.ndarray] = {}
+        for name, one in (("warm", warm), ("cold", lfo.RecedingHorizon(problem))):
+            began = time.process_time()
+            controls[name] = one.step(x)
+            spent, last = time.process_time() - began, one.log.steps[-1]
+            found[name].append(
+                (last.nodes, 1e3 * last.solve_seconds, 1e3 * last.certify_seconds, 1e3 * spent, last.gap)
+            )
+        x = step(0, x, controls["warm"]) + CART_POLE_NOISE * rng.standard_normal(len(x))
+    table = Table("cart-pole between walls, T = 20", title="a step of a control loop with modes")
+    for column in ("nodes, median", "worst", "ms, median", "worst", "certificate, ms", "CPU in all, ms", "largest gap"):
+        table.add_column(column, justify="right")
+    for name, rows in found.items():
+        array = np.array(rows[1:])
+        middle, worst = np.median(array, axis=0), array.max(axis=0)
+        numbers = [middle[0], worst[0], middle[1], worst[1], middle[2], middle[3]]
+        table.add_row(name, *(f"{number:.0f}" for number in numbers), f"{worst[4]:.0e}")
+    return table
+
+
 def main() -> int:
     """Measure the steps and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -102,7 +135,12 @@ def main() -> int:
     parser.add_argument("--problems", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--modes", action="store_true")
     options = parser.parse_args()
+    if options.modes:
+        with threadpool_limits(1):
+            Console(width=WIDTH).print(with_modes(options.steps, options.seed))
+        return 0
     table = Table("problem", "contender", title="a step of a control loop, warm")
     for column in ("ms", "certificate, ms", "gap", "agreement"):
         table.add_column(column, justify="right")

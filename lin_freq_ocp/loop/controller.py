@@ -18,7 +18,7 @@ from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, wit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.kept import Change
+from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
@@ -53,6 +53,7 @@ class Controller:
         self._problem = first_state_free(problem)
         self._hard = Repeated(self._problem, method)
         self._soft = Repeated(softened(self._problem, self.penalties), method) if self.penalties else None
+        self._trees = {one: KeptTree() for one in (self._hard, self._soft) if one is not None}
         self._remembers, self._method, self._limit = remembers(problem), method, time_limit
         self._steps: list[Step] = []
         self._applied: list[Array] = []
@@ -79,7 +80,7 @@ class Controller:
         if plan is None:
             return None, outcome
         certified = sum(one.seconds.get("certify", 0.0) for one in (hard, soft) if one is not None)
-        certificate = outcome.certificate if answered else None
+        certificate, parts = outcome.certificate if answered else None, ((self._hard, hard), (self._soft, soft))
         step = Step(
             state=x,
             control=plan.u[0].copy(),
@@ -92,6 +93,7 @@ class Controller:
             solve_seconds=time.perf_counter() - started - certified,
             certify_seconds=certified,
             excess=excess(outcome.problem, plan) if soft is not None else {},
+            nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
         )
         if self._steps:  # of the plans only the last is needed
@@ -114,12 +116,13 @@ class Controller:
 
     def _solved(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
         """Solve the problem of a step, from what was set up for all of them if its data are the same."""
+        tree = self._trees[repeated]
         problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
         if preview.disturbance is not None:
             problem = disturbed(problem, preview.disturbance)
         if problem is not repeated.problem:
             repeated = Repeated(problem, self._method)
-        return repeated.solve(change, self._limit, self._later_plan())
+        return repeated.solve(change, self._limit, self._later_plan(), tree)
 
     def _after_delay(self, x: Array) -> Array:
         """Return where a plan begins: with a delay, where the last control leads."""

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.status import Status
@@ -47,6 +47,8 @@ class Step:
         By how much softened constraints are exceeded by the plan, by their names.
     solve_seconds, certify_seconds : float
         Wall time without, and of, the certificate.
+    nodes : int
+        Relaxations that a search over modes has solved; 0 without modes.
     plan : Trajectory or None
         From this step on.
     """
@@ -62,6 +64,7 @@ class Step:
     solve_seconds: float
     certify_seconds: float
     excess: dict[str, float] = field(default_factory=dict[str, float])
+    nodes: int = 0
     plan: Trajectory | None = None
 
 
@@ -117,6 +120,11 @@ class LoopRecord:
         return np.array([step.certify_seconds for step in self.steps])
 
     @property
+    def nodes(self) -> Indices:
+        """Return the relaxations that the search over modes has solved in each step, (steps,)."""
+        return np.array([step.nodes for step in self.steps], dtype=np.intp)
+
+    @property
     def satisfied(self) -> Mask:
         """Return at which steps the conditions of the maximum principle hold, (steps,)."""
         return np.array([step.satisfied for step in self.steps], dtype=bool)
@@ -148,6 +156,7 @@ def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
         "method": step.method,
         "cost": step.cost,
         "gap": step.gap,
+        "nodes": step.nodes,
         "excess": sum(step.excess.values()),
         "solve_seconds": step.solve_seconds,
         "certify_seconds": step.certify_seconds,

@@ -12,7 +12,7 @@ from lin_freq_ocp.methods.modes.search import SearchProgress
 from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
-from lin_freq_ocp.solving.kept import Change, Kept
+from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
 from lin_freq_ocp.solving.outcome import Outcome
 
 LEAST_SECONDS = 1e-3  # for a second method when the first has used all the time: it ends at once with its status
@@ -26,13 +26,15 @@ Report = Callable[[Progress], None]
 class Request:
     """What is asked of any method: a limit in seconds, a call as a search proceeds, and where the search begins.
 
-    ``again`` holds what was kept of solves of the same problem, and how this differs from it, if there were any.
+    ``again`` holds what was kept of solves of the same problem, and how this differs from it, if there were any;
+    ``tree`` the search of the step before in a control loop.
     """
 
     time_limit: float = np.inf
     progress: Report | None = None
     start: Start | None = None
     again: tuple[Kept, Change] | None = None
+    tree: KeptTree | None = None
 
 
 class Method(Protocol):

@@ -83,6 +83,8 @@ class BranchAndBound(_Search):
         first = None if request.start is None else request.start.sequence
         if self.executor is not None:
             return search_in_parts(problem, limits, self.executor, request.progress, first)
+        if request.tree is not None:
+            return request.tree.search(problem, limits, request.progress, first)
         return TreeSearch(problem, limits, progress=request.progress).run(first)
 
 

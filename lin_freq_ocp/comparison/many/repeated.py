@@ -13,7 +13,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import chosen, saved_options
-from lin_freq_ocp.solving.kept import Change, Kept
+from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
@@ -56,8 +56,14 @@ class Repeated:
             if found is not None:
                 self._exclusions.appendleft(found)
 
-    def solve(self, change: Change, time_limit: float | None = None, start: Trajectory | None = None) -> Outcome:
-        """Solve the changed problem, from a start if the method takes one, and judge the answer."""
+    def solve(
+        self,
+        change: Change,
+        time_limit: float | None = None,
+        start: Trajectory | None = None,
+        tree: KeptTree | None = None,
+    ) -> Outcome:
+        """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
         require_options(self.name, time_limit)
         problem = change.of(self.problem)
         again = None if self.kept is None else (self.kept, change)
@@ -65,5 +71,7 @@ class Repeated:
             self.kept.prepared.near = start
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
         limit = np.inf if time_limit is None else time_limit
-        outcome = self.method.solve(problem, Request(limit, start=begin, again=again))
+        if tree is not None:
+            tree.begins(self.problem if change.starts_elsewhere else None)
+        outcome = self.method.solve(problem, Request(limit, start=begin, again=again, tree=tree))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

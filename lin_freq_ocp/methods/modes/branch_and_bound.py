@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
@@ -20,6 +20,7 @@ from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.analysis.sizes import search_scale
 from lin_freq_ocp.arrays import Indices, Mask
 from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.methods.modes.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.modes.node import Relaxed, adjoint_of, multipliers_of
 from lin_freq_ocp.methods.modes.path_node import compiled_is_loaded
 from lin_freq_ocp.methods.modes.search import (
@@ -61,6 +62,7 @@ class BranchAndBound:
     def __post_init__(self):
         self._started = time.perf_counter()
         self._relaxation = self.relaxation(self.problem)
+        self._first_level = self._relaxation.level
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | PathDuals | None] = []
@@ -72,20 +74,42 @@ class BranchAndBound:
         self._setup = time.perf_counter() - self._started
 
     def run(
-        self, start: Indices | None = None, within: Reach | None = None, until_open: float = np.inf
+        self,
+        start: Indices | None = None,
+        within: Reach | None = None,
+        until_open: float = np.inf,
+        cover: Sequence[CoverNode] = (),
     ) -> SearchOutcome:
-        """Search from a sequence (T,), within a reach; stop when ``until_open`` nodes are open (see ``open_nodes``)."""
+        """Search from a sequence (T,), within a reach; stop when ``until_open`` nodes are open (see ``open_nodes``).
+
+        With a cover of all sequences, begin at its leaves.
+        """
         message, interrupted = "", False
         self._until_open = until_open
         try:
             if start is not None:
                 self._try([start])
-            self._open(self._root(within), -1, -1, -np.inf)
-            message = self._loop()
+            if cover:
+                message = self._open_cover(cover)
+            else:
+                self._open(self._root(within), -1, -1, -np.inf)
+            message = message or self._loop()
         except KeyboardInterrupt:
             message, interrupted = "interrupted", True
         tree = proven_tree(self._relaxation, self._nodes, self._duals)
         return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
+
+    @property
+    def final_relaxation(self) -> ModeRelaxation:
+        """Return the relaxations in whose units the last duals are."""
+        return self._relaxation
+
+    def cover_after_step(self) -> tuple[CoverNode, ...]:
+        """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
+        one = self._relaxation
+        if self._best is None or not self._nodes or not isinstance(one, PathRelaxation) or not one.proves:
+            return ()
+        return shifted_cover(self._nodes, self._duals, int(self._best[0]), one.later)
 
     def _loop(self) -> str:
         """Split nodes until none is open; return which limit stopped the search, or an empty string."""
@@ -115,6 +139,38 @@ class BranchAndBound:
         everything = np.ones((self.problem.horizon, len(self.problem.piecewise.modes)), dtype=bool)
         reach = self._relaxation.reach.from_start(everything) if within is None else within
         return [(everything, None if reach is None else self._relaxed(reach, self._cutoff))]
+
+    def _open_cover(self, cover: Sequence[CoverNode]) -> str:
+        """Add the nodes of a cover; solve those leaves that their duals leave open, the least bound first."""
+        parents = {node.parent for node in cover}
+        leaves = [index for index in range(len(cover)) if index not in parents]
+        reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
+        nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
+        duals, open_ = list[Duals | PathDuals | None](None for _ in cover), list[tuple[float, int, Reach]]()
+        for index, reach in zip(leaves, reaches, strict=True):
+            bound, given = np.inf if reach is None else -np.inf, cover[index].duals
+            if reach is not None and given is not None and isinstance(self._relaxation, PathRelaxation):
+                given = given.times(self._relaxation.level / self._first_level)  # the first answer may have changed it
+                bound, duals[index] = self._relaxation.proven_by(reach, given), given
+            nodes[index] = replace(nodes[index], bound=bound)
+            if reach is not None and bound < np.inf:
+                open_.append((bound, index, reach))
+        self._nodes, self._duals = nodes, duals
+        for bound, index, reach in sorted(open_, key=lambda one: one[:2]):
+            message = self.limits.reached(time.perf_counter() - self._started, self._solved)
+            if message:
+                return message
+            if bound < self._cutoff:
+                self._solve_leaf(index, reach)
+        return ""
+
+    def _solve_leaf(self, index: int, reach: Reach) -> None:
+        """Solve a leaf of a cover, and keep what proves more of it."""
+        answer, node = self._relaxed(reach, self._cutoff), self._nodes[index]
+        if answer.bound >= node.bound:
+            self._duals[index] = answer.duals
+        self._nodes[index] = replace(node, allowed=reach.allowed, bound=max(node.bound, answer.bound))
+        self._consider(index, answer)
 
     def _split(self, taken: list[OpenNode]) -> None:
         """Replace each node by one for each of its modes at some time."""

@@ -35,6 +35,13 @@ class PathDuals:
     adjoint: Array
     eta_C: float
 
+    def times(self, factor: float) -> PathDuals:
+        """Return the duals of the same relaxation with its cost in other units."""
+        if not self.eta_C:
+            return self
+        vertices, regions, images = (factor * part for part in (self.vertices, self.regions, self.images))
+        return PathDuals(vertices, regions, images, factor * self.coupled, factor * self.adjoint, self.eta_C)
+
 
 class PathBounds:
     """Bounds of one problem; Hessians (T+1, k, k) in natural units."""
@@ -72,3 +79,26 @@ class PathBounds:
         present = np.zeros(found.shape, dtype=bool)
         present[:-1], present[-1, 0, 0] = pairs, True
         return np.where(present, found, np.inf)
+
+    def later(self, duals: PathDuals) -> PathDuals:
+        """Return duals moved to the time before, for a problem that begins one time later.
+
+        What comes in at the end has the adjoint of the end before, and no other multipliers. Rows over all times keep
+        what is nearest to their sum, shifted in a circle.
+        """
+        T = len(duals.vertices)
+        vertices, regions, images = (
+            np.concatenate([part[1:], np.zeros_like(part[:1])])
+            for part in (duals.vertices, duals.regions, duals.images)
+        )
+        vertices[T - 2 :] = duals.vertices[-1, 0]  # of x_T: at T - 1 there are now modes
+        for part in (regions, images):
+            part[T - 2] = part[T - 2, :, :1]
+        adjoint = np.concatenate([duals.adjoint[1:], duals.adjoint[-1:]])
+        if not len(duals.coupled):
+            return PathDuals(vertices, regions, images, duals.coupled, adjoint, duals.eta_C)
+        total = np.tensordot(duals.coupled, self._model.coupled, axes=1)
+        total[:-1] = np.roll(total[:-1], -1, axis=0)
+        rows = self._model.coupled.reshape(len(duals.coupled), -1)
+        coupled = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
+        return PathDuals(vertices, regions, images, coupled, adjoint, duals.eta_C)

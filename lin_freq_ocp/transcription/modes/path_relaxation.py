@@ -63,6 +63,17 @@ class PathRelaxation(ModeRelaxation):
 
     def path_member(self, reach: Reach) -> PathMember | None:
         """Return the path relaxation of a reach; None where ``member`` has to do."""
+        found = None if self._paths is None else self._boxes(reach)
+        if self._paths is None or found is None:
+            return None
+        pairs, low, high = found
+        (T, modes), edges = reach.allowed.shape, np.count_nonzero(pairs)
+        if modes > MOST_MODES and edges > MOST_EDGES * T:
+            return None
+        return PathMember(reach, pairs, low, high, path_program(self._paths[0], pairs, low, high))
+
+    def _boxes(self, reach: Reach) -> tuple[Mask, Array, Array] | None:
+        """Return the edges (T, modes, modes) and boxes (T+1, modes, k) of a reach; None where a box has no end."""
         taken = reach.allowed[..., None]
         unbounded = taken & ((reach.mode_lower <= -UNBOUNDED) | (reach.mode_upper >= UNBOUNDED))
         if self._paths is None or unbounded.any():
@@ -76,10 +87,22 @@ class PathRelaxation(ModeRelaxation):
             part[-1, 0, :n] = (last[-1] - stages.last_reference) / stages.units[:n]
         if (np.abs(low) >= UNBOUNDED).any() or (np.abs(high) >= UNBOUNDED).any():
             return None
-        pairs = self._paths[0].pairs(allowed, low, high)
-        if modes > MOST_MODES and np.count_nonzero(pairs) > MOST_EDGES * T:
-            return None
-        return PathMember(reach, pairs, low, high, path_program(self._paths[0], pairs, low, high))
+        return self._paths[0].pairs(allowed, low, high), low, high
+
+    def later(self, duals: PathDuals) -> PathDuals:
+        """Return duals moved to the time before, for the problem that begins one time later."""
+        assert self._paths is not None
+        return self._paths[1].later(duals)
+
+    def proven_by(self, reach: Reach, duals: PathDuals) -> float:
+        """Return what any duals prove of a reach: as a bound on the cost, inf if that it has no trajectory."""
+        found = self._boxes(reach)
+        if self._paths is None or found is None:
+            return -np.inf
+        bound = self._paths[1].bound(*found, duals)
+        if duals.eta_C:
+            return self.cost(bound)
+        return np.inf if bound > 0 else -np.inf
 
     def path_duals(self, program: PathProgram, p: Array, z: Array, w: Array | None) -> PathDuals:
         """Return the duals of C w = b and of linear rows, (E, R), with the weights of w (E, W), or those of a ray."""

@@ -15,6 +15,7 @@ It is the convex hull of graph and cost of each stage.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -131,6 +132,17 @@ class ModeRelaxation:
         if objective >= SMALL_OBJECTIVE or self._level >= LARGEST_LEVEL:
             return self
         return type(self)(self.problem, min(self._level / max(objective, 1 / LARGEST_LEVEL), LARGEST_LEVEL))
+
+    @property
+    def level(self) -> float:
+        """Return by how much the objective of members is larger than it would be of itself."""
+        return self._level
+
+    def moved(self, problem: OptimalControlProblem) -> Self:
+        """Return the relaxations of a problem that differs in the point where it starts alone."""
+        found = copy(self)
+        found.problem, found.reach = problem, ModeReach(problem)
+        return found
 
     @property
     def state_curvature(self) -> Array:

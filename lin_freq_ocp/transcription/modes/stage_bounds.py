@@ -48,18 +48,20 @@ class Quadratic:
         sizes = np.sqrt(np.where(self._diagonal > 0, self._diagonal, 1.0))
         normed = hessians / (sizes[..., None] * sizes[..., None, :])
         off = hessians - self._diagonal[..., None] * np.eye(hessians.shape[-1])
-        self._alone = not off.any()
-        convex = 1.0 if self._alone else np.maximum(np.linalg.eigvalsh(normed)[..., :1], 0.0)
+        convex = np.maximum(np.linalg.eigvalsh(normed)[..., :1], 0.0)
         self._least = convex * self._diagonal  # H - diag(least) is positive semidefinite
+        self._coupled = np.asarray(off.any(axis=tuple(range(1, off.ndim)) if off.ndim > 2 else None))  # at which times
 
     def least(self, slope: Array, low: Array, high: Array) -> Array:
-        """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...)."""
-        if self._alone:
+        """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...), times first where H depends on them."""
+        at = self._coupled
+        if not at.any():
             return _box_minimum(slope, self._diagonal, low, high)
-        y = box_minimiser(slope, self._hessians, low, high)
-        moved = (self._hessians * y[..., None, :]).sum(axis=-1)
-        there = ((slope + 0.5 * moved) * y).sum(axis=-1)
-        return there + _box_minimum(slope + moved, self._least, low - y, high - y)
+        if at.all():
+            return _coupled_minimum(slope, self._hessians, self._least, low, high)
+        found = _box_minimum(slope, self._diagonal, low, high)
+        found[at] = _coupled_minimum(slope[at], self._hessians[at], self._least[at], low[at], high[at])
+        return found
 
 
 class StageBounds:
@@ -86,6 +88,14 @@ class StageBounds:
         units = stages.units[:n]
         ends = ((bounds[-1] - stages.last_reference) / units for bounds in (reach.lower, reach.upper))
         return found, float(self._last.least(slope[-1, :n], *ends)) - float(duals.rows @ self._right)
+
+
+def _coupled_minimum(slope: Array, hessians: Array, least: Array, low: Array, high: Array) -> Array:
+    """Return lower bounds where H is not diagonal, H - diag(least) being positive semidefinite."""
+    y = box_minimiser(slope, hessians, low, high)
+    moved = (hessians * y[..., None, :]).sum(axis=-1)
+    there = ((slope + 0.5 * moved) * y).sum(axis=-1)
+    return there + _box_minimum(slope + moved, least, low - y, high - y)
 
 
 def _box_minimum(slope: Array, curvature: Array, low: Array, high: Array) -> Array:

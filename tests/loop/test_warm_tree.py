@@ -1,0 +1,64 @@
+"""A loop over modes: each step begins with the tree of the step before, and ends as it would alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.loop.window import first_state_free
+
+
+def wall(horizon=10):
+    return lfo.library.pendulum_with_wall(horizon=horizon, initial_state=(0.09, 0.3))
+
+
+def states(steps, jumps):
+    """Return measured states of a disturbed loop: at a jump the pendulum is thrown to the other side of the border."""
+    rng = np.random.default_rng(0)
+    controller, x, step = lfo.RecedingHorizon(wall()), np.array([0.09, 0.3]), wall().dynamics.stepper(1)
+    found = []
+    for k in range(steps):
+        x = np.array([0.12, 0.1]) if k in jumps and x[0] < 0.1 else np.array([0.05, 0.6]) if k in jumps else x
+        found.append(x)
+        x = step(0, x, controller.step(x)) + 0.004 * rng.standard_normal(2)
+    return found, controller.log
+
+
+@pytest.mark.parametrize("jumps", [(), (2, 4)], ids=["disturbed", "into another mode"])
+def test_steps_cost_what_their_problems_cost_alone(jumps):
+    measured, log = states(6, jumps)
+    free = first_state_free(wall())
+    alone = [lfo.solve(free.with_ends(x)) for x in measured]
+    np.testing.assert_allclose(log.costs, [one.cost for one in alone], rtol=2e-6)
+    assert set(log.statuses) == {"optimal"}
+    assert (log.gaps <= 1e-6).all()
+
+
+def test_a_later_step_solves_fewer_relaxations():
+    problem = lfo.library.buck_affine(horizon=8)
+    controller, step = lfo.RecedingHorizon(problem), problem.dynamics.stepper(1)
+    x = problem.initial_box.lower
+    cold = []
+    for _ in range(4):
+        cold.append(lfo.RecedingHorizon(problem))
+        cold[-1].step(x)
+        x = step(0, x, controller.step(x))
+    nodes = controller.log.nodes
+    assert nodes[0] == cold[0].log.nodes[0] > 1
+    assert nodes[1:].sum() < sum(one.log.nodes[0] for one in cold[1:])
+
+
+def test_a_reference_that_changes_keeps_the_splits_alone():
+    problem, x = wall(6), np.array([0.09, 0.3])
+    controller = lfo.RecedingHorizon(problem)
+    for k in range(3):
+        references = {"x_ref": np.full((7, 2), 0.01 * k)}
+        controller.step(x, references=references)
+        alone = lfo.solve(first_state_free(problem).with_references(references).with_ends(x))
+        assert controller.log.costs[-1] == pytest.approx(alone.cost, rel=2e-6)
+        assert controller.log.statuses[-1] == "optimal"
+
+
+def test_without_modes_no_relaxations_are_counted():
+    assert lfo.RecedingHorizon(lfo.library.double_integrator()).run([0.0, 0.0], 2).nodes.tolist() == [0, 0]
