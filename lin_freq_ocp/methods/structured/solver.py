@@ -73,7 +73,8 @@ def solve_again(
 
     Raises what ``solve_structured`` raises.
     """
-    if prepared.near is None:
+    known = prepared.near is not None
+    if not known:
         return None
     require_convex(problem)
     started, targets = time.perf_counter(), _targets(tolerance, time_limit)

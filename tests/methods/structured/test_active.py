@@ -148,6 +148,20 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
     assert None not in ends
 
 
+def test_references_are_exchanged():
+    problem, matrices = touching(), set()
+    kept = Kept(problem)
+    for k, aim in enumerate((0.0, 0.1, 0.3, -0.2)):
+        references = {"x_ref": np.tile([aim, 0.2 * aim], (81, 1)), "u_ref": [0.1 * aim]}
+        change = Change([0.01 * k, 1.0], references=references)
+        found, expected = again(kept, change), lfo.solve(change.of(problem), method="structured")
+        assert found.status == expected.status == "optimal"
+        assert found.cost == pytest.approx(expected.cost, rel=1e-7, abs=1e-9)
+        np.testing.assert_allclose(found.trajectory.u, expected.control, atol=1e-5)
+        matrices.add(id(kept.prepared.assembly(change.of(problem)).stages.G))
+    assert len(matrices) == 1
+
+
 def test_verdicts_are_those_from_scratch():
     problem, statuses = touching(), []
     kept = Kept(problem)

@@ -38,6 +38,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 REVISED = 100.0  # factor between a unit and the magnitude found from which a solution is worth units of its own
+WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +77,14 @@ class Assembly:
         )
 
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
-        """Return the stages of a problem with other dynamics and other fixed ends, in the same units.
+        """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
 
-        None if it differs in more, or is not made from the same objects (``with_ends``, ``affine_at``).
+        None if it differs in more, or is not made from the same objects (``with_ends``, ``affine_at``,
+        ``with_references``).
         """
         old, columns = self.recovery.problem, self.recovery.units.columns
-        same = [(problem.cost, old.cost), (problem.terms, old.terms), (problem.control_tube, old.control_tube)]
+        same = [(getattr(problem.quadratic, name), getattr(old.quadratic, name)) for name in WEIGHTS]
+        same += [(problem.terms, old.terms), (problem.control_tube, old.control_tube)]
         same += [(problem.state_boxes, old.state_boxes), (problem.state_stop, old.state_stop)]
         same += [(problem.control_stop, old.control_stop)]
         if not all(one is other for one, other in same):
@@ -97,8 +100,21 @@ class Assembly:
         terminal = replace(coupling, terminal_state=deviation[1, coupling.terminal])
         initial = np.where(fixed[0], deviation[0], np.nan)
         stages = replace(self.stages, A=A, B=B, d=d, initial=initial, coupling=terminal)
+        if problem.quadratic is not old.quadratic:
+            stages = self._with_slopes(stages, problem)
         stages.__dict__["coupled"] = self.stages.coupled
         return replace(self, stages=stages, recovery=replace(self.recovery, problem=problem))
+
+    def _with_slopes(self, stages: Stages, problem: OptimalControlProblem) -> Stages:
+        """Return the stages with the cost of a problem that differs in its references, at the same origin."""
+        origin, units, n = self.recovery.origin, self.recovery.units, problem.state_dim
+        size = n + problem.control_dim
+        in_x, in_u = problem.quadratic.gradient(origin.x, origin.u)
+        h = stages.h.copy()
+        h[:, :n], h[:-1, n:size] = in_x, np.where(origin.held[:-1, n:], 0.0, in_u)
+        h[:, :n] *= units.cost * units.columns[:, :n]
+        h[:-1, n:size] *= units.cost * units.columns[:-1, n:size]
+        return replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * units.cost)
 
     def same_matrices(self, other: Assembly) -> bool:
         """Whether another assembly is of the same arrays but for right-hand sides (``exchanged``)."""
