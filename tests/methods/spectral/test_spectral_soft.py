@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.methods.spectral.algorithm import structure
 from lin_freq_ocp.sets import Polyhedron, Soft
 
 T = 40
@@ -131,6 +132,17 @@ def test_soft_bounds_can_be_exchanged_between_solves():
         other = solver.solve(bounds={"state_set": bounds}, warm_start=first)
         expected = lfo.solve(replace(given, state_set=bounds), method="convex").cost
         assert other.problem.value(other.trajectory.x, other.trajectory.u) == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", ["states", "hard and soft on one side", "all", "all exceeded"])
+def test_rounds_without_the_model_of_all_values_find_the_same(name, monkeypatch):
+    """As on long horizons, where each round looks for rays: a soft row that the ends decide is none."""
+    given = problem(**CASES[name])
+    expected = lfo.solve(given, method="spectral").cost
+    monkeypatch.setattr(structure, "LARGEST", 0)
+    result = lfo.solve(given, method="spectral")
+    assert result.certificate.pmp == "satisfied"
+    assert result.cost == pytest.approx(expected, rel=1e-9)
 
 
 def test_long_horizons_begin_with_the_rows_of_a_shorter_problem():
