@@ -9,6 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, ComplexArray
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -82,6 +83,7 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         raise UnsupportedError(
             f"sensitivities: got eta_C = {multipliers.eta_C:g}; only normal multipliers have prices."
         )
+    problem = at_frequencies(problem, multipliers.frequencies)
     fixed = problem.state_tube.fixed
     ends = [np.where(fixed[t], -multipliers.mu[t], np.nan) for t in (0, -1)]
     mu, nu = np.where(fixed, 0.0, multipliers.mu), multipliers.nu
@@ -112,7 +114,7 @@ def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tupl
     minus that.
     """
     prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
-    for term in problem.terms:
+    for term in at_frequencies(problem, multipliers.frequencies).terms:
         weights = multipliers.stage.get(term.name)
         if weights is None or not len(term.map.nearest_bins) or term.kind == TermKind.OUTPUT_SPECTRUM:
             continue

@@ -16,16 +16,19 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
+from lin_freq_ocp.certificate.peaks import Peak, certified_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     MAXIMISATION_REACH,
     MISFIT_SHARE,
+    PEAK_TOLERANCE,
     SCALE_FLOOR,
     TRIVIALITY,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.continuum import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -55,6 +58,8 @@ class Condition:
     time, component : int or None
         Where it is worst; for a frequency constraint, time is the bin. None for a condition that is a single number,
         or a vector without components.
+    peak : Peak or None
+        Of a mask at every frequency: the largest magnitude relative to its limit, with proof.
     """
 
     label: str
@@ -64,6 +69,7 @@ class Condition:
     tolerance: float
     time: int | None = None
     component: int | None = None
+    peak: Peak | None = None
 
     @property
     def passed(self) -> bool:
@@ -235,7 +241,22 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
     term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))
     holds, fits = LABELS[term.kind]
     subgradient = term_subgradient(fits, priced, level, least)
-    return [term_holds(holds, priced, least), subgradient] if term.hard else [subgradient]
+    if not term.hard:
+        return [subgradient]
+    if term.everywhere is not None:
+        return [holds_everywhere(holds, priced, term.everywhere, least), subgradient]
+    return [term_holds(holds, priced, least), subgradient]
+
+
+def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, least: Array) -> Condition:
+    """C-vi, C-vii, S-yhat at every frequency: |V| <= l; compared with l, or a part of the norm of the samples."""
+    peak = certified_peak(priced.signal, everywhere.limits)
+    limit = float(everywhere.limits.at(np.array([peak.frequency]))[0])
+    scale = max(limit, SCALE_FLOOR * float(_scales(priced.sizes, least).max()))
+    name = f"holds at every frequency: {priced.term.name}"
+    time = round(peak.frequency * everywhere.map.samples / (2 * np.pi))
+    residual = max(peak.ratio - 1.0, 0.0) * limit
+    return Condition(label, name, residual, scale, PEAK_TOLERANCE, time, peak=peak)
 
 
 def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:

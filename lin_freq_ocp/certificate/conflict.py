@@ -11,6 +11,7 @@ from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound, ray_bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -73,7 +74,7 @@ class InfeasibilityProof:
 
 def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityProof | None:
     """Return a proof of infeasibility from a Farkas ray (its eta_C is taken as 0), or None if it proves nothing."""
-    abnormal = replace(ray, eta_C=0.0, weights=None)
+    abnormal, problem = replace(ray, eta_C=0.0, weights=None), at_frequencies(problem, ray.frequencies)
     bound = _bound(problem, abnormal)
     if bound.value <= 0:
         return None

@@ -15,6 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.term import Term
@@ -28,7 +29,8 @@ class PricedTerm:
     ``given`` are the multipliers, ``weights`` lambda+, the nearest that are subgradients of h somewhere, ``values``
     L(x, u) in extended precision and ``sizes`` the sums of the absolute values of its terms. ``gap`` is
     h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v; ``misfit`` is what the gap sees to
-    second order only: how far the directions of lambda+ and v differ.
+    second order only: how far the directions of lambda+ and v differ. ``signal`` are the windowed samples of a mask at
+    every frequency, else empty.
     """
 
     term: Term
@@ -38,6 +40,7 @@ class PricedTerm:
     sizes: Array
     gap: Array
     misfit: Array
+    signal: Array
 
     @property
     def gap_terms(self) -> Array:
@@ -89,6 +92,7 @@ def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Ar
 def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
     """Evaluate the Hamiltonian's derivatives; ProblemError if shapes do not fit or what is free has a multiplier."""
     problem.require(trajectory)
+    problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
     T = problem.horizon
     x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
@@ -125,7 +129,9 @@ def _priced_terms(problem: OptimalControlProblem, trajectory: Trajectory, multip
         values, weights = term.map.values(x, u), term.penalty.subgradient(extended(given), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
-        priced.append(PricedTerm(term, given, weights, values, sizes, gap, term.penalty.misfit(values, weights)))
+        misfit, everywhere = term.penalty.misfit(values, weights), term.everywhere
+        signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
+        priced.append(PricedTerm(term, given, weights, values, sizes, gap, misfit, signal))
     return priced
 
 

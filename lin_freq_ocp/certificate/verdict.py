@@ -189,6 +189,7 @@ class Certificate:
             f"theorem   {self.pmp}, {normal}",
             f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
         ]
+        lines += [f"mask      {condition.peak}: {condition.name}" for condition in self.conditions if condition.peak]
         lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
         return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
 

@@ -62,6 +62,9 @@ class Multipliers:
         Multipliers of everything else under its name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or above,
         zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask, the
         (Re, Im) of each bin's multiplier in the units of rho. What is not there has zeros.
+    frequencies : mapping from name to (groups,), optional
+        Of masks at every frequency: where, in rad/sample, their multipliers in ``stage`` stand, which are zero at all
+        other frequencies.
     weights : (T, modes), optional
         Of piecewise-affine dynamics: how much of each mode's derivatives stands in those of f_t, the same for states
         and controls. None for linear dynamics, or where the judge is to find them.
@@ -81,6 +84,7 @@ class Multipliers:
     rho_x: ComplexArray
     stage: Mapping[str, Array]
     weights: Array | None
+    frequencies: Mapping[str, Array]
 
     def __init__(
         self,
@@ -92,6 +96,7 @@ class Multipliers:
         rho_x: ArrayLike,
         stage: Mapping[str, ArrayLike] | None = None,
         weights: ArrayLike | None = None,
+        frequencies: Mapping[str, ArrayLike] | None = None,
     ):
         assign(self, eta_C=_number(eta_C))
         for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
@@ -118,6 +123,7 @@ class Multipliers:
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
         assign(self, stage=_families({} if stage is None else stage))
         assign(self, weights=None if weights is None else _weights(weights, T))
+        assign(self, frequencies=_frequencies({} if frequencies is None else frequencies, self.stage))
 
 
 def _number(eta_C: float) -> float:
@@ -141,6 +147,17 @@ def _families(stage: Mapping[str, ArrayLike]) -> dict[str, Array]:
     for name, weights in families.items():
         _require_matrix(f"multipliers.stage[{name!r}]", weights)
     return families
+
+
+def _frequencies(given: Mapping[str, ArrayLike], stage: Mapping[str, Array]) -> dict[str, Array]:
+    frequencies = {name: real_array(f"multipliers.frequencies[{name!r}]", value) for name, value in given.items()}
+    for name, found in frequencies.items():
+        count, field = len(stage.get(name, found)), f"multipliers.frequencies[{name!r}]"
+        if found.ndim != 1 or len(found) != count:
+            raise ProblemError(field, f"shape {found.shape}", f"({count},): one per row of its multipliers")
+        if ((found < 0) | (found > np.pi)).any():
+            raise ProblemError(field, brief(found.tolist()), "frequencies from 0 to pi rad/sample")
+    return frequencies
 
 
 def _require_matrix(field: str, array: Array) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lin_freq_ocp.analysis.spectral_peaks import peak_frequencies
 from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -11,12 +12,14 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.certify_modes import certify_modes
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 
+NEAR_LIMIT = 0.99  # part of its limit from which a peak of a spectrum may have a multiplier
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of few decimals that fails the usual one
 
 
@@ -83,6 +86,7 @@ def certify(
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
         return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))
+    problem = at_frequencies(problem, peak_frequencies(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
     if problem.dynamics.mode_names:
         return certify_modes(problem, trajectory).within(allowed)
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))

@@ -12,6 +12,7 @@ from lin_freq_ocp.backends.base import names
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.solving.every_frequency import solved_by
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
@@ -37,7 +38,8 @@ def solve_judged(
     options["global_bound"] = global_bound
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
-    outcome = found.solve(problem, Request(np.inf if time_limit is None else time_limit, progress, begin))
+    request = Request(np.inf if time_limit is None else time_limit, progress, begin)
+    outcome = solved_by(found, problem, request, tolerance)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
 from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
@@ -66,7 +67,13 @@ def windows_together(rng: np.random.Generator, T: int) -> SpectrogramMap:
     return spectrogram_map(rng, T, together=True)
 
 
-MAPS = (stage_map, spectrum_map, together, sum_map, spectrogram_map, windows_together)
+def frequency_map(rng: np.random.Generator, T: int) -> FrequencyMap:
+    bins = spectrum_map(rng, T)
+    at = np.append(rng.uniform(0, np.pi, int(rng.integers(1, 6))), rng.choice([0.0, np.pi]))
+    return FrequencyMap(bins.C, bins.D, bins.window, at)
+
+
+MAPS = (stage_map, spectrum_map, together, sum_map, spectrogram_map, windows_together, frequency_map)
 
 
 def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -88,10 +95,14 @@ def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         whole = np.append(one.past, plain_signal(frame, x, u, frame.length(len(u))))
         cut = [whole[len(one.past) + s :][: frame.samples] for s in one.starts]
         return np.concatenate([plain_spectrum(frame, y, s) for y, s in zip(cut, one.starts, strict=True)])
-    return plain_spectrum(one, plain_signal(one, x, u, len(one.window)))
+    y = plain_signal(one, x, u, len(one.window))
+    if isinstance(one, FrequencyMap):
+        values = np.exp(-1j * np.outer(one.at, np.arange(len(y)))) @ (one.window * y)
+        return np.column_stack([values.real, values.imag])
+    return plain_spectrum(one, y)
 
 
-def plain_signal(one: SpectrumMap, x: np.ndarray, u: np.ndarray, samples: int) -> np.ndarray:
+def plain_signal(one: SpectrumMap | FrequencyMap, x: np.ndarray, u: np.ndarray, samples: int) -> np.ndarray:
     y = np.zeros(samples)
     for row, signal in ((one.C, x), (one.D, u)):
         y += 0 if row is None else signal[:samples] @ row
@@ -140,8 +151,8 @@ def test_pull_back_is_the_adjoint_of_values(make, seed, T):
 def test_sizes_bound_the_absolute_values(make, seed, T):
     rng = np.random.default_rng(seed)
     one, (x, u) = make(rng, T), signals(rng, T)
-    if isinstance(one, (SpectrumMap, SpectrogramMap)):  # the norm of the signal, which every bin has on average
-        bound = one.sizes(x, u) * np.sqrt(one.samples if isinstance(one, SpectrumMap) else one.spectrum.samples)
+    if isinstance(one, (SpectrumMap, SpectrogramMap, FrequencyMap)):  # the norm of the signal
+        bound = one.sizes(x, u) * np.sqrt(one.spectrum.samples if isinstance(one, SpectrogramMap) else one.samples)
     else:
         bound = one.sizes(x, u)
     assert (np.abs(one.values(x, u)) <= bound * (1 + 1e-12)).all()

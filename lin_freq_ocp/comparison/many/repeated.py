@@ -12,6 +12,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.every_frequency import solved_by
 from lin_freq_ocp.solving.families import chosen, saved_options
 from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
@@ -73,5 +74,5 @@ class Repeated:
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
             tree.begins(self.problem if change.starts_elsewhere else None)
-        outcome = self.method.solve(problem, Request(limit, start=begin, again=again, tree=tree))
+        outcome = solved_by(self.method, problem, Request(limit, start=begin, again=again, tree=tree))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

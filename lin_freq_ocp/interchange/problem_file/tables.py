@@ -103,6 +103,7 @@ def _bound(bound: MagnitudeBound | EnergyBound) -> FileTable:
         "component": bound.component if bound.band.component is None else None,
         "oversampling": bound.oversampling if bound.oversampling != 1 else None,
         "between": getattr(bound, "between", False) or None,
+        "every_frequency": bound.every_frequency or None,
         "penalty": bound.penalty,
         "window": bound.window,
     }

@@ -24,6 +24,7 @@ SCHEMA = 1  # version of the layout of the .npz
 # Fields of Multipliers that are one array, with the dimensions of each.
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
 WEIGHTS = "weights"  # field of Multipliers of piecewise-affine dynamics, an array of two dimensions
+FREQUENCIES = "frequencies/"  # the same, of the frequencies of a mask at every frequency
 STAGE = "stage/"  # prefix of the name of a family of joint rows: its multipliers are an array of their own
 TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
@@ -66,6 +67,7 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
         fields |= {STAGE + name: weights for name, weights in multipliers.stage.items()}
+        fields |= {FREQUENCIES + name: found for name, found in multipliers.frequencies.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
     return npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
 
@@ -157,8 +159,11 @@ def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
         return None
     fields = {name: _numbers(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
     stage = {name.removeprefix(STAGE): _numbers(arrays, name, 2) for name in arrays if name.startswith(STAGE)}
+    placed = {name: _numbers(arrays, name, 1) for name in arrays if name.startswith(FREQUENCIES)}
+    frequencies = {name.removeprefix(FREQUENCIES): found for name, found in placed.items()}
     weights = _numbers(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
-    return Multipliers(float(fields.pop("eta_C")), **fields, stage=stage, weights=weights)
+    eta_C = float(fields.pop("eta_C"))
+    return Multipliers(eta_C, **fields, stage=stage, weights=weights, frequencies=frequencies)
 
 
 def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None:

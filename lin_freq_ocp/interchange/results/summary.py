@@ -16,6 +16,7 @@ from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.system.atomic import write_text
 
@@ -43,6 +44,7 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "direction": _direction(result.direction),
             "modes": None if result.sequence is None else result.sequence.tolist(),
             "tree": _tree(result),
+            "atoms": _atoms(result.multipliers),
             "message": result.message or None,
             **({"trajectory": _trajectory(result)} if with_trajectory else {}),
         }
@@ -127,6 +129,16 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
         "conditions": _conditions(certificate.conditions),
         "descent": _direction(certificate.descent),
         "borders": _borders(certificate.borders),
+    }
+
+
+def _atoms(multipliers: Multipliers | None) -> FileTable | None:
+    """Return the multipliers of masks at every frequency, by name: frequencies in rad/sample, real, imaginary parts."""
+    if multipliers is None or not multipliers.frequencies:
+        return None
+    return {
+        name: [[w, *pair] for w, pair in zip(found.tolist(), multipliers.stage[name].tolist(), strict=True)]
+        for name, found in multipliers.frequencies.items()
     }
 
 

@@ -103,7 +103,7 @@ class Band(FrequencyConstraint):
 
     def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
         k = np.arange(length // 2 + 1)
-        bins_per_unit = self._bins_per_unit(length, sampling_time, field)
+        bins_per_unit = self.bins_per_unit(length, sampling_time, field)
         low, high = (edge * bins_per_unit for edge in self.limits)
         slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
         if self.kind == "notch":
@@ -125,7 +125,8 @@ class Band(FrequencyConstraint):
         stopped[folded] = True
         return stopped
 
-    def _bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
+    def bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
+        """Return how many bins of a signal of ``length`` samples there are in a unit of the edges."""
         if self.unit == "rad/sample":
             return length / (2 * np.pi)
         if sampling_time is None:

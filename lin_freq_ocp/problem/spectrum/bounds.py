@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,9 @@ from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer,
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
+from lin_freq_ocp.problem.spectrum.every_frequency import Limit, level, limits_of
+from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
@@ -178,6 +181,12 @@ class MagnitudeBound(SpectrumBound):
         (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
         circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
         can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
+    every_frequency : bool
+        |V(w)| <= limit for every w of the band (in its closure), V(w) = sum_t u_t exp(-iwt), and not at bins only:
+        what holds whatever the signal is padded with. The limit is then one number above zero, points (frequency,
+        limit) of shape (points, 2) in the unit of the band, linear between them, or a function of the frequency, which
+        is sampled to 64 points of the band; in ``limit_db``, points are linear over the logarithm of the frequency,
+        sampled to 64 points from each to the next. Excludes bins, oversampling, between and penalty.
 
     Raises
     ------
@@ -196,10 +205,13 @@ class MagnitudeBound(SpectrumBound):
     together = False
     limit: Array
     between: bool
+    every_frequency: bool
+    frequencies: tuple[Array, ...] | None = None  # of the finitely many constraints, one array for each component
+    relaxed: bool = False  # whether it holds at these only
 
     def __init__(
         self,
-        limit: ArrayLike | None = None,
+        limit: Limit | None = None,
         *,
         limit_db: ArrayLike | None = None,
         reference: float | None = None,
@@ -211,21 +223,53 @@ class MagnitudeBound(SpectrumBound):
         window: str | ArrayLike | None = None,
         oversampling: int = 1,
         between: bool = False,
+        every_frequency: bool = False,
     ):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
-        assign(self, limit=_limit(limit, limit_db, reference), between=between)
+        require_one_limit(limit, limit_db, reference)
+        if not isinstance(every_frequency, bool):
+            raise ProblemError("MagnitudeBound.every_frequency", brief(every_frequency), "True or False")
+        if every_frequency:
+            found = level("MagnitudeBound.limit", limit, limit_db, reference, band)
+        else:
+            found = _limit(limit, limit_db, reference)
+        assign(self, limit=found, between=between, every_frequency=every_frequency)
         self._set_domain(bins, band, component, penalty, window, oversampling)
+        if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between or penalty is not None):
+            got = "bins, oversampling, between or a penalty, with every_frequency=True"
+            raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
         if not isinstance(between, bool):
             raise ProblemError("MagnitudeBound.between", brief(between), "True or False")
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
 
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        if not self.every_frequency:
+            yield from super().terms(signal, field, source)
+            return
+        limits, window = (
+            limits_of(field, self.limit, self.band, signal.sampling_time),
+            self.samples(signal.length, field),
+        )
+        for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
+            everywhere = Continuum(FrequencyMap(C, D, window, np.zeros(0)), limits)
+            given = everywhere.first_frequencies() if self.frequencies is None else self.frequencies[i]
+            values, balls = everywhere.at(given)
+            required = None if self.relaxed else everywhere
+            yield Term(f"{self.label} on {name}", signal.kind, values, balls, source, everywhere=required)
+
+    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> MagnitudeBound:
+        return self._with(frequencies=tuple(frequencies), relaxed=relaxed)
+
     def describe(self, names: Sequence[str]) -> str:
-        low, high = (number(float(limit)) for limit in (self.limit.min(), self.limit.max()))
+        values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
+        low, high = (number(float(limit)) for limit in (values.min(), values.max()))
         limit = low if low == high else f"{low} to {high} (a limit for each bin)"
-        between = " and between its points" if self.between else ""
         of = component_words(self.component, names)
+        if self.every_frequency:
+            return f"mask of {of}: |V(w)| {AT_MOST} {limit} at every frequency of {self.where}"
+        between = " and between its points" if self.between else ""
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
@@ -242,7 +286,8 @@ class MagnitudeBound(SpectrumBound):
         return np.broadcast_to(self.factor * self.limit, (count,))
 
     def widened(self, amount: float) -> MagnitudeBound:
-        return self._with(limit=self.limit + amount)
+        higher = np.array([0.0, amount]) if self.limit.ndim == 2 else amount
+        return self._with(limit=self.limit + higher)
 
     @property
     def factor(self) -> float:
@@ -309,12 +354,17 @@ class EnergyBound(SpectrumBound):
         return float(np.sqrt(self.oversampling))
 
 
-def _limit(limit: ArrayLike | None, limit_db: ArrayLike | None, reference: float | None) -> Array:
-    field = "MagnitudeBound.limit"
+def require_one_limit(limit: object, limit_db: object, reference: float | None) -> None:
+    """Raise ProblemError unless there is a limit, in one of its forms."""
     if (limit is None) == (limit_db is None):
-        raise ProblemError(field, "neither" if limit is None else "both", "exactly one of limit and limit_db")
+        got = "neither" if limit is None else "both"
+        raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
     if (limit_db is None) != (reference is None):
         raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
+
+
+def _limit(limit: Any, limit_db: ArrayLike | None, reference: float | None) -> Array:
+    field = "MagnitudeBound.limit"
     if limit_db is None:
         bound = real_array(field, limit, allow_infinite=True)
     else:

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.problem.terms.continuum import Continuum
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
@@ -59,6 +60,7 @@ class Term:
     penalty: Penalty  # h
     source: tuple[str, int] | None = None  # the problem's field that it was given in, and its index there
     per_limit: float = 1.0  # change of the penalty's limit per unit of the given limit (of an energy, of its root)
+    everywhere: Continuum | None = None  # what must hold at all frequencies, and does at those of the map only
 
     @property
     def hard(self) -> bool:

@@ -1,0 +1,77 @@
+"""The proven largest value of a spectrum relative to its limit, against dense sampling and exact values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal.windows import chebwin
+
+from lin_freq_ocp.certificate import peaks
+from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.problem.terms.limits import limits_on
+
+WHOLE = [(0.0, np.pi)]
+ABOVE = 3e-10  # RATIO, and as much for rounding at -100 dB
+
+
+def sampled(samples, limits, count=4000):
+    """Return the largest ratio at many frequencies of each interval, those of the ends among them."""
+    found = 0.0
+    for low, high in zip(limits.low, limits.high, strict=True):
+        w = np.linspace(low, high, count)
+        values = np.abs(np.exp(-1j * np.outer(w, np.arange(len(samples)))) @ samples)
+        found = max(found, float((values / limits.at(w)).max()))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_no_sampled_value_is_above_it_and_it_is_attained(seed):
+    rng = np.random.default_rng(seed)
+    N, ends = int(rng.integers(1, 200)), np.sort(rng.uniform(0, np.pi, 4))
+    samples = rng.standard_normal(N) * (chebwin(N, 100) if seed % 3 == 0 and N > 3 else 1) * 10.0 ** rng.integers(-9, 9)
+    intervals = WHOLE if seed % 2 else [(float(ends[0]), float(ends[1])), (float(ends[2]), float(ends[3]))]
+    points = np.sort(rng.uniform(0, np.pi, 3))
+    limits = limits_on(intervals, points, 10.0 ** rng.uniform(-6, 0, 3) * np.abs(samples).sum())
+    peak = certified_peak(samples, limits)
+    assert sampled(samples, limits) <= peak.ratio <= peak.found * (1 + ABOVE)
+    exact = abs(np.exp(-1j * peak.frequency * np.arange(N)) @ samples) / limits.at(np.array([peak.frequency]))[0]
+    assert peak.found == pytest.approx(exact, rel=1e-8)
+
+
+def test_the_peak_of_a_long_record_100_db_below_its_largest_value():
+    N = 20_000
+    samples = chebwin(N, 100) * np.cos(0.3 * np.arange(N))
+    largest = np.abs(np.fft.rfft(samples, 16 * N)).max()
+    limits = limits_on([(1.0, np.pi)], np.zeros(1), np.array([1e-5 * largest]))
+    peak = certified_peak(samples, limits)
+    assert peak.found <= peak.ratio <= peak.found * (1 + ABOVE)
+    fine = np.abs(np.fft.rfft(samples, 2**20))
+    assert fine[np.arange(len(fine)) * 2 * np.pi / 2**20 >= 1.0].max() <= peak.ratio * limits.at_low[0]
+
+
+def test_values_that_are_known():
+    impulse = np.eye(1, 9, 4)[0]  # |V| = 1 at all frequencies
+    assert certified_peak(impulse, limits_on(WHOLE, np.zeros(1), np.array([2.0]))).ratio == pytest.approx(
+        0.5, rel=ABOVE
+    )
+    ones = certified_peak(np.ones(7), limits_on(WHOLE, np.zeros(1), np.ones(1)))
+    assert (ones.ratio, ones.frequency) == (pytest.approx(7, rel=ABOVE), pytest.approx(0, abs=1e-4))
+    second = certified_peak(np.ones(7), limits_on([(2 * np.pi / 7, np.pi)], np.zeros(1), np.ones(1)))
+    w = np.linspace(2 * np.pi / 7, np.pi, 1_000_001)
+    dirichlet = np.abs(np.sin(3.5 * w) / np.sin(w / 2)).max()
+    assert second.ratio == pytest.approx(dirichlet, rel=1e-9)
+
+
+def test_zero_and_overflowing_signals():
+    limits = limits_on(WHOLE, np.zeros(1), np.ones(1))
+    assert certified_peak(np.zeros(5), limits).ratio == 0
+    assert certified_peak(np.array([1.0, np.inf]), limits).ratio == np.inf
+    assert certified_peak(np.full(3, 1e300), limits).ratio == pytest.approx(3e300, rel=ABOVE)
+
+
+def test_it_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
+    samples = np.random.default_rng(1).standard_normal(50)
+    limits = limits_on(WHOLE, np.zeros(1), np.ones(1))
+    whole = certified_peak(samples, limits)
+    monkeypatch.setattr(peaks, "HALVINGS", 1)
+    assert whole.ratio <= certified_peak(samples, limits).ratio < 2 * whole.ratio
