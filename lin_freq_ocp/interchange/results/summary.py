@@ -44,8 +44,8 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "direction": _direction(result.direction),
             "modes": None if result.sequence is None else result.sequence.tolist(),
             "tree": _tree(result),
-            "atoms": _atoms(result.multipliers),
             "message": result.message or None,
+            **_atoms(result.multipliers),
             **({"trajectory": _trajectory(result)} if with_trajectory else {}),
         }
     )
@@ -132,18 +132,20 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
     }
 
 
-def _atoms(multipliers: Multipliers | None) -> FileTable | None:
-    """Return the multipliers of masks at every frequency, by name: frequencies in rad/sample, real, imaginary parts."""
+def _atoms(multipliers: Multipliers | None) -> FileTable:
+    """Return the multipliers of masks at every frequency, if any: frequency in rad/sample, real and imaginary part."""
     if multipliers is None or not multipliers.frequencies:
-        return None
-    return {
+        return {}
+    atoms = {
         name: [[w, *pair] for w, pair in zip(found.tolist(), multipliers.stage[name].tolist(), strict=True)]
         for name, found in multipliers.frequencies.items()
     }
+    return {"atoms": atoms}
 
 
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
-    return [{**asdict(condition), "passed": condition.passed} for condition in conditions]
+    tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
+    return [{key: value for key, value in table.items() if key != "peak" or value is not None} for table in tables]
 
 
 def _borders(facts: SwitchingFacts | None) -> FileTable | None:
