@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -434,7 +434,7 @@ def test_a_result_of_other_keys_is_invalid(solved, place, value):
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered"}
-    assert set(RESULT["properties"]) - compared == set(result_summary(solved, with_trajectory=True))
+    assert set(RESULT["properties"]) - compared == {"atoms", *result_summary(solved, with_trajectory=True)}
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", *ERRORS]
     for part, kind in (
@@ -446,4 +446,13 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
         names = {field.name for field in fields(kind)}
         assert (set(parts[part]["properties"]), set(parts[part]["required"])) == (names, names)
     condition = {**asdict(Condition("C-i", "", 0.0, 1.0, 1.0)), "passed": True}
-    assert set(parts["condition"]["properties"]) == set(parts["condition"]["required"]) == set(condition)
+    assert set(parts["condition"]["properties"]) == {"peak", *parts["condition"]["required"]} == set(condition)
+
+
+def test_the_result_of_a_mask_at_every_frequency_is_valid():
+    mask = lfo.MagnitudeBound(2.0, band=lfo.low_pass(0.6), every_frequency=True)
+    problem = replace(lfo.library.double_integrator(horizon=100, sampling_time=0.04), control_spectrum=mask)
+    summary = printed(result_summary(lfo.solve(problem)))
+    assert faults(RESULT, summary) == []
+    assert [len(atom) for atoms in summary["atoms"].values() for atom in atoms] == [3] * len(*summary["atoms"].values())
+    assert sum("peak" in condition for condition in summary["certificate"]["conditions"]) == 1
