@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from helpers.checks import convex, explain, flips, mixed, modes, structured
+from helpers.checks import convex, explain, flips, frequencies, mixed, modes, structured
 from lin_freq_ocp.certificate.modes.clarke import Flip
 from lin_freq_ocp.testing import random_mixed
 from lin_freq_ocp.testing.random_convex import random_problem
@@ -118,3 +118,24 @@ def test_methods_that_disagree_or_prove_nothing_are_found_out(monkeypatch):
     system, arguments, known = modes.INSTANCES["buck, T = 6"]
     monkeypatch.setitem(modes.INSTANCES, "buck, T = 6", (system, arguments, known * (1 + 2e-6)))
     assert not modes.check("buck, T = 6").passed
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 14])
+def test_a_mask_at_every_frequency_is_between_the_bounds_of_grids(seed):
+    found = frequencies.check(seed)
+    assert found.passed, found
+    assert found.kind == frequencies.KINDS[seed % 5]
+
+
+def test_findings_outside_the_bounds_fail():
+    right = frequencies.Findings(0, "notch", "optimal", 1.0, 0.9999, 1.0001, 1e-9, "optimal")
+    assert right.passed
+    for wrong in ({"cost": 0.999}, {"cost": 1.001}, {"excess": 1e-6}, {"status": "infeasible"}, {"excess": np.nan}):
+        assert not replace(right, **wrong).passed
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_the_proven_maximum_of_a_signal_is_attained(seed):
+    below, above = frequencies.peak_errors(seed)
+    assert below == 0
+    assert above < 1e-9

@@ -1,0 +1,174 @@
+"""Checks of masks at every frequency: a random problem between two bounds, the proven maximum of a random signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cvxpy as cp
+import numpy as np
+from scipy import fft
+from scipy.optimize import minimize_scalar
+from scipy.signal.windows import chebwin
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.problem.terms.limits import limits_on
+
+GRID = 64  # points of CVXPY's masks for each sample
+DENSE = 1024  # points for each sample at which an upper bound is feasible
+BRACKET = 1e-6  # of the cost, by which the bounds, from Clarabel, may be wrong
+ATTEMPTS = 8  # to lower the limit
+SEARCHED = 10  # peaks of a signal, the highest by parabolas
+KINDS = ("low pass", "high pass", "notch", "points", "state")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A problem: our verdict and cost, and the bounds of the independent model."""
+
+    seed: int
+    kind: str
+    status: str
+    cost: float
+    lower: float
+    upper: float
+    excess: float  # of the proven maximum over the limit
+    theirs: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the cost lies between the bounds and the theorem holds, or both say infeasible."""
+        if self.status != "optimal":
+            return self.status == "infeasible" and self.theirs != "optimal"
+        slack = BRACKET * max(abs(self.cost), 1e-9)
+        return self.lower - slack <= self.cost <= self.upper + slack and self.excess < 5e-7
+
+
+def problem_of(seed: int) -> lfo.OptimalControlProblem:
+    """Return a random problem without its mask."""
+    rng = np.random.default_rng(seed)
+    n, m, T = int(rng.integers(1, 5)), int(rng.integers(1, 3)), int(rng.integers(8, 25))
+    A = rng.standard_normal((n, n))
+    A *= rng.uniform(0.6, 1.02) / max(abs(np.linalg.eigvals(A)))
+    cost = lfo.QuadraticCost(Q=np.eye(n), R=np.eye(m) * 10.0 ** rng.uniform(-2, 1), P=10 * np.eye(n))
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, rng.standard_normal((n, m))),
+        T,
+        cost,
+        control_set=lfo.Box(-(u_max := rng.uniform(1, 5)), u_max) if seed % 2 else None,
+        initial_state=3 * rng.standard_normal(n),
+        terminal_state=np.zeros(n) if seed % 3 == 0 else None,
+    )
+
+
+def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
+    """Return the kind and the problem of a seed: its mask is a part of what the optimum without it has in the band."""
+    rng, problem, kind = np.random.default_rng(seed + 10**6), problem_of(seed), KINDS[seed % len(KINDS)]
+    free = lfo.solve(problem, throw=False).trajectory
+    if free is None:
+        return kind, problem
+    signal = free.x[:, 0] if kind == "state" else free.u[:, 0]
+    w0, level = rng.uniform(0.3, 2.0), 10.0 ** rng.uniform(-1.5, 0)
+    bands = {"high pass": lfo.spectrum.high_pass(w0), "notch": lfo.spectrum.notch(w0, rng.uniform(0.1, 0.5))}
+    band = bands.get(kind, lfo.low_pass(w0))
+    w = np.linspace(0, np.pi, 4001)
+    inside = w <= w0 if kind == "high pass" else abs(w - w0) < 0.3 if kind == "notch" else w >= w0
+    limit = level * float(np.abs(np.exp(-1j * np.outer(w[inside], np.arange(len(signal)))) @ signal).max())
+    given = (
+        [[w0, limit], [(w0 + np.pi) / 2, limit * rng.uniform(0.2, 2)], [np.pi, limit]] if kind == "points" else limit
+    )
+    mask = lfo.MagnitudeBound(given, band=band, component=0, every_frequency=True)
+    return kind, replace(problem, **{"state_spectrum" if kind == "state" else "control_spectrum": mask})
+
+
+def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> tuple[str, float, np.ndarray]:
+    """Return status, cost and masked signal of the model with ``share`` of the limit on a grid."""
+    T, linear, cost = problem.horizon, problem.linear, problem.quadratic
+    x, u = cp.Variable((T + 1, problem.state_dim)), cp.Variable((T, problem.control_dim))
+    J = sum(cp.quad_form(x[t], cost.Q) + cp.quad_form(u[t], cost.R) for t in range(T)) + cp.quad_form(x[T], cost.P)
+    rows = [x[0] == problem.initial_box.lower, x[1:].T == linear.A @ x[:-1].T + linear.B @ u.T]
+    if problem.terminal_state is not None and problem.terminal_box.fixed.all():
+        rows.append(x[T] == problem.terminal_box.lower)
+    if problem.control_set is not None:
+        rows += [u <= problem.control_tube.upper[0], u >= problem.control_tube.lower[0]]
+    signal = x[:, 0] if kind == "state" else u[:, 0]
+    limits = problem.terms[0].everywhere.limits
+    w = frequencies(limits, GRID * signal.shape[0])
+    waves = np.outer(w, np.arange(signal.shape[0]))
+    values = cp.vstack([np.cos(waves) @ signal, -np.sin(waves) @ signal])
+    rows.append(cp.norm(values, axis=0) <= share * limits.at(w))
+    program = cp.Problem(cp.Minimize(J / 2), rows)
+    program.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+    return program.status, float(program.value), np.zeros(0) if signal.value is None else np.asarray(signal.value)
+
+
+def frequencies(limits: object, points: int) -> np.ndarray:
+    """Return a grid of so many points on the circle within the intervals, with their ends."""
+    w = 2 * np.pi * np.arange(points // 2 + 1) / points
+    return np.unique(np.concatenate([w[np.isfinite(limits.at(w))], limits.low, limits.high]))
+
+
+def check(seed: int) -> Findings:
+    """Solve the problem of a seed, and bound its optimum."""
+    kind, problem = case_of(seed)
+    if not problem.terms or problem.terms[0].everywhere is None:
+        return Findings(seed, kind, "infeasible", np.nan, np.nan, np.nan, 0.0, "infeasible without a mask")
+    result = lfo.solve(problem, throw=False)
+    theirs, lower, _ = independent(problem, kind, 1.0)
+    share, upper, limits = 1.0, np.inf, problem.terms[0].everywhere.limits
+    for _ in range(ATTEMPTS):
+        status, value, signal = independent(problem, kind, share)
+        if "optimal" not in status:
+            break
+        w = frequencies(limits, DENSE * len(signal))
+        ratio = (np.abs(np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal) / limits.at(w)).max()
+        if ratio <= 1:
+            upper = value
+            break
+        share /= ratio * (1 + 1e-7)
+    excess = max((one.peak.ratio - 1 for one in conditions(result) if one.peak), default=np.nan)
+    cost = np.nan if result.cost is None else result.cost
+    return Findings(seed, kind, str(result.status), cost, lower, upper, excess, theirs)
+
+
+def conditions(result: lfo.results.Result) -> tuple[lfo.results.Condition, ...]:
+    """Return the conditions of a result; none without a trajectory."""
+    return () if result.certificate is None else result.certificate.conditions
+
+
+def peak_errors(seed: int) -> tuple[float, float]:
+    """Return by how much the proven maximum of a random signal is below a search, and above the value where it is."""
+    rng = np.random.default_rng(seed)
+    N, depth = int(10 ** rng.uniform(1, 5)), rng.uniform(0, 100)
+    samples = rng.standard_normal(N)
+    if seed % 2:
+        samples = chebwin(N, max(depth, 45)) * np.cos(rng.uniform(0.1, 0.5) * np.arange(N))
+    low = rng.uniform(0.8, 2.0)
+    limit = np.abs(fft.rfft(samples, 8 * N)).max() * 10 ** (-depth / 20)
+    limits = limits_on([(low, np.pi)], np.zeros(1), np.array([limit]))
+    peak, exact = certified_peak(samples, limits), samples.astype(np.longdouble)
+    attained = magnitude(exact, peak.frequency) / limit
+    found = max(searched(exact, low) / limit, attained)
+    return float(max(found / peak.ratio - 1, 0)), float(max(peak.ratio / attained - 1, 0))
+
+
+def searched(samples: np.ndarray, low: float) -> float:
+    """Return the largest |V(w)| of w >= low: a search around the best parabolas through points of an FFT."""
+    points = 16 * len(samples)
+    grid = 2 * np.pi * np.arange(points // 2 + 1) / points
+    values = np.abs(fft.rfft(samples, points)) ** 2
+    k = np.flatnonzero((grid >= low) & (grid < np.pi))[1:-1]
+    k = k[(values[k] >= values[k - 1]) & (values[k] >= values[k + 1])]
+    bend = np.maximum(2 * values[k] - values[k - 1] - values[k + 1], np.finfo(float).tiny)
+    top = values[k] + (values[k + 1] - values[k - 1]) ** 2 / (8 * bend)
+    found, options = [magnitude(samples, low), magnitude(samples, np.pi)], {"xatol": 1e-9 / len(samples)}
+    for w in [low, *grid[k[np.argsort(top)[-SEARCHED:]]]]:
+        ends = max(w - np.pi / points, low), min(w + np.pi / points, np.pi)
+        best = minimize_scalar(lambda w: -magnitude(samples, w), bounds=ends, method="bounded", options=options)
+        found.append(-best.fun)
+    return max(found)
+
+
+def magnitude(samples: np.ndarray, w: float) -> float:
+    """Return |V(w)| of samples in extended precision."""
+    return float(np.abs((samples * np.exp(-1j * np.longdouble(w) * np.arange(len(samples)))).sum()))
