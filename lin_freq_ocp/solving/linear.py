@@ -11,6 +11,7 @@ from typing import ClassVar
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.choice import structured_first
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
@@ -19,7 +20,6 @@ from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.choice import structured_first
 from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
@@ -187,7 +187,7 @@ class Structured:
 class LinearAuto:
     """The Fourier-domain method where it applies and its answer is proven, else the structured or the sparse one.
 
-    Which of these two comes first is measured (``solving/choice.py``); the other is tried where that ends without an
+    Which of these two comes first is measured (``methods/choice.py``); the other is tried where that ends without an
     answer. ``result.reason`` says why the method was taken.
 
     Attributes

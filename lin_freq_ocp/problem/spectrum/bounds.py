@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -363,7 +363,7 @@ def require_one_limit(limit: object, limit_db: object, reference: float | None) 
         raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
 
 
-def _limit(limit: Any, limit_db: ArrayLike | None, reference: float | None) -> Array:
+def _limit(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
     field = "MagnitudeBound.limit"
     if limit_db is None:
         bound = real_array(field, limit, allow_infinite=True)
