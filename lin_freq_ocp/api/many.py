@@ -74,7 +74,6 @@ class Solver:
         Parameters
         ----------
         initial_state, terminal_state : (n,) or set, optional
-            Fixed and free components stay what they are in the problem.
         references : mapping, optional
             "x_ref" and "u_ref", as in QuadraticCost.
         time_limit, throw

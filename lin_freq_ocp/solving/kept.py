@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, Indices, known_entries
@@ -99,14 +100,7 @@ class Kept:
         self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
     ) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
-        ends = (
-            (change.initial_state, problem.initial_state, self.problem.initial_state),
-            (change.terminal_state, problem.terminal_state, self.problem.terminal_state),
-        )
-        sets = any(given is not None and (new.members or old.members) for given, new, old in ends)
-        if sets or (
-            change.bounds and (spectral_form(problem).rows.polyhedra or spectral_form(self.problem).rows.polyhedra)
-        ):
+        if not self._takes(problem, change):
             form = spectral_form(problem)
             return form.given(SpectralSolver(form.problem).solve(tolerance=tolerance, time_limit=time_limit))
         form, solver = self._spectral_solver()
@@ -122,6 +116,22 @@ class Kept:
         if found.status == "optimal":
             self._last = found
         return form.given(found)
+
+    def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
+        """Whether the kept solver takes a changed problem: its new sets are boxes, and the same values are fixed."""
+        old = self.problem
+        ends = (
+            (change.initial_state, problem.initial_state, old.initial_state),
+            (change.terminal_state, problem.terminal_state, old.terminal_state),
+        )
+        fixed = list(zip(problem.ends, old.ends, strict=True))
+        if change.bounds:
+            fixed += [(problem.state_tube, old.state_tube), (problem.control_tube, old.control_tube)]
+        if any(given is not None and (mine.members or others.members) for given, mine, others in ends):
+            return False
+        if not all(np.array_equal(mine.fixed, others.fixed) for mine, others in fixed):
+            return False
+        return not (change.bounds and any(spectral_form(one).rows.polyhedra for one in (problem, old)))
 
     def together(self, initial_states: Array) -> Together | None:
         """Solve from initial states (N, n) at once, where the Fourier-domain method can."""

@@ -191,7 +191,7 @@ def _judged(
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
             better = refined(problem, outcome.tree, weak, end, kind)
-            found = tree_bound(problem, better)
+            found = tree_bound(problem, better, end)
             if found.value > proof.value:
                 outcome, proof = replace(outcome, tree=better), found
     if certificate is not None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.methods.structured.model import assembly
+from lin_freq_ocp.solving.kept import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
@@ -65,6 +67,23 @@ def test_an_end_in_another_kind_of_set_is_solved_from_scratch():
     assert solver.solve(terminal_state=ball).cost == pytest.approx(
         lfo.solve(problem.with_ends(None, ball)).cost, rel=1e-6
     )
+
+
+BOUNDS = {"control_set": [lfo.Box(-2, 2)] * 5 + [lfo.Box(0, 0)] * 25}
+FIXED = {
+    "a start in a box": (SHORT, Change(lfo.Box([-0.1, -0.1], [0.1, 0.1]))),
+    "an end of which one component is free": (SHORT, Change(None, lfo.Box([0.2, -np.inf], [0.2, np.inf]))),
+    "controls that are off": (replace(SHORT, terminal_state=None), Change([0.0, 0.1], bounds=BOUNDS)),
+}
+
+
+@pytest.mark.parametrize(("problem", "change"), FIXED.values(), ids=FIXED)
+def test_other_fixed_values_are_solved_from_scratch(problem, change):
+    repeated = Repeated(problem)
+    repeated.solve(Change())
+    again, fresh = repeated.solve(change), lfo.solve(change.of(problem))
+    assert again.status == fresh.status == "optimal"
+    assert again.cost == pytest.approx(fresh.cost, rel=1e-7)
 
 
 def test_infeasible_states_do_not_spoil_the_next():

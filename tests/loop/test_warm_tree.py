@@ -39,9 +39,9 @@ def test_steps_cost_what_their_problems_cost_alone(jumps):
 def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatch):
     problem = lfo.library.buck_affine(horizon=8)
     x = problem.initial_box.lower
-    with_tree = lfo.RecedingHorizon(problem).run(x, 4)
+    with_tree = lfo.RecedingHorizon(problem).run(x, 7)
     monkeypatch.setattr(BranchAndBound, "cover_after_step", lambda search: ())
-    without = lfo.RecedingHorizon(problem).run(x, 4)
+    without = lfo.RecedingHorizon(problem).run(x, 7)
     np.testing.assert_allclose(with_tree.costs, without.costs, rtol=2e-6)
     assert with_tree.nodes[0] == without.nodes[0] > 1
     assert with_tree.nodes[1:].sum() < without.nodes[1:].sum()

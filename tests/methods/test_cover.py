@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.analysis.mode_tree import ModeNode
+from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.modes.search import relaxed
@@ -104,3 +106,18 @@ def test_a_search_from_a_cover_ends_with_the_same_answer(disturbance):
             assert found.cost == pytest.approx(best.cost, rel=2e-6)
             others += int(not np.array_equal(found.sequence, later))
     assert others > 0 or disturbance < 1
+
+
+@pytest.mark.parametrize("with_plan", [True, False])
+def test_units_of_a_smaller_cost_are_left_and_the_duals_of_the_cover_with_them(with_plan):
+    """The first answer changes the units: with a plan before the cover is opened, without it among its leaves."""
+    small = 1e6
+    search, after, later = stepped(random_problem(3, horizon=5))
+    cover = [replace(node, duals=node.duals and node.duals.times(small)) for node in search.cover_after_step()]
+    following = BranchAndBound(after, relaxation=lambda problem: PathRelaxation(problem, small))
+    found = following.run(later if with_plan else None, cover=cover)
+    assert 1 <= following.final_relaxation.level < 1e-3 * small
+    best = lfo.solve(after)
+    assert found.cost == pytest.approx(best.cost, rel=1e-6)
+    proven = tree_bound(after, found.tree).bound_for(after).value
+    assert proven > best.cost - 1e-6 * best.certificate.cost_scale

@@ -12,14 +12,16 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.certificate.modes.bound import tree_bound
+from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
+from lin_freq_ocp.solving import modes
 from lin_freq_ocp.system import memory
 from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
@@ -100,7 +102,7 @@ def test_small_quadratic_programs_stop_when_told_to() -> None:
     assert not content
     assert len(calls) == 1
     K, C = np.eye(3), rng.standard_normal((3, 40))
-    _, _, content = BorderedQp(3, K, C, A, np.ones(3), b, np.zeros(40)).solve(stop)
+    _, _, content = BorderedQp(3, K, C, A, np.ones(3), b, np.zeros(40), np.full(40, np.inf)).solve(stop)
     assert not content
 
 
@@ -109,6 +111,19 @@ def test_leaves_that_are_not_looked_at_in_time_prove_nothing() -> None:
     tree = BranchAndBound(problem, SearchLimits()).run().tree
     assert np.isfinite(tree_bound(problem, tree).value)
     assert tree_bound(problem, tree, end=-np.inf).value == -np.inf
+
+
+def test_the_deadline_reaches_the_proof_of_leaves_that_were_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: list[float] = []
+
+    def weak(problem: lfo.OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
+        ends.append(end)
+        return TreeBound(-np.inf, True, np.full(len(tree.nodes), -np.inf))
+
+    monkeypatch.setattr(modes, "tree_bound", weak)
+    lfo.solve(lfo.library.pendulum_with_wall(horizon=4), time_limit=CEILING, throw=False)
+    assert len(ends) == 3
+    assert np.isfinite(ends).all()
 
 
 def test_explaining_stops_at_its_limit() -> None:

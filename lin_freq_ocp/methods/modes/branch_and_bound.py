@@ -298,6 +298,8 @@ class BranchAndBound:
         if self._solved == 1 and np.isfinite(answer.bound):
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
             if self._relaxation is not first:
+                factor = self._relaxation.level / first.level
+                self._duals = [one.times(factor) if isinstance(one, PathDuals) else one for one in self._duals]
                 return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         return answer
 

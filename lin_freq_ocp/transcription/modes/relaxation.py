@@ -38,6 +38,7 @@ from lin_freq_ocp.transcription.program import Block, StandardForm
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
 SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units
+LARGE_OBJECTIVE = 1e3  # in units of a smaller cost, from which errors are as large as those units were to avoid
 LARGEST_LEVEL = 1e6  # of these units: a smaller cost is that of rounding errors
 FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: interior-point methods need an interior
 
@@ -127,11 +128,16 @@ class ModeRelaxation:
         return Member(form, reach, kept)
 
     def for_cost(self, cost: float) -> Self:
-        """Return the same relaxations in units in which the objective of this cost is not far below 1."""
+        """Return the same relaxations in units in which the objective of this cost is not far below 1.
+
+        Units of a smaller cost, kept from an earlier solve, are left as well.
+        """
         objective = abs(self.objective(cost))
-        if objective >= SMALL_OBJECTIVE or self._level >= LARGEST_LEVEL:
+        small, large = self._level < LARGEST_LEVEL, self._level > 1
+        if not ((small and objective < SMALL_OBJECTIVE) or (large and objective > LARGE_OBJECTIVE)):
             return self
-        return type(self)(self.problem, min(self._level / max(objective, 1 / LARGEST_LEVEL), LARGEST_LEVEL))
+        level = self._level / max(objective, 1 / LARGEST_LEVEL)
+        return type(self)(self.problem, min(max(level, 1.0), LARGEST_LEVEL))
 
     @property
     def level(self) -> float:

@@ -107,6 +107,15 @@ def test_no_answer_without_room_for_the_responses(monkeypatch):
     assert solve_active(System(problem, loops(False)), responses(problem), Targets(), near) is None
 
 
+def test_finding_responses_ends_with_the_time(monkeypatch):
+    """The clock stands still until the first response is found."""
+    problem, clock = stages(3, bound=0.8), iter([0.0, 0.0])
+    near, kept = np.full(problem.h.shape, 5.0), responses(problem)
+    monkeypatch.setattr("time.perf_counter", lambda: next(clock, 2.0))
+    assert solve_active(System(problem, loops(False)), kept, Targets(end=1.0), near) is None
+    assert np.count_nonzero(kept._places >= 0) == 1
+
+
 def touching(T=80):
     """A double integrator that meets a bound on its position at few times."""
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)

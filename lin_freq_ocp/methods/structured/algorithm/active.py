@@ -33,7 +33,7 @@ def solve_active(system: System, responses: RowResponses, targets: Targets, near
     fewest, tries = len(limits) + 1, TRIES
     for step in range(1, MOST_STEPS + 1):
         rows = np.flatnonzero(active)
-        if time.perf_counter() > targets.end or not responses.prepare(rows):
+        if time.perf_counter() > targets.end or not responses.prepare(rows, targets.end):
             return None
         multipliers, change = responses.multipliers(rows, alone[rows])
         excess = np.where(present & ~active, np.maximum(alone + change - ROUNDING, 0.0), 0.0)

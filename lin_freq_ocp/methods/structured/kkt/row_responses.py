@@ -8,6 +8,8 @@ once. A row a of G with the multiplier 1 adds -P G_a' to y. The rows that are ac
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
@@ -39,14 +41,16 @@ class RowResponses:
         self._answers, self._values = np.empty((0, 0)), np.empty((0, len(self._places)))
         self._count = 0
 
-    def prepare(self, rows: Indices) -> bool:
-        """Find the responses of these rows that are missing; return whether there is room for them."""
+    def prepare(self, rows: Indices, end: float = np.inf) -> bool:
+        """Find the responses of these rows that are missing; return whether there is room for them, and time."""
         new, shapes = rows[self._places[rows] < 0], [part.shape for part in self._system.b]
         width = self._system.stages.h.size + sum(self._system.b[i].size for i in (DYNAMICS, INITIAL, EQUATIONS))
         self._reserve(len(new), width)
         if self._count + len(new) > len(self._answers):
             return False
         for row in new:
+            if time.perf_counter() > end:
+                return False
             unit = [np.zeros(shape) for shape in shapes]
             _add(unit, np.array([row]), np.ones(1))
             y, z = self.step.solve(-self._system.adjoint(unit), [np.zeros(shape) for shape in shapes], False)
