@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.rate_limit import rate_limited
     from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
-    from lin_freq_ocp.sets import Box, StageRows
+    from lin_freq_ocp.sets import Box, Periodic, StageRows
     from lin_freq_ocp.solvers import SpectralSolver
     from lin_freq_ocp.solving.certify import certify
     from lin_freq_ocp.spectrum import MagnitudeBound, low_pass, stop_band
@@ -76,7 +76,7 @@ _HOMES = {
     "problem.rate_limit": "rate_limited",
     "problem.simulation": "simulate",
     "results": "Trajectory",
-    "sets": "Box StageRows",
+    "sets": "Box Periodic StageRows",
     "solvers": "SpectralSolver",
     "solving.certify": "certify",
     "spectrum": "MagnitudeBound low_pass stop_band",
@@ -87,7 +87,7 @@ _MODULES = {name: module for module, names in _HOMES.items() for name in names.s
 # fmt: off
 __all__ = [
     "AffineMode", "Box", "DifferentiableFunction", "LinearDynamics", "MagnitudeBound", "OptimalControlProblem",
-    "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "Solver",
+    "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "Solver",
     "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs", "dynamics", "errors", "explain",
     "formulas", "from_casadi", "from_time_response", "io", "library", "load", "load_run", "load_sweep", "low_pass",
     "maximum", "minimum", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",

@@ -20,6 +20,7 @@ from lin_freq_ocp.certificate.peaks import Peak, certified_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
+    ENDS_TOLERANCE,
     MAXIMISATION_REACH,
     MISFIT_SHARE,
     PEAK_TOLERANCE,
@@ -40,6 +41,7 @@ LABELS = {
     "state spectrum": ("C-vi", "N-xhat"),
     "control spectrum": ("C-vii", "N-uhat"),
     "output spectrum": ("S-yhat", "N-yhat"),
+    "linked ends": ("S-ends", "N-ends"),
     "stage cost": ("", "N-c"),
     "terminal cost": ("", "N-c"),
 }
@@ -265,7 +267,8 @@ def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
     scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if priced.term.kind == "stage rows" else "holds"
-    return _located(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
+    found = _located(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
+    return replace(found, tolerance=ENDS_TOLERANCE) if priced.term.kind == "linked ends" else found
 
 
 def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:

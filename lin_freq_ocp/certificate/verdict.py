@@ -27,7 +27,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.status import Status
 from lin_freq_ocp.text.html import html_table
 
-FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-f")
+FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f")
 
 
 @dataclass(frozen=True)

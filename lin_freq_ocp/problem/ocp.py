@@ -53,7 +53,7 @@ class OptimalControlProblem(ProblemData):
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states).
     initial_state, terminal_state : (n,), set, or None
         A point (a number, for a single state), a set, or free; taken together with the state set of that time. Outside
-        that set, the problem is infeasible.
+        that set, the problem is infeasible. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states.
     stage_rows : StageRows, sequence of StageRows, or None
@@ -161,7 +161,8 @@ class OptimalControlProblem(ProblemData):
         problem.__dict__.pop("state_tube", None)
         boxes = not problem.initial_state.members and not problem.terminal_state.members
         outside = any(beyond.any() for _, beyond in ends)
-        if not boxes or outside or any(term.kind == TermKind.STATE_SET for term in self.terms):  # other terms: no ends
+        of_ends = TermKind.STATE_SET, TermKind.LINKED_ENDS
+        if not boxes or outside or any(term.kind in of_ends for term in self.terms):  # other terms: no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem

@@ -10,8 +10,9 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask, brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
-from lin_freq_ocp.problem.sets.base import Part
+from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, SetOrSets
+from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic, links_of
 from lin_freq_ocp.problem.spectrum.base import Constraints, Signal, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -33,6 +34,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
         *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
+        *link_terms(problem),
         *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
         *spectrum_terms("state_spectrum", problem.state_spectrum, states),
         *spectrum_terms("control_spectrum", problem.control_spectrum, controls),
@@ -61,7 +63,7 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
             where = f"{field}[{i}]" if per_time else field
             raise ProblemError(where, f"a set in {one.dimension} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
-            parts_of[id(one)] = one.parts(dimension)
+            parts_of[id(one)] = _parts(field, one, dimension)
         for k, part in enumerate(parts_of[id(one)]):
             if t in fixed and part.penalty.hard and _inside(part, fixed[t]):
                 continue
@@ -72,6 +74,21 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
         _stacked(name if i == 0 else f"{name} {i + 1}", kind, of_state, found, (field, 0))
         for i, found in enumerate(parts.values())
     ]
+
+
+def link_terms(problem: ProblemData) -> Iterator[Term]:
+    """Yield the equations on both ends together."""
+    n, T, links = problem.state_dim, problem.horizon, links_of(problem.terminal_state)
+    if problem.state_spectrum is not None and any(isinstance(one, Periodic) for one in links):
+        advice = (
+            "x_T repeats x_0, so that states have T samples: those of OutputSpectrum(C=np.eye(n), D=np.zeros((n, m)), "
+            "constraints=...)."
+        )
+        raise ProblemError("state_spectrum", brief(problem.state_spectrum), "None beside Periodic()", advice)
+    for one in links:
+        if one.dimension not in (None, n):
+            raise ProblemError("terminal_state", f"LinkedEnds of {one.dimension} states", f"LinkedEnds of {n}")
+        yield Term(one.name, TermKind.LINKED_ENDS, one.values(n, T), one.penalty, ("terminal_state", 0))
 
 
 def missed_bounds(problem: ProblemData) -> Iterator[Term]:
@@ -126,6 +143,17 @@ def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
         count = seen[term.name]
         unique.append(replace(term, name=f"{term.name} {count}") if count > 1 else term)
     return tuple(unique)
+
+
+def _parts(field: str, one: ConvexSet, dimension: int) -> tuple[Part, ...]:
+    """Return the parts of a set of one signal, without equations on both ends, which a terminal set may hold."""
+    if not links_of(one):
+        return one.parts(dimension)
+    if field != "terminal_state":
+        links = type(links_of(one)[0]).__name__
+        raise ProblemError(field, links, "a set of one state or control", f"{links} is given as terminal_state.")
+    members = (member for member in one.members if not isinstance(member, LinkedEnds))
+    return tuple(part for member in members for part in member.parts(dimension))
 
 
 def _inside(part: Part, value: Array) -> bool:

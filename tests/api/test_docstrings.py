@@ -37,7 +37,7 @@ def test_functions_say_what_they_take_return_and_raise(name):
     assert set(sections(value)) >= set(needed)
 
 
-@pytest.mark.parametrize("name", sorted(CLASSES.keys() - ERRORS - {"sets.Everything"}))
+@pytest.mark.parametrize("name", sorted(CLASSES.keys() - ERRORS - {"Periodic", "sets.Everything"}))
 def test_classes_say_what_they_hold(name):
     assert {"Parameters", "Attributes", "Methods"} & set(sections(CLASSES[name]))
 

@@ -22,6 +22,7 @@ class TermKind(StrEnum):
     STATE_SPECTRUM = "state spectrum"
     CONTROL_SPECTRUM = "control spectrum"
     OUTPUT_SPECTRUM = "output spectrum"
+    LINKED_ENDS = "linked ends"
     STAGE_COST = "stage cost"
     TERMINAL_COST = "terminal cost"
 

@@ -1,0 +1,146 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
+"""Equations that the first and the last state satisfy together: E_0 x_0 + E_T x_T = e, and x_T = x_0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.arrays import Array, assign, real_array, with_columns
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.sets.base import ConvexSet, Part
+from lin_freq_ocp.problem.terms.ends_map import EndsMap, Within
+from lin_freq_ocp.text.phrases import datum, plural
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class LinkedEnds(ConvexSet):
+    """E_0 x_0 + E_T x_T = e: equations on both ends together, a ``terminal_state``.
+
+    An initial set is kept beside it; a terminal set too, as in ``LinkedEnds(...) & Box(...)``.
+
+    Parameters
+    ----------
+    E_0, E_T : (rows, n)
+        Coefficients of the first and of the last state.
+    e : (rows,), optional
+        Right-hand sides, in the units of the rows; zero without.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, entries are not finite, or a row of zeros has a right-hand side that is not zero.
+
+    References
+    ----------
+    docs/periodic_ends.md has the conditions of the maximum principle and the bound.
+
+    Examples
+    --------
+    >>> dynamics, cost = lfo.LinearDynamics([[0.5]], [[1.0]]), lfo.QuadraticCost(R=1.0)
+    >>> rise = lfo.sets.LinkedEnds([[-1.0]], [[1.0]], [1.0])  # x_T = x_0 + 1
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, cost, initial_state=[0], terminal_state=rise)
+    >>> round(float(lfo.solve(problem).trajectory.x[-1, 0]), 9)
+    1.0
+    """
+
+    E_0: Array
+    E_T: Array
+    e: Array
+    reach: float  # how far from e the rows may be: above 0 only where a conflict is explained
+    may_be_soft: ClassVar[bool] = False
+    name: ClassVar[str] = "linked ends"
+
+    def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
+        first, last = real_array("LinkedEnds.E_0", E_0), real_array("LinkedEnds.E_T", E_T)
+        if first.ndim != 2 or 0 in first.shape:
+            raise ProblemError("LinkedEnds.E_0", f"shape {first.shape}", "a matrix (rows, n)")
+        if last.shape != first.shape:
+            raise ProblemError("LinkedEnds.E_T", f"shape {last.shape}", f"shape {first.shape}, that of E_0")
+        right = real_array("LinkedEnds.e", np.zeros(len(first)) if e is None else e)
+        if right.shape != first.shape[:1]:
+            expected = f"one number for each of the {len(first)} rows of E_0 and E_T"
+            raise ProblemError("LinkedEnds.e", f"shape {right.shape}", expected)
+        impossible = ~(first.any(axis=1) | last.any(axis=1)) & (right != 0)
+        if impossible.any():
+            row = int(np.argmax(impossible))
+            raise ProblemError("LinkedEnds.e", f"{right[row]:g} for row {row} of zeros", "a row that can hold")
+        assign(self, E_0=first, E_T=last, e=right, reach=0.0)
+
+    @property
+    def dimension(self) -> int | None:
+        return self.E_0.shape[1]
+
+    def parts(self, dimension: int) -> tuple[Part, ...]:
+        raise ProblemError(type(self).__name__, "a use as a set of one state", "a use as terminal_state")
+
+    def values(self, dimension: int, horizon: int) -> EndsMap:
+        """Return E_0 x_0 + E_T x_T - e as a map."""
+        return EndsMap(self.E_0, self.E_T, self.e, horizon)
+
+    @property
+    def penalty(self) -> Within:
+        """Return what the values must satisfy."""
+        return Within(self.reach)
+
+    def extended(self, n: int, k: int) -> ConvexSet:
+        rows = self.values(n, 1)
+        return _widened(LinkedEnds(with_columns(rows.E_0, k), with_columns(rows.E_T, k), rows.e), self.reach)
+
+    def widened(self, amount: float, dimension: int) -> ConvexSet:
+        rows = self.values(dimension, 1)
+        return _widened(LinkedEnds(rows.E_0, rows.E_T, rows.e), self.reach + amount)
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        equations = plural(len(self.e), "equation")
+        return f"{equations} on both ends, E_0 x_0 + E_T x_T = e{', ' + datum('e', self.e, 1) if self.e.any() else ''}"
+
+
+class Periodic(LinkedEnds):
+    """x_T = x_0: the trajectory is one period, and both ends are free.
+
+    Beside it stand a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Frequency
+    constraints on states are those of an OutputSpectrum with T samples, since x_T repeats x_0.
+
+    References
+    ----------
+    docs/periodic_ends.md has the conditions of the maximum principle and the bound.
+
+    Examples
+    --------
+    >>> dynamics = lfo.LinearDynamics([[0.5]], [[1.0]])
+    >>> cost = lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=[[1.0], [0.0], [1.0], [0.0], [1.0]])
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, cost, terminal_state=lfo.Periodic())
+    >>> x = lfo.solve(problem).trajectory.x
+    >>> bool(abs(x[0] - x[-1]) < 1e-9)
+    True
+    """
+
+    name: ClassVar[str] = "periodic ends"
+
+    def __init__(self):
+        assign(self, E_0=np.asarray(-1.0), E_T=np.asarray(1.0), e=np.asarray(0.0), reach=0.0)
+
+    @property
+    def dimension(self) -> None:
+        return None
+
+    def values(self, dimension: int, horizon: int) -> EndsMap:
+        return EndsMap(-np.eye(dimension), np.eye(dimension), np.zeros(dimension), horizon)
+
+    def describe(self, names: Sequence[str], signal: str) -> str:
+        return "x_T = x_0: the trajectory is one period"
+
+
+def links_of(terminal_state: ConvexSet) -> list[LinkedEnds]:
+    """Return the equations on both ends among the members of a terminal set."""
+    return [member for member in terminal_state.members if isinstance(member, LinkedEnds)]
+
+
+def _widened(links: LinkedEnds, reach: float) -> LinkedEnds:
+    assign(links, reach=reach)
+    return links

@@ -1,0 +1,92 @@
+"""Equations on both ends: construction, bad input, words, the map and its adjoint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.terms.ends_map import EndsMap, Within
+
+LinkedEnds = lfo.sets.LinkedEnds
+
+
+def problem(terminal_state, **further) -> lfo.OptimalControlProblem:
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]])
+    return lfo.OptimalControlProblem(dynamics, 8, lfo.QuadraticCost(R=1.0), terminal_state=terminal_state, **further)
+
+
+@pytest.mark.parametrize(
+    ("data", "field"),
+    [
+        (([1.0], [1.0]), "LinkedEnds.E_0"),
+        (([[1.0]], [[1.0, 0.0]]), "LinkedEnds.E_T"),
+        (([[1.0]], [[1.0]], [1.0, 2.0]), "LinkedEnds.e"),
+        (([[0.0]], [[0.0]], [1.0]), "LinkedEnds.e"),
+        (([[np.nan]], [[0.0]]), "LinkedEnds.E_0"),
+    ],
+)
+def test_bad_matrices_name_the_field(data, field):
+    with pytest.raises(ProblemError, match=field):
+        LinkedEnds(*data)
+
+
+@pytest.mark.parametrize(
+    ("field", "given"),
+    [
+        ("initial_state", lfo.Periodic()),
+        ("state_set", lfo.Periodic()),
+        ("control_set", lfo.Periodic() & lfo.Box(0, 1)),
+        ("state_set", [lfo.Periodic()] * 9),
+        ("terminal_state", LinkedEnds(np.eye(3), np.eye(3))),
+    ],
+)
+def test_it_is_a_terminal_state_of_this_dimension_only(field, given):
+    with pytest.raises(ProblemError, match=field):
+        replace(problem(None), **{field: given})
+
+
+def test_spectra_of_states_with_periodic_ends_have_t_samples():
+    with pytest.raises(ProblemError, match="OutputSpectrum"):
+        problem(lfo.Periodic(), state_spectrum=lfo.low_pass(1.0))
+    assert problem(LinkedEnds(-np.eye(2), np.eye(2)), state_spectrum=lfo.low_pass(1.0)).state_stop.any()
+
+
+def test_the_adjoint_and_the_rows_are_those_of_the_values():
+    rng = np.random.default_rng(0)
+    given = EndsMap(*rng.normal(size=(2, 3, 2)), rng.normal(size=3), 8)
+    x, u, weights = rng.normal(size=(9, 2)), rng.normal(size=(8, 1)), rng.normal(size=(1, 3))
+    zero = given.values(0 * x, 0 * u)
+    of_x, of_u = given.pull_back(weights, (x.shape, u.shape))
+    assert (weights * (given.values(x, u) - zero)).sum() == pytest.approx((of_x * x).sum() + (of_u * u).sum())
+    rows, constant = given.rows(8, 2, 1)
+    assert rows @ np.append(x, u) + constant == pytest.approx(given.values(x, u)[0])
+    assert (given.sizes(x, u) >= np.abs(given.values(x, u))).all()
+    assert not EndsMap(*np.eye(2)[None].repeat(2, 0), np.zeros(2), 1).rows(1, 2, 0)[0].data.max() > 1
+
+
+def test_within_is_an_interval_around_zero():
+    v, multipliers = np.array([[0.5, -2.0]]), np.array([[3.0, -1.0]])
+    assert Within(1.0).violation(v) == pytest.approx(np.array([[0.0, 1.0]]))
+    assert Within(1.0).gap(v, multipliers, 1.0) == pytest.approx(np.array([[1.5, -1.0]]))
+    assert Within(0.0).widened(v[0], 2.0)[1].sizes() == pytest.approx(2.0)
+
+
+def test_words_and_added_states():
+    facts = problem(lfo.Periodic())._repr_html_()
+    assert "x_T = x_0: the trajectory is one period" in facts
+    assert "periodic ends" in str(problem(lfo.Periodic()))
+    linked = problem(LinkedEnds([[1.0, 0.0]], [[1.0, 0.0]], [2.0]))
+    assert "1 equation on both ends, E_0 x_0 + E_T x_T = e, e = (2)" in linked._repr_html_()
+    slow = lfo.rate_limited(linked, 0.5)
+    assert slow.terms[-1].map.values(np.ones((9, 3)), np.zeros((8, 1))) == pytest.approx(np.zeros((1, 1)))
+
+
+def test_other_ends_take_its_place():
+    given = problem(lfo.Periodic())
+    assert not given.with_ends(terminal_state=[0.0, 0.0]).terms
+    other = problem([0.0, 0.0]).with_ends(terminal_state=lfo.Periodic())
+    assert [term.name for term in other.terms] == ["periodic ends"]

@@ -1,0 +1,137 @@
+"""Periodic and linked ends, solved by every method, judged, and compared with CVXPY."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.errors import InfeasibleError
+
+T, METHODS = 12, ("auto", "convex", "structured")
+
+
+def random_problem(seed: int) -> lfo.OptimalControlProblem:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    A /= np.abs(np.linalg.eigvals(A)).max() / rng.choice([0.7, 1.0, 1.2])
+    dynamics = lfo.LinearDynamics(A, rng.normal(size=(3, 2)), offset=0.3 * rng.normal(size=(T, 3)))
+    cost = lfo.QuadraticCost(Q=np.diag(rng.random(3)), R=1.0, P=np.eye(3), x_ref=rng.normal(size=(T + 1, 3)))
+    given = lfo.Periodic(), lfo.sets.LinkedEnds(*rng.normal(size=(2, 2, 3)), rng.normal(size=2))
+    start = lfo.Box([0.2, None, None], None) if seed % 3 == 0 else None
+    ends = {"initial_state": start, "terminal_state": given[seed % 2]}
+    return lfo.OptimalControlProblem(dynamics, T, cost, control_set=lfo.Box(-1, 1), **ends)
+
+
+def independent_cost(problem: lfo.OptimalControlProblem) -> float:
+    x, u = cp.Variable((T + 1, 3)), cp.Variable((T, 2))
+    cost, dynamics, links = problem.quadratic, problem.linear, problem.terminal_state
+    E_0, E_T, e = (
+        (np.eye(3), -np.eye(3), np.zeros(3)) if isinstance(links, lfo.Periodic) else (links.E_0, links.E_T, links.e)
+    )
+    held = [cp.abs(u) <= 1, E_0 @ x[0] + E_T @ x[T] == e]
+    held += [x[t + 1] == dynamics.A @ x[t] + dynamics.B @ u[t] + dynamics.offset[t] for t in range(T)]
+    held += [x[0, 0] >= 0.2] if problem.initial_box.lower[0] == 0.2 else []
+    total = cp.sum_squares(u) + cp.sum_squares(x[T] - cost.x_ref[T])
+    total += sum(cp.quad_form(x[t] - cost.x_ref[t], cost.Q) for t in range(T))
+    program = cp.Problem(cp.Minimize(total / 2), held)
+    return float(program.solve(solver="CLARABEL"))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_method_finds_the_optimum_of_cvxpy(seed):
+    problem = random_problem(seed)
+    expected = independent_cost(problem)
+    for method in METHODS:
+        result = lfo.solve(problem, method=method)
+        assert result.certificate.globally_optimal
+        assert result.cost == pytest.approx(expected, rel=1e-7, abs=1e-7)
+
+
+def double_integrator(**further) -> lfo.OptimalControlProblem:
+    """A position that follows a square wave of one period, whose velocity costs nothing."""
+    times, h = np.arange(41), 0.1
+    reference = np.column_stack([np.sign(np.sin(2 * np.pi * (times + 0.5) / 40)), 0 * times])
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.01, x_ref=reference)
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]])
+    given = {"control_set": lfo.Box(-8, 8), "terminal_state": lfo.Periodic()} | further
+    return lfo.OptimalControlProblem(dynamics, 40, cost, **given)
+
+
+def in_other_units(problem: lfo.OptimalControlProblem) -> lfo.OptimalControlProblem:
+    x, u = np.array([1e6, 1e-3]), 1e-4
+    dynamics, cost = problem.linear, problem.quadratic
+    return replace(
+        problem,
+        dynamics=lfo.LinearDynamics(dynamics.A * x[:, None] / x, dynamics.B * x[:, None] / u),
+        cost=lfo.QuadraticCost(Q=cost.Q / x / x[:, None], R=cost.R / u**2, x_ref=cost.x_ref * x),
+        control_set=lfo.Box(-8 * u, 8 * u),
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_verdicts_do_not_depend_on_units(method):
+    problem = double_integrator()
+    results = [lfo.solve(one, method=method) for one in (problem, in_other_units(problem))]
+    assert all(result.certificate.globally_optimal for result in results)
+    assert results[0].cost == pytest.approx(results[1].cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("change", [[1e-6, 0.0], [0.0, 1e-6]])
+@pytest.mark.parametrize("units", [False, True])
+def test_ends_that_differ_are_not_feasible(units, change):
+    problem = in_other_units(double_integrator()) if units else double_integrator()
+    result = lfo.solve(problem)
+    x = result.trajectory.x.copy()
+    x[-1] += np.array(change) * np.abs(x).max(0)
+    certificate = lfo.certify(problem, lfo.Trajectory(x, result.trajectory.u), result.multipliers)
+    assert not certificate.feasible
+    assert "S-ends" in {condition.label for condition in certificate.failed}
+
+
+def test_another_multiplier_of_the_ends_fails_at_transversality():
+    problem = double_integrator()
+    result = lfo.solve(problem)
+    stage = {name: 1.001 * weights for name, weights in result.multipliers.stage.items()}
+    certificate = lfo.certify(problem, result.trajectory, replace(result.multipliers, stage=stage))
+    assert {condition.label for condition in certificate.failed} == {"C-iv"}
+
+
+def test_the_multiplier_is_the_derivative_by_the_right_hand_side():
+    def linked(e):
+        return double_integrator(terminal_state=lfo.sets.LinkedEnds(-np.eye(2), np.eye(2), e))
+
+    result, near = lfo.solve(linked([0.1, 0.2])), 1e-5
+    slopes = [(lfo.solve(linked([0.1, 0.2] + near * one)).cost - result.cost) / near for one in np.eye(2)]
+    assert -result.multipliers.stage["linked ends"][0] == pytest.approx(np.array(slopes), rel=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_contradiction_is_proven_and_explained(method):
+    problem = double_integrator(
+        control_set=lfo.Box(0.1, 8), state_set=lfo.Box(-100, 100)
+    )  # the velocity grows at every step
+    with pytest.raises(InfeasibleError, match="periodic ends"):
+        lfo.solve(problem, method=method)
+    result = lfo.solve(problem, method=method, throw=False)
+    proof = prove_infeasible(problem, result.ray)
+    assert proof is not None
+    assert proof.bound.kind == "rigorous"
+    assert "periodic ends, t = 0, 40" in [str(one) for one in proof.conflict]
+    less = replace(result.ray, stage={"periodic ends": -result.ray.stage["periodic ends"]})
+    assert prove_infeasible(problem, less) is None
+
+
+def test_a_rate_limit_an_output_band_and_the_export_keep_it():
+    outputs = lfo.spectrum.OutputSpectrum(np.eye(2), np.zeros((2, 1)), lfo.low_pass(1.0))
+    problem = lfo.rate_limited(double_integrator(output_spectrum=outputs), 8.0)
+    result = lfo.solve(problem)
+    assert result.certificate.globally_optimal
+    assert result.trajectory.x[0, :2] == pytest.approx(result.trajectory.x[-1, :2])
+    program = lfo.to_cvxpy(problem)
+    program.solve(solver="CLARABEL")
+    assert program.value == pytest.approx(result.cost, rel=1e-6)
