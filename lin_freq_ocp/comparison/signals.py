@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -15,6 +16,8 @@ from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+REACHED = 1e-6  # of a limit: a spectrum that comes nearer reaches it
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +85,23 @@ class Signal:
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
+        kind = TermKind.STATE_SPECTRUM if self.is_state else TermKind.CONTROL_SPECTRUM
+        return _mask_levels(self.problem, kind, *self._rows)
+
+    def touching(self, trajectory: Trajectory) -> Line:
+        """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
+        w, levels = list[Array](), list[Array]()
+        for term in self.problem.terms:
+            if term.everywhere is not None and term.map.spectrum_of(*self._rows):
+                peaks, ratios = spectral_peaks(term.everywhere, trajectory.x, trajectory.u, 1.0 - REACHED)
+                w.append(peaks[ratios < 1.0 + REACHED])
+                levels.append(term.everywhere.limits.at(w[-1]))
+        return Line(np.concatenate([np.zeros(0), *w]), np.concatenate([np.zeros(0), *levels]))
+
+    @property
+    def _rows(self) -> tuple[Array | None, Array | None]:
         row = np.eye(self.problem.state_dim if self.is_state else self.problem.control_dim)[self.index]
-        if self.is_state:
-            return _mask_levels(self.problem, TermKind.STATE_SPECTRUM, row, None)
-        return _mask_levels(self.problem, TermKind.CONTROL_SPECTRUM, None, row)
+        return (row, None) if self.is_state else (None, row)
 
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""
@@ -173,11 +189,18 @@ def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> M
 
 def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
     """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
-    return [
-        Line(term.map.frequencies, term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit, not term.hard)
-        for term in problem.terms
-        if term.kind == kind and len(term.map.frequencies) and term.map.spectrum_of(C, D)
-    ]
+    found = list[Line]()
+    for term in problem.terms:
+        if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
+            continue
+        if term.everywhere is None:
+            levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+            found.append(Line(term.map.frequencies, levels, not term.hard))
+            continue
+        given = term.everywhere.limits
+        pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
+        found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+    return found
 
 
 def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:

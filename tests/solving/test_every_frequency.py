@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.comparison.signals import Signal
+from lin_freq_ocp.comparison.trajectories import measured_solution
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -291,3 +293,28 @@ def test_a_time_limit_keeps_what_was_found():
     result = lfo.solve(masked(), time_limit=1e-3, throw=False)
     assert result.status in ("limit", "numerical_error")
     assert isinstance(result.trajectory, (Trajectory, type(None)))
+
+
+# --- comparison and figures ------------------------------------------------------------------------------------------
+
+
+def test_what_a_filter_leaves_between_the_bins_is_beyond_the_mask():
+    comparison = lfo.compare(masked(), filters=["brickwall"])
+    (filtered,) = comparison.filtered
+    spectrum_between = np.abs(spectrum(filtered.replay.trajectory.u[:, 0], np.linspace(0.6, np.pi, 20_001))).max()
+    terms = filtered.replay.terms
+    assert not terms.passed.any()
+    assert terms.values[0] == pytest.approx(spectrum_between - 1.5, rel=1e-4)
+    kept = measured_solution("", comparison.constrained.problem, comparison.constrained).terms
+    assert kept.passed.all()
+
+
+def test_a_figure_marks_where_the_spectrum_reaches_its_limit(solved):
+    signal = Signal(solved.problem, 0, is_state=False)
+    touching = signal.touching(solved.trajectory)
+    assert len(touching.at)
+    np.testing.assert_allclose(np.abs(spectrum(solved.trajectory.u[:, 0], touching.at)), touching.values, rtol=1e-6)
+    (level,) = signal.levels
+    assert (level.at.tolist(), level.values.tolist()) == ([0.6, np.pi], [1.5, 1.5])
+    assert not len(Signal(solved.problem, 1, is_state=True).touching(solved.trajectory).at)
+    solved.plot()

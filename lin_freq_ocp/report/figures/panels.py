@@ -116,6 +116,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
         )
         frequency = data.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
         _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component))), floor)
+        _draw_touching(ax, trace, component, data.frequency.factor)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
@@ -238,6 +239,14 @@ def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor
         points = Line2D(*thinned(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
         points.set(**look)
         ax.add_line(points)
+
+
+def _draw_touching(ax: Axes, trace: Trace, component: Signal, factor: float) -> None:
+    """Mark where a spectrum reaches the limit of a mask at every frequency."""
+    touching = component.touching(trace.trajectory)
+    if len(touching.at):
+        look = {"markersize": 4, "markerfacecolor": "none", "zorder": trace.style.order + 2}
+        ax.plot(factor * touching.at, touching.values, "o", color=trace.style.color, **look)
 
 
 def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:
