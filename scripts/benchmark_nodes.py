@@ -52,7 +52,7 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         answer, member = relaxed(relaxation, root, compiled=True), relaxation.path_member(root)
         assert isinstance(answer.duals, PathDuals)
         assert member is not None
-        eight, duals = [(root, 0, root.allowed[0])] * 8, answer.duals
+        duals = answer.duals
         set_up, bound, *solves = (
             part_seconds(work)
             for work in (
@@ -62,7 +62,7 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
                 partial(relaxed, relaxation, root, TOLERANCES),
             )
         )
-        reach = part_seconds(partial(relaxation.reach.after, eight)) / 8
+        reach = part_seconds(partial(relaxation.reach.after, root, 0, [root.allowed[0]] * 8)) / 8
         alone = (solve - set_up for solve in solves)
         seconds = ((ended - started) / solved, (ended - searched) / solved, reach, set_up, *alone, bound)
         table.add_row(name, *(f"{1e3 * part:.2f}" for part in seconds), f"{outcome.nodes}")
@@ -95,7 +95,6 @@ VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
     "images not bounded": (WithoutImages, {}),
     "by Clarabel": (PathRelaxation, {"relaxed": by_clarabel}),
     "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
-    "reaches each alone": (PathRelaxation, {"SPLIT_TOGETHER": 1, "TRIED_TOGETHER": 1}),
 }
 """Our search without each of its means: the relaxation, and what is changed in ``branch_and_bound``."""
 

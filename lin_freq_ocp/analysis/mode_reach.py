@@ -81,17 +81,14 @@ class ModeReach:
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
         centre, spread = _ball(lower[0], upper[0])
-        reaches = [Reach(mask, lower, upper, y_lower, y_upper, (centre,), (spread,)) for mask in masks]
-        return _Propagation(self, reaches, np.zeros(len(masks), dtype=np.intp)).run()
+        whole = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
+        return _Propagation(self, whole, 0, np.array(masks)).run()
 
-    def after(self, splits: Sequence[tuple[Reach, int, Mask]]) -> list[Reach | None]:
-        """Return, for each reach, the reach with only some of the modes (modes,) at a time."""
-        if not splits:
-            return []
-        reaches, times, modes = zip(*splits, strict=True)
-        stack = _Propagation(self, reaches, np.array(times))
-        stack.allowed[np.arange(len(times)), times] &= np.array(modes)
-        return stack.run()
+    def after(self, reach: Reach, t: int, choices: Sequence[Mask]) -> list[Reach | None]:
+        """Return a reach with only some of its modes at a time, for each choice (modes,) of them."""
+        allowed = np.stack([reach.allowed] * len(choices))
+        allowed[:, t] &= np.array(choices)
+        return _Propagation(self, reach, t, allowed).run()
 
     def within_regions(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes of (x_t, u_t) (..., modes, k) cut by the region of each mode, and which regions they meet."""
@@ -127,34 +124,31 @@ class ModeReach:
 
 
 class _Propagation:
-    """Reaches of one problem, cut side by side from a time of each on; bounds at later times are kept."""
+    """Parts of a reach with other masks (count, T, modes), side by side from a time on; later bounds are kept."""
 
-    def __init__(self, system: ModeReach, reaches: Sequence[Reach], firsts: Indices):
-        self._system, self._before, self._firsts = system, reaches, firsts
-        self.allowed = np.stack([reach.allowed for reach in reaches])
-        self._lower, self._upper = (np.stack([getattr(r, side) for r in reaches]) for side in ("lower", "upper"))
-        self._mode_lower = np.stack([reach.mode_lower for reach in reaches])
-        self._mode_upper = np.stack([reach.mode_upper for reach in reaches])
-        self._centres = [list(reach.centres[: t + 1]) for reach, t in zip(reaches, firsts, strict=True)]
-        self._generators = [list(reach.generators[: t + 1]) for reach, t in zip(reaches, firsts, strict=True)]
+    def __init__(self, system: ModeReach, before: Reach, first: int, allowed: Mask):
+        self._system, self._before, self._first, self._allowed, count = system, before, first, allowed, len(allowed)
+        self._lower, self._upper, self._mode_lower, self._mode_upper = (
+            np.stack([part] * count) for part in (before.lower, before.upper, before.mode_lower, before.mode_upper)
+        )
+        self._centres = [list(before.centres[: first + 1]) for _ in range(count)]
+        self._generators = [list(before.generators[: first + 1]) for _ in range(count)]
 
     def run(self) -> list[Reach | None]:
         """Return the reaches, None where no sequence has a trajectory."""
-        count, T = len(self._before), self.allowed.shape[1]
-        possible, open_ = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-        for t in range(int(self._firsts.min()), T):
-            live = np.flatnonzero(open_ & (self._firsts <= t))
-            if len(live):
-                keep, settled = self._step(t, live)
-                possible[live] = keep
-                open_[live] = keep & ~settled
-            elif not open_.any():
+        count, T, _ = self._allowed.shape
+        possible, live = np.ones(count, dtype=bool), np.arange(count)
+        for t in range(self._first, T):
+            if not len(live):
                 break
+            keep, settled = self._step(t, live)
+            possible[live] = keep
+            live = live[keep & ~settled]
         return [self._reach(b) if possible[b] else None for b in range(count)]
 
     def _reach(self, b: int) -> Reach:
         return Reach(
-            allowed=self.allowed[b].copy(),
+            allowed=self._allowed[b].copy(),
             lower=self._lower[b].copy(),
             upper=self._upper[b].copy(),
             mode_lower=self._mode_lower[b].copy(),
@@ -175,15 +169,15 @@ class _Propagation:
         last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
         image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
         image_high = np.minimum(np.minimum(image_high, centre + radius), last_high[:, None])
-        keep = self.allowed[live, t] & feasible & (image_low <= image_high).all(axis=-1)
-        self.allowed[live, t], self._mode_lower[live, t], self._mode_upper[live, t] = keep, low, high
+        keep = self._allowed[live, t] & feasible & (image_low <= image_high).all(axis=-1)
+        self._allowed[live, t], self._mode_lower[live, t], self._mode_upper[live, t] = keep, low, high
         new_low = np.where(keep[..., None], image_low, np.inf).min(axis=1)
         new_high = np.where(keep[..., None], image_high, -np.inf).max(axis=1)
         self._lower[live, t + 1], self._upper[live, t + 1] = new_low, new_high
         left = keep.sum(axis=1)
         same = (left > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
+        before = self._before
         for place, b in enumerate(live):
-            before = self._before[b]
             if same[place] and len(before.centres) > t + 1:
                 self._centres[b] += before.centres[t + 1 :]
                 self._generators[b] += before.generators[t + 1 :]

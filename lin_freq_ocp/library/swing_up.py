@@ -40,6 +40,11 @@ def sampled(rates: Rates, step: float) -> Callable[[Signals, Signals], list[Form
     return successor
 
 
+def _sampled_dynamics(rates: Rates, step: float, states: list[str], controls: list[str]) -> PiecewiseSmoothDynamics:
+    count = len(states), len(controls)
+    return PiecewiseSmoothDynamics.from_formulas(sampled(rates, step), *count, step, states, controls)
+
+
 def pendulum_swing_up(
     horizon: int = 80,
     sampling_time: float = 0.05,
@@ -95,14 +100,7 @@ def pendulum_swing_up(
         return [x[1], u[0] / (m * L**2) - (GRAVITY / L) * x[0].sin()]
 
     return OptimalControlProblem(
-        dynamics=PiecewiseSmoothDynamics.from_formulas(
-            sampled(rates, step),
-            2,
-            1,
-            sampling_time=step,
-            state_names=["angle [rad]", "rate [rad/s]"],
-            control_names=["torque [N m]"],
-        ),
+        dynamics=_sampled_dynamics(rates, step, ["angle [rad]", "rate [rad/s]"], ["torque [N m]"]),
         horizon=T,
         cost=QuadraticCost(Q=np.diag([0.05, 0.01]), R=0.1, x_ref=[pi, 0.0]),
         control_set=symmetric("torque_bound", torque_bound),
@@ -178,13 +176,8 @@ def cart_pole(
         ]
 
     return OptimalControlProblem(
-        dynamics=PiecewiseSmoothDynamics.from_formulas(
-            sampled(rates, step),
-            4,
-            1,
-            sampling_time=step,
-            state_names=["position [m]", "angle [rad]", "speed [m/s]", "rate [rad/s]"],
-            control_names=["force [N]"],
+        dynamics=_sampled_dynamics(
+            rates, step, ["position [m]", "angle [rad]", "speed [m/s]", "rate [rad/s]"], ["force [N]"]
         ),
         horizon=T,
         cost=QuadraticCost(R=step),
@@ -256,13 +249,11 @@ def planar_quadrotor(
         return [x[3], x[4], x[5], -lift * x[2].sin(), lift * x[2].cos() - GRAVITY, (u[0] - u[1]) * (r / J)]
 
     return OptimalControlProblem(
-        dynamics=PiecewiseSmoothDynamics.from_formulas(
-            sampled(rates, step),
-            6,
-            2,
-            sampling_time=step,
-            state_names=["position [m]", "height [m]", "pitch [rad]", "speed [m/s]", "climb [m/s]", "rate [rad/s]"],
-            control_names=["right thrust [N]", "left thrust [N]"],
+        dynamics=_sampled_dynamics(
+            rates,
+            step,
+            ["position [m]", "height [m]", "pitch [rad]", "speed [m/s]", "climb [m/s]", "rate [rad/s]"],
+            ["right thrust [N]", "left thrust [N]"],
         ),
         horizon=T,
         cost=QuadraticCost(Q=np.diag([0.1, 0.1, 0.0, 0.0, 0.0, 0.001]), R=1.0, u_ref=[hover, hover]),

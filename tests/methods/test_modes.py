@@ -129,7 +129,7 @@ def test_reach_holds_every_simulated_trajectory(kinks):
         assert (x <= whole.upper).all()
         narrowed = whole
         for t in rng.permutation(6):
-            (narrowed,) = reach.after([(narrowed, t, np.arange(2**kinks) == sequence[t])])
+            (narrowed,) = reach.after(narrowed, t, [np.arange(2**kinks) == sequence[t]])
             assert (narrowed.lower <= x).all()
             assert (x <= narrowed.upper).all()
         fresh = reach.from_start(np.arange(2**kinks) == sequence[:, None])

@@ -11,7 +11,6 @@ import heapq
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 
@@ -41,10 +40,8 @@ from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
-TRIED_TOGETHER = 8  # sequences, whose reaches are computed side by side
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
-SPLIT_TOGETHER = 8  # open nodes at most, and an eighth of them, as a better sequence may close some of them
 
 OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
 
@@ -117,18 +114,17 @@ class BranchAndBound:
             message = self.limits.reached(time.perf_counter() - self._started, self._solved)
             if message:
                 return message
-            self._split(self._next())
+            self._split(*self._next())
         return ""
 
-    def _next(self) -> list[OpenNode]:
-        """Take the nodes with the least bounds; as long as no sequence was found, dive: take the newest."""
+    def _next(self) -> OpenNode:
+        """Take the node with the least bound; as long as no sequence was found, dive: take the newest."""
         if self._best is not None:
-            count = min(SPLIT_TOGETHER, 1 + len(self._heap) // SPLIT_TOGETHER, len(self._heap))
-            return [heapq.heappop(self._heap) for _ in range(count)]
+            return heapq.heappop(self._heap)
         newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
         taken = self._heap.pop(newest)
         heapq.heapify(self._heap)
-        return [taken]
+        return taken
 
     @property
     def open_nodes(self) -> list[tuple[int, Reach]]:
@@ -172,24 +168,14 @@ class BranchAndBound:
         self._nodes[index] = replace(node, allowed=reach.allowed, bound=max(node.bound, answer.bound))
         self._consider(index, answer)
 
-    def _split(self, taken: list[OpenNode]) -> None:
-        """Replace each node by one for each of its modes at some time."""
-        times = [self._stage_to_split(answer) for _, _, answer in taken]
-        masks = [one_mode_each(answer.reach.allowed, t) for (_, _, answer), t in zip(taken, times, strict=True)]
-        splits = [
-            (answer.reach, t, mask[t])
-            for (_, _, answer), t, own in zip(taken, times, masks, strict=True)
-            for mask in own
-        ]
-        reaches = iter(self._relaxation.reach.after(splits))
-        for (bound, index, _), t, own in zip(taken, times, masks, strict=True):
-            children = list(zip(own, islice(reaches, len(own)), strict=True))
-            self._report(min(bound, self._heap[0][0]) if self._heap else bound)
-            if bound < self._cutoff:  # a sequence found just now may have closed it
-                answers = [
-                    (mask, None if reach is None else self._relaxed(reach, self._cutoff)) for mask, reach in children
-                ]
-                self._open(answers, index, t, bound)
+    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
+        """Replace a node by one for each of its modes at some time."""
+        t = self._stage_to_split(answer)
+        masks = one_mode_each(answer.reach.allowed, t)
+        self._report(min(bound, self._heap[0][0]) if self._heap else bound)
+        reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
+        answers = [None if reach is None else self._relaxed(reach, self._cutoff) for reach in reaches]
+        self._open(list(zip(masks, answers, strict=True)), index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
         """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
@@ -234,18 +220,16 @@ class BranchAndBound:
         yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
 
     def _try(self, sequences: Iterable[Indices]) -> None:
-        """Solve sequences, a few at a time, until one is the best so far."""
-        remaining, before, modes = iter(sequences), self._best, np.arange(len(self.problem.piecewise.modes))
-        while self._best is before and (batch := list(islice(remaining, TRIED_TOGETHER))):
-            if time.perf_counter() - self._started > self.limits.search_seconds:
+        """Solve sequences until one is the best so far."""
+        before, modes = self._best, np.arange(len(self.problem.piecewise.modes))
+        for sequence in sequences:
+            if self._best is not before or time.perf_counter() - self._started > self.limits.search_seconds:
                 return
-            new = [sequence for sequence in batch if sequence.tobytes() not in self._tried]
-            reaches = self._relaxation.reach.from_start_each([sequence[:, None] == modes for sequence in new])
-            for sequence, reach in zip(new, reaches, strict=True):
-                if self._best is before:
-                    self._tried.add(sequence.tobytes())
-                    if reach is not None:
-                        self._accept(sequence, self._relaxed(reach, self._cost))
+            if sequence.tobytes() not in self._tried:
+                self._tried.add(sequence.tobytes())
+                reach = self._relaxation.reach.from_start(sequence[:, None] == modes)
+                if reach is not None:
+                    self._accept(sequence, self._relaxed(reach, self._cost))
 
     def _accept(self, sequence: Indices, answer: Relaxed) -> None:
         """Keep a sequence if it is the best so far, and try its flips."""

@@ -77,7 +77,7 @@ def _all_sequences(
             continue
         t = int(np.argmax(several))
         masks = one_mode_each(reach.allowed, t)
-        children = relaxation.reach.after([(reach, t, mask[t]) for mask in masks])
+        children = relaxation.reach.after(reach, t, [mask[t] for mask in masks])
         for allowed, child in zip(masks, children, strict=True):
             bound = np.inf if child is None else -np.inf
             nodes.append(ModeNode(parent, t, allowed if child is None else child.allowed, bound, None))
