@@ -12,7 +12,7 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, SetOrSets
-from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic, links_of
+from lin_freq_ocp.problem.sets.linked_ends import Periodic, links_of
 from lin_freq_ocp.problem.spectrum.base import Constraints, Signal, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -63,7 +63,8 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
             where = f"{field}[{i}]" if per_time else field
             raise ProblemError(where, f"a set in {one.dimension} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
-            parts_of[id(one)] = _parts(field, one, dimension)
+            _require_place(field, one)
+            parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
             if t in fixed and part.penalty.hard and _inside(part, fixed[t]):
                 continue
@@ -145,15 +146,12 @@ def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
     return tuple(unique)
 
 
-def _parts(field: str, one: ConvexSet, dimension: int) -> tuple[Part, ...]:
-    """Return the parts of a set of one signal, without equations on both ends, which a terminal set may hold."""
-    if not links_of(one):
-        return one.parts(dimension)
-    if field != "terminal_state":
-        links = type(links_of(one)[0]).__name__
-        raise ProblemError(field, links, "a set of one state or control", f"{links} is given as terminal_state.")
-    members = (member for member in one.members if not isinstance(member, LinkedEnds))
-    return tuple(part for member in members for part in member.parts(dimension))
+def _require_place(field: str, one: ConvexSet) -> None:
+    """Raise ProblemError if equations on both ends are given as a set of one state or control."""
+    links = links_of(one)
+    if links and field != "terminal_state":
+        name = type(links[0]).__name__
+        raise ProblemError(field, name, "a set of one state or control", f"{name} is given as terminal_state.")
 
 
 def _inside(part: Part, value: Array) -> bool:

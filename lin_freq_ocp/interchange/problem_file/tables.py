@@ -15,6 +15,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
@@ -32,6 +33,8 @@ SETS.records |= {
     "ellipsoid": Record(Ellipsoid),
     "second_order_cone": Record(SecondOrderCone),
     "intersection": Record(Intersection, sets=Tables(SETS, single=False)),
+    "linked_ends": Record(LinkedEnds),
+    "periodic": Record(Periodic),
     "soft": Record(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
 }
 SET_TABLES = Tables(SETS)

@@ -76,7 +76,7 @@ class LinkedEnds(ConvexSet):
         return self.E_0.shape[1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        raise ProblemError(type(self).__name__, "a use as a set of one state", "a use as terminal_state")
+        return ()  # nothing of x_T alone
 
     def values(self, dimension: int, horizon: int) -> EndsMap:
         """Return E_0 x_0 + E_T x_T - e as a map."""
