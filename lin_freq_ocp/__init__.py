@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
     from lin_freq_ocp.api.compare import compare
     from lin_freq_ocp.api.many import Solver, solve_many
+    from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.solve import solve
     from lin_freq_ocp.api.sweep import sweep
@@ -64,6 +65,7 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 _HOMES = {
     "api.compare": "compare",
     "api.many": "Solver solve_many",
+    "api.minimum_time": "minimum_time",
     "api.receding_horizon": "RecedingHorizon",
     "api.solve": "solve",
     "api.sweep": "sweep",
@@ -90,7 +92,8 @@ __all__ = [
     "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "Solver",
     "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs", "dynamics", "errors", "explain",
     "formulas", "from_casadi", "from_time_response", "io", "library", "load", "load_run", "load_sweep", "low_pass",
-    "maximum", "minimum", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",
+    "maximum", "minimum", "minimum_time",
+    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",
     "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on

@@ -3,6 +3,7 @@
 from lin_freq_ocp.analysis.sensitivities import Sensitivities
 from lin_freq_ocp.api.compare import Comparison
 from lin_freq_ocp.api.many import Solutions
+from lin_freq_ocp.api.minimum_time import MinimumTime
 from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
@@ -19,6 +20,7 @@ __all__ = [
     "Comparison",
     "Cure",
     "Explanation",
+    "MinimumTime",
     "Multipliers",
     "Result",
     "SavedRun",

@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list | show | solve | compare | sweep | certify | rerun | init.
+"""The command line: lin-freq-ocp list, show, solve, compare, sweep, minimum-time, certify, rerun, init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -30,8 +30,17 @@ from lin_freq_ocp.errors import BandWarning, SolveError
 from lin_freq_ocp.system.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 # The commands, in the order of the help, and their modules.
-COMMANDS = {name: name for name in ("list", "show", "solve", "compare", "sweep", "certify", "rerun", "init")}
-COMMANDS |= {"list": "start", "init": "start"}
+COMMANDS = {
+    "list": "start",
+    "show": "show",
+    "solve": "solve",
+    "compare": "compare",
+    "sweep": "sweep",
+    "minimum-time": "minimum_time",
+    "certify": "certify",
+    "rerun": "rerun",
+    "init": "start",
+}
 
 
 class Commands(click.Group):
@@ -48,7 +57,7 @@ class Commands(click.Group):
         leave_silently()
         module = import_module(f"lin_freq_ocp.cli.{COMMANDS[cmd_name]}")
         let_commands_decide()
-        command: click.Command = getattr(module, f"{cmd_name}_command")
+        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         return command
 
     def invoke(self, ctx: click.Context) -> object:

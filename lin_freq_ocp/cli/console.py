@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from lin_freq_ocp.api.result import Result
     from lin_freq_ocp.certificate.verdict import Certificate
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.solving.method import Progress
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe, where no table needs to be cut off
@@ -96,7 +95,7 @@ def progress(what: str) -> AbstractContextManager[object]:
 
 
 @contextmanager
-def search_progress(what: str) -> Generator[Callable[[Progress], None] | None]:
+def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
     """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
     if not err.is_terminal:
         yield None

@@ -34,6 +34,7 @@ from lin_freq_ocp.library.vehicles import quarter_car as quarter_car
 from lin_freq_ocp.library.walls import cart_between_walls as cart_between_walls
 from lin_freq_ocp.library.walls import cart_pole_with_walls as cart_pole_with_walls
 from lin_freq_ocp.library.walls import pendulum_with_wall as pendulum_with_wall
+from lin_freq_ocp.library.waveforms.mri_gradient import mri_gradient as mri_gradient
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Benchmark = Callable[..., OptimalControlProblem]
@@ -57,6 +58,8 @@ LINEAR = _named(
     quarter_car,
     scanner,
 )
+# Without stop bands of their horizon: see docs/minimum_time.md.
+WAVEFORMS = _named(mri_gradient)
 # See docs/hybrid_systems.md.
 PIECEWISE_AFFINE = _named(
     absolute_value,
@@ -69,7 +72,7 @@ PIECEWISE_AFFINE = _named(
     ball_and_paddle,
 )
 PIECEWISE_SMOOTH = _named(norm_dynamics, buck_converter, pendulum_swing_up, cart_pole, planar_quadrotor)
-PROBLEMS = LINEAR | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
+PROBLEMS = LINEAR | WAVEFORMS | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 
 
 def by_name(name: str) -> Benchmark:

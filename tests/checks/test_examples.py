@@ -15,6 +15,7 @@ SAYS = {
     "certify_somebody_elses": "maximum principle: satisfied",
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",
+    "minimum_time": "131 is proven infeasible by a ray, and with it all shorter horizons",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
     "receding_horizon": "0 of 120 steps softened",

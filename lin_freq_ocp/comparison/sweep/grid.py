@@ -36,7 +36,7 @@ def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
         require_problem(source)
     if not isinstance(grid, Mapping) or not grid:
         raise ProblemError("grid", brief(grid), "a mapping from names of parameters to sequences of values")
-    _require_names(source, list(grid))
+    require_parameters(source, list(grid), "grid")
     return {name: _values(name, given) for name, given in grid.items()}
 
 
@@ -99,18 +99,19 @@ def require_picklable(source: Source, grid: Mapping[str, object]) -> None:
             raise ProblemError(field, brief(value), expected, advice) from None
 
 
-def _require_names(source: Source, names: Sequence[str]) -> None:
+def require_parameters(source: Source, names: Sequence[str], field: str) -> None:
+    """Raise ProblemError unless a source takes these parameters; errors name the field."""
     if callable(source):
         known = _keywords(source)
     else:
         known = [*(one.name for one in fields(source)), *CUTOFFS]
         same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
         if len(same) > 1:
-            raise ProblemError(f"grid.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
+            raise ProblemError(f"{field}.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
     for name in names:
         if known is not None and name not in known:
             expected = f"some of {', '.join(known)}"
-            raise ProblemError(f"grid.{name}", "no parameter of that name", expected, suggestion(name, known))
+            raise ProblemError(f"{field}.{name}", "no parameter of that name", expected, suggestion(name, known))
 
 
 def _keywords(function: Callable[..., object]) -> list[str] | None:

@@ -1,0 +1,227 @@
+"""minimum_time() as users call it, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import final
+
+from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
+from lin_freq_ocp.comparison.minimum_time.search import (
+    Search,
+    Verdict,
+    checked_horizons,
+    require_source,
+    searched,
+    stated,
+)
+from lin_freq_ocp.comparison.sweep.grid import Source
+from lin_freq_ocp.errors import InfeasibleError
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.solve import require_options, solve_judged
+from lin_freq_ocp.text.phrases import plural
+
+MONOTONE = "zeros can be appended to every feasible control, and the trajectory stays feasible"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MinimumTime:
+    """The least feasible horizon of a range, and what is proven of the others.
+
+    Attributes
+    ----------
+    horizon : int or None
+        The least horizon that is feasible; None if none is known to be.
+    result : Result or None
+        The optimum of the problem's cost at that horizon. Without a horizon: what was found at the largest one solved.
+    ray : Multipliers or None
+        The verified proof of infeasibility at one step less; without a horizon, that of the largest one of the range.
+        None if one step less is outside of the range, or not proven (``proof`` says which).
+    monotone : bool
+        Whether feasibility at one horizon is proven to imply it at all longer ones.
+    reason : str
+        Why it is monotone, or which conditions fail.
+    proven : bool
+        Whether every shorter horizon of the range is proven infeasible; without a horizon, whether all of them are.
+    proof : str
+        What is proven of which horizons.
+    horizons : (int, int)
+        The range.
+    verdicts : dict
+        Of each horizon that was solved: "feasible", "infeasible" (proven by a ray) or "undecided".
+    rays : dict
+        The ray of each horizon that is "infeasible".
+    interrupted : bool
+        Whether Ctrl-C ended the search; what was found until then is here.
+
+    Examples
+    --------
+    >>> found = lfo.minimum_time(lfo.library.mri_gradient, horizons=(125, 140))
+    >>> found.horizon, found.monotone, found.ray is not None
+    (132, True, True)
+    """
+
+    horizon: int | None
+    result: Result | None
+    ray: Multipliers | None
+    monotone: bool
+    reason: str
+    proven: bool
+    proof: str
+    horizons: tuple[int, int]
+    verdicts: Mapping[int, str]
+    rays: Mapping[int, Multipliers] = field(repr=False)
+    interrupted: bool = False
+
+    def __str__(self) -> str:
+        known = "none is known to be feasible" if self.horizon is None else f"{self.horizon} steps"
+        kind = "monotone" if self.monotone else "not known to be monotone"
+        lines = [
+            f"least horizon  {known}{' (interrupted)' if self.interrupted else ''}",
+            f"proof          {self.proof}",
+            f"feasibility    {kind}: {self.reason}",
+            f"solved         {plural(len(self.verdicts), 'horizon')} of {self.horizons[0]} to {self.horizons[1]}",
+        ]
+        return "\n".join([*lines, *([] if self.result is None else [str(self.result)])])
+
+
+def minimum_time(
+    problem: Source,
+    horizons: tuple[int, int],
+    method: str | Method = "auto",
+    backend: str = "auto",
+    time_limit: float | None = None,
+    tolerance: float | None = None,
+    throw: bool = True,
+    progress: Callable[[int, str], None] | None = None,
+) -> MinimumTime:
+    """Find the least horizon at which a problem is feasible, its optimum there, and a proof that one step less is not.
+
+    Where feasibility is monotone (zeros can be appended to any feasible control; the conditions are checked, and
+    ``reason`` names those that fail), by bisection, else horizon by horizon from below. A horizon counts as infeasible
+    only if the judge has verified a ray; one without an answer is undecided, and is said to be.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem or callable
+        A problem whose data do not depend on time, which is stated at other horizons as it is; or a function of
+        ``horizon``, such as ``lfo.library.mri_gradient`` or a ``functools.partial`` of it.
+    horizons : (int, int)
+        The least and the largest horizon to consider.
+    method, backend, time_limit, tolerance
+        As for ``solve``, for each horizon.
+    throw : bool
+        Whether to raise if no horizon is feasible, or none is known to be.
+    progress : callable, optional
+        Called with each solved horizon and its verdict.
+
+    Returns
+    -------
+    MinimumTime
+        After Ctrl-C: what is found until then, and ``interrupted``.
+
+    Raises
+    ------
+    ProblemError
+        If the range is none, or the problem cannot be stated at another horizon, saying by which field.
+    InfeasibleError
+        With ``throw``, if all horizons are proven infeasible; ``.result`` is that of the largest, with its ray.
+    LimitError, NumericalError
+        With ``throw``, if no horizon is known to be feasible, and some are undecided.
+    UnsupportedError
+        If the method or backend does not exist or cannot take this problem.
+
+    References
+    ----------
+    Hargreaves, Nishimura and Conolly, "Time-optimal multidimensional gradient waveform design for rapid imaging",
+    Magnetic Resonance in Medicine 51(1), 2004: minimum time by feasibility problems of fixed length.
+
+    Examples
+    --------
+    >>> mover = lfo.library.double_integrator(cutoff_hz=None)
+    >>> found = lfo.minimum_time(mover, horizons=(100, 300))
+    >>> found.horizon, found.proof
+    (182, '182 is feasible; 181 is proven infeasible by a ray, and with it all shorter horizons')
+    """
+    low, high = checked_horizons(horizons)
+    require_source(problem)
+    require_options(method, time_limit, backend, tolerance)
+    at = partial(stated, problem)
+    failing = obstacles(at, low, high, same_data=not callable(problem))
+
+    search = searched(
+        low,
+        high,
+        not failing,
+        lambda horizon: solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance),
+        progress,
+    )
+    found = _result(search, failing)
+    if throw and found.horizon is None and not search.interrupted:
+        _raise(found)
+    return found
+
+
+def _result(search: Search, failing: list[str]) -> MinimumTime:
+    horizon, monotone = search.horizon, not failing
+    outcome = search.last if horizon is None else search.best
+    before = search.high if horizon is None else horizon - 1
+    unproven = _unproven(search, before, monotone)
+    return MinimumTime(
+        horizon=horizon,
+        result=None if outcome is None else shown_as(Result, outcome),
+        ray=search.rays.get(before),
+        monotone=monotone,
+        reason=MONOTONE if monotone else "; ".join(failing),
+        proven=not unproven,
+        proof=_proof(search, before, unproven, monotone),
+        horizons=(search.low, search.high),
+        verdicts={T: str(search.verdicts[T]) for T in sorted(search.verdicts)},
+        rays=search.rays,
+        interrupted=search.interrupted,
+    )
+
+
+def _unproven(search: Search, last: int, monotone: bool) -> list[int]:
+    """Return the horizons up to the last that are not proven infeasible."""
+    infeasible = search.of(Verdict.INFEASIBLE)
+    first = max(infeasible, default=search.low - 1) + 1 if monotone else search.low
+    return [T for T in range(first, last + 1) if T not in search.rays]
+
+
+def _proof(search: Search, last: int, unproven: list[int], monotone: bool) -> str:
+    proven = sorted(search.rays)
+    found = [] if search.horizon is None else [f"{search.horizon} is feasible"]
+    if search.horizon == search.low:
+        found.append("shorter horizons were not asked for")
+    elif monotone and proven:
+        found.append(f"{proven[-1]} is proven infeasible by a ray, and with it all shorter horizons")
+    elif proven:
+        each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
+        found.append(f"{each} proven infeasible by a ray of its own")
+    if unproven:
+        found.append(f"nothing is proven of {_ranges(unproven)}")
+    return "; ".join(found)
+
+
+def _ranges(horizons: list[int]) -> str:
+    """Return increasing horizons as "3, 5 to 9"."""
+    starts = [i for i, T in enumerate(horizons) if i == 0 or horizons[i - 1] != T - 1]
+    ends = [i - 1 for i in starts[1:]] + [len(horizons) - 1]
+    pairs = ((horizons[i], horizons[j]) for i, j in zip(starts, ends, strict=True))
+    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in pairs)
+
+
+def _raise(found: MinimumTime) -> None:
+    """Raise the error of a search without a feasible horizon."""
+    low, high = found.horizons
+    if found.proven:
+        text = f"No horizon from {low} to {high} is feasible: {found.proof}. Allow longer ones, or relax a constraint."
+        raise InfeasibleError(text, found.result)
+    if found.result is not None:
+        raise_for(found.result)

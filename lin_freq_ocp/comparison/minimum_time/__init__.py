@@ -1,0 +1,1 @@
+"""The least horizon at which a problem is feasible."""

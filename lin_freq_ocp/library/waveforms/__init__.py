@@ -1,0 +1,1 @@
+"""Waveforms: controls whose moments or spectra are prescribed."""

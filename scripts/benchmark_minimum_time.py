@@ -1,0 +1,68 @@
+"""Minimum time: gradient pulses, each with its least number of samples, what is proven, and how long it took.
+
+    OMP_NUM_THREADS=1 python scripts/benchmark_minimum_time.py [--repeats 3]
+
+CPU and wall time of ``lfo.minimum_time`` with the check of the conditions and the optimum, the least of the repeats.
+Fails if the published pulse has not 132 samples, or 131 are not proven infeasible.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+
+from threadpoolctl import threadpool_limits
+
+import lin_freq_ocp as lfo
+
+PULSE = lfo.library.mri_gradient
+BANDS = ((560, 620), (960, 1310), (1860, 1950))
+CASES = {
+    "bipolar, first moment 11.74": (PULSE, (120, 140), 132),
+    "the same, a wider range": (PULSE, (2, 300), 132),
+    "prephaser, zeroth moment 11.74": (partial(PULSE, zeroth_moment=11.74, first_moment=None), (20, 100), None),
+    "prephaser, further moments 0": (
+        partial(PULSE, zeroth_moment=11.74, first_moment=0.0, second_moment=0.0),
+        (100, 200),
+        None,
+    ),
+    "bipolar, second moment 0": (partial(PULSE, second_moment=0.0), (200, 300), None),
+    "bipolar, forbidden bands": (partial(PULSE, forbidden_bands_hz=BANDS), (220, 280), None),
+}
+
+
+def timed(
+    source: Callable[..., lfo.OptimalControlProblem], horizons: tuple[int, int]
+) -> tuple[lfo.results.MinimumTime, float, float]:
+    """Return what is found, and its CPU and wall time in seconds."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    found = lfo.minimum_time(source, horizons=horizons)
+    return found, time.process_time() - cpu, time.perf_counter() - wall
+
+
+def main() -> int:
+    """Print a line of each case."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=3)
+    repeats, failed = parser.parse_args().repeats, False
+    print("| pulse | range | least | solves | CPU | wall |\n|---|---|---|---|---|---|")
+    for name, (source, horizons, published) in CASES.items():
+        found, cpu, wall = timed(source, horizons)
+        for _ in range(repeats - 1):
+            _, *again = timed(source, horizons)
+            cpu, wall = min(cpu, again[0]), min(wall, again[1])
+        low, high = horizons
+        print(
+            f"| {name} | {low} .. {high} | {found.horizon} | {len(found.verdicts)} | {cpu:.2f} s | {wall:.2f} s |",
+            flush=True,
+        )
+        failed |= not found.proven or found.ray is None or published not in (None, found.horizon)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        sys.exit(main())

@@ -1,0 +1,71 @@
+"""The command minimum-time: one JSON object, and an exit status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+
+MOVER = ("double_integrator", "--set", 'cutoff_hz="none"', "--set", "sampling_time=0.1")
+
+
+def test_the_command_prints_one_object():
+    status, out, err = run("minimum-time", *MOVER, "--horizons", "20", "60", "--json")
+    found = parsed(out)
+    assert (status, err) == (0, "")
+    assert (found["horizon"], found["horizons"], found["monotone"], found["proven"]) == (37, [20, 60], True, True)
+    assert found["verdicts"]["36"] == "infeasible"
+    assert found["result"]["problem"]["horizon"] == 37
+
+
+@pytest.mark.parametrize(
+    ("words", "expected", "text"),
+    [
+        ((*MOVER, "--horizons", "20", "60"), 0, "least horizon  37 steps"),
+        ((*MOVER, "--horizons", "20", "30"), 1, "none is known to be feasible"),
+        ((*MOVER, "--horizons", "60", "20"), 2, "horizons: got (60, 20)"),
+        ((*MOVER, "--horizons", "20"), 2, "requires 2 arguments"),
+    ],
+)
+def test_exit_statuses(words, expected, text):
+    status, out, err = run("minimum-time", *words)
+    assert status == expected
+    assert text in out + err
+
+
+def test_an_undecided_horizon_has_a_status_of_its_own(monkeypatch):
+    def stopped(problem, *options, **more):
+        found = lfo.solve(problem, throw=False)
+        return replace(found, status=lfo.results.Status.LIMIT, certificate=None)
+
+    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    status, out, _ = run("minimum-time", *MOVER, "--horizons", "40", "42")
+    assert status == 3
+    assert "nothing is proven of 40 to 42" in out
+
+
+def test_ctrl_c_prints_what_is_decided(monkeypatch):
+    def stopped(problem, *options, **more):
+        if problem.horizon < 60:
+            raise KeyboardInterrupt
+        return lfo.solve(problem)
+
+    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    status, out, _ = run("minimum-time", *MOVER, "--horizons", "20", "60", "--json")
+    assert status == 130
+    assert (parsed(out)["horizon"], parsed(out)["proven"], parsed(out)["interrupted"]) == (60, False, True)
+
+
+def test_files_are_stated_at_other_horizons(tmp_path):
+    path = tmp_path / "move.toml"
+    path.write_text(
+        "schema = 1\nhorizon = 9\ninitial_state = [0, 0]\nterminal_state = [4, 0]\n"
+        "[dynamics]\nA = [[1, 1], [0, 1]]\nB = [[0], [1]]\n"
+        "[cost]\nR = 1.0\n[control_set]\nlower = -1\nupper = 1\n"
+    )
+    status, out, err = run("minimum-time", str(path), "--horizons", "1", "9", "--json")
+    assert (status, err) == (0, "")
+    assert parsed(out)["horizon"] == 4
