@@ -114,6 +114,7 @@ MONOTONE = {
     "a soft mask at bins": {"control_spectrum": mask(penalty=1.0)},
     "a mask of states": {"state_spectrum": mask(every_frequency=True)},
     "a mask of outputs": {"output_spectrum": OutputSpectrum([[1.0, 2.0]], [[1.0]], mask(every_frequency=True))},
+    "periodic ends at rest": {"terminal_state": lfo.Periodic() & lfo.Box([-9, 0], [9, 0])},
     "balls": {"control_set": lfo.sets.Ball(1.0), "state_set": lfo.sets.Ball(9.0)},
 }
 
