@@ -70,6 +70,16 @@ def test_what_is_infeasible_only_with_the_band_has_a_solution():
         lfo.solve(replace(given, control_spectrum=lfo.stop_band(bins=[0])))
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e12])
+def test_an_end_that_needs_the_bins_is_refused_in_any_units_of_the_states(unit):
+    most = soft_band(10.0, bins=range(1, 41))
+    dynamics = lfo.LinearDynamics(BASE.dynamics.A, BASE.dynamics.B / unit, sampling_time=0.05)
+    given = problem(dynamics=dynamics, initial_state=[1 / unit, 0.0], terminal_state=[0.0, 0.0], control_spectrum=most)
+    given = replace(given, cost=lfo.QuadraticCost(R=1.0))
+    with pytest.raises(lfo.errors.UnsupportedError, match="a soft bin is not zero at its price"):
+        lfo.solve(given, method="spectral")
+
+
 def test_what_is_infeasible_without_the_band_is_proven_so():
     given = problem(control_set=lfo.Box(-0.01, 0.01), terminal_state=[0.0, 0.0], control_spectrum=soft_band(10.0))
     result = lfo.solve(given, throw=False)

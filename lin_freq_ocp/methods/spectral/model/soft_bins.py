@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.terms.maps import SpectrumForm
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
-PRICE_ROUNDING = 1e-9  # part of a price by which rounding may exceed it
+PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
 FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM: "state_spectrum"}
 
 
@@ -39,25 +39,23 @@ class SoftBins:
         Bins that are removed by a band of the given problem, too, keep theirs there.
         """
         rho = {
-            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop),
-            TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop),
+            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, found.eta @ self.given.linear.B),
+            TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
         }
-        stage, largest = (
-            dict(found.stage),
-            max(float(np.abs(part).max(initial=0.0)) for part in (found.eta, found.rho_u)),
-        )
+        stage = dict(found.stage)
         for term in self.terms:
-            bins, component, (forces, stopped) = term.map.nearest_bins, term.map.component, rho[term.kind]
+            bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
             own = np.where(stopped[bins, component], 0.0, forces[bins, component])
             price = found.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
-            if (np.abs(own) > price * (1 + PRICE_ROUNDING) + (0.0 if found.eta_C else PRICE_ROUNDING * largest)).any():
+            rounding = 0.0 if found.eta_C else np.abs(others[:, component]).max()
+            if (np.abs(own) > price + PRICE_ROUNDING * (price + rounding)).any():
                 raise UnsupportedError(
                     f"method 'spectral': {term.name}: a soft bin is not zero at its price; the Fourier-domain method "
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
             forces[bins, component] -= own
             stage[term.name] = _pairs(own if found.eta_C else np.zeros_like(own))
-        rho_u, rho_x = (sealed(forces) for forces, _ in rho.values())
+        rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
         return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)
 
 
