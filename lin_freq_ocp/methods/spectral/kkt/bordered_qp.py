@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
@@ -105,10 +104,10 @@ def _interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Arr
             break
         matrix[b:, b:] = -qp.S
         matrix[diagonal, diagonal] -= caps.diagonal(weights, z) + tol.QP_RIDGE
-        factor = dgetrf(matrix)
-        if factor[2]:
+        factor, pivots, failed = dgetrf(matrix)
+        if failed:
             break
-        newton = partial(_newton, factor, r1, r2, caps, weights)
+        newton = partial(_newton, (factor, pivots), r1, r2, caps, weights)
         dp, weights, z, length = predictor_corrector(newton, weights, z, mu)
         p = p + dp
         if length < tol.SHORTEST_STEP:
@@ -117,9 +116,11 @@ def _interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Arr
     return p, weights, z, error < tol.BORDERED_ACCURATE
 
 
-def _newton(factor: Any, r1: Array, r2: Array, caps: Caps, weights: Array, target: Array) -> tuple[Array, Array]:
+def _newton(
+    factor: tuple[Array, Array], r1: Array, r2: Array, caps: Caps, weights: Array, target: Array
+) -> tuple[Array, Array]:
     """Return the Newton steps of p and of (l, u - l)."""
-    step = dgetrs(factor[0], factor[1], np.concatenate([r1, -r2 - caps.slope(target / weights)]))[0]
+    step = dgetrs(*factor, np.concatenate([r1, -r2 - caps.slope(target / weights)]))[0]
     return step[: len(r1)], caps.steps(step[len(r1) :])
 
 
