@@ -39,7 +39,7 @@ def solve_judged(
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     request = Request(np.inf if time_limit is None else time_limit, progress, begin)
-    outcome = solved_by(found, problem, request, tolerance)
+    outcome = solved_by(found, problem, request, tolerance or getattr(found, "tolerance", None))
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 

@@ -128,3 +128,17 @@ def test_bad_calls_say_what_is_wrong():
         lfo.Solver(VARYING, "spectral").solve()
     with pytest.raises(lfo.errors.ProblemError, match="references: got some for"):
         lfo.Solver(replace(SHORT, cost=lfo.costs.L1Cost(u=1.0)), "structured").solve(references={"x_ref": 0.0})
+
+
+def test_masks_at_every_frequency_are_judged_by_the_tolerance_of_the_method():
+    mask = lfo.MagnitudeBound(1.5, band=lfo.low_pass(0.6), every_frequency=True)
+    problem = replace(lfo.library.double_integrator(horizon=100, sampling_time=0.04), control_spectrum=mask)
+    structured = lfo.solvers.Structured(tolerance=1e-4)
+    results = [
+        lfo.solve(problem, "structured", tolerance=1e-4),
+        lfo.solve(problem, structured),
+        lfo.Solver(problem, structured).solve(),
+    ]
+    tolerances = [[one.tolerance for one in result.certificate.conditions] for result in results]
+    assert tolerances[0] == tolerances[1] == tolerances[2]
+    assert max(tolerances[0]) == 1e-4

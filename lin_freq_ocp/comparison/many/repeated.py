@@ -74,5 +74,6 @@ class Repeated:
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
             tree.begins(self.problem if change.starts_elsewhere else None)
-        outcome = solved_by(self.method, problem, Request(limit, start=begin, again=again, tree=tree))
+        request = Request(limit, start=begin, again=again, tree=tree)
+        outcome = solved_by(self.method, problem, request, getattr(self.method, "tolerance", None))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})
