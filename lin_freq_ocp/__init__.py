@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.sets import Box, Periodic, StageRows
     from lin_freq_ocp.solvers import SpectralSolver
     from lin_freq_ocp.solving.certify import certify
-    from lin_freq_ocp.spectrum import MagnitudeBound, low_pass, stop_band
+    from lin_freq_ocp.spectrum import MagnitudeBound, ResidualVibration, low_pass, stop_band
 
 __version__ = "0.1.0"
 
@@ -81,7 +81,7 @@ _HOMES = {
     "sets": "Box Periodic StageRows",
     "solvers": "SpectralSolver",
     "solving.certify": "certify",
-    "spectrum": "MagnitudeBound low_pass stop_band",
+    "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
 }
 
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
@@ -89,12 +89,12 @@ _MODULES = {name: module for module, names in _HOMES.items() for name in names.s
 # fmt: off
 __all__ = [
     "AffineMode", "Box", "DifferentiableFunction", "LinearDynamics", "MagnitudeBound", "OptimalControlProblem",
-    "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon", "Solver",
-    "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs", "dynamics", "errors", "explain",
-    "formulas", "from_casadi", "from_time_response", "io", "library", "load", "load_run", "load_sweep", "low_pass",
-    "maximum", "minimum", "minimum_time",
-    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals",
-    "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
+    "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon",
+    "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs",
+    "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response", "io", "library", "load",
+    "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time", "norm", "rate_limited", "read_csv",
+    "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum",
+    "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on
 

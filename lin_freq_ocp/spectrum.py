@@ -4,6 +4,7 @@ from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, 
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "LinearConstraint",
     "MagnitudeBound",
     "OutputSpectrum",
+    "ResidualVibration",
     "Spectrogram",
     "band_pass",
     "high_pass",

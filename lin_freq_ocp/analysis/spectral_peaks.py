@@ -9,20 +9,13 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.continuum import Frequencies
 
 FINENESS = 16  # points of the FFT for each sample
 STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on
 
 
-def peak_frequencies(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:
-    """Return where spectra with masks at every frequency have local maxima above a ratio, by name of the term."""
-    masks = {term.name: term.everywhere for term in problem.terms if term.everywhere is not None}
-    return {name: spectral_peaks(everywhere, x, u, above)[0] for name, everywhere in masks.items()}
-
-
-def spectral_peaks(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+def spectral_peaks(everywhere: Frequencies, x: Array, u: Array, above: float) -> tuple[Array, Array]:
     """Return where |V|/l has local maxima above a ratio, in rad/sample, and these ratios, both (peaks,)."""
     signal, limits = everywhere.map.signal(x, u), everywhere.limits
     points = fft.next_fast_len(FINENESS * len(signal), real=True)
@@ -43,7 +36,13 @@ def spectral_peaks(everywhere: Continuum, x: Array, u: Array, above: float) -> t
 
 
 def _refined(
-    everywhere: Continuum, signal: Array, w: Array, ends: tuple[float, float], level: float, slope: float, reach: float
+    everywhere: Frequencies,
+    signal: Array,
+    w: Array,
+    ends: tuple[float, float],
+    level: float,
+    slope: float,
+    reach: float,
 ) -> Array:
     start, t = w, np.arange(len(signal))
     for _ in range(STEPS):

@@ -16,7 +16,8 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
-from lin_freq_ocp.certificate.peaks import Peak, certified_peak
+from lin_freq_ocp.certificate.peaks.cells import Peak
+from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -251,12 +252,13 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
 
 
 def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, least: Array) -> Condition:
-    """C-vi, C-vii, S-yhat at every frequency: |V| <= l; compared with l, or a part of the norm of the samples."""
-    peak = certified_peak(priced.signal, everywhere.limits)
-    limit = float(everywhere.limits.at(np.array([peak.frequency]))[0])
+    """C-vi, C-vii, S-yhat everywhere: |V| <= l; compared with l, or a part of the norm of the samples."""
+    peak = proven_peak(priced.signal, everywhere)
+    frequency, plants = peak.frequency, peak.damping is not None
+    limit = float(everywhere.limit_at(np.array([[frequency, peak.damping] if plants else frequency]))[0])
     scale = max(limit, SCALE_FLOOR * float(_scales(priced.sizes, least).max()))
-    name = f"holds at every frequency: {priced.term.name}"
-    time = round(peak.frequency * everywhere.map.samples / (2 * np.pi))
+    name = f"holds {'for all plants' if plants else 'at every frequency'}: {priced.term.name}"
+    time = None if plants else round(frequency * everywhere.map.samples / (2 * np.pi))
     residual = max(peak.ratio - 1.0, 0.0) * limit
     return Condition(label, name, residual, scale, PEAK_TOLERANCE, time, peak=peak)
 
@@ -280,11 +282,12 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     never = np.abs(priced.given - priced.weights) * scales
     gap = np.abs(priced.gap) + MISFIT_SHARE * priced.misfit
     gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
-    scale = max(level, float((np.abs(priced.given) * priced.sizes).sum(1).max()))
-    t, row = _argmax(gap.astype(np.float64))
+    scale = max(level, float((np.abs(priced.given) * priced.sizes).sum(1).max(initial=0.0)))
+    t, row = _argmax(gap.astype(np.float64)) if len(gap) else (0, 0)
+    residual = float(gap[t, row]) if len(gap) else 0.0
     what = "row multipliers complementary" if priced.term.kind == "stage rows" else "multipliers are subgradients"
     name = f"{what}: {priced.term.name}"
-    return _located(priced.term, Condition(label, name, float(gap[t, row]), scale, CONDITION_TOLERANCE, t, row))
+    return _located(priced.term, Condition(label, name, residual, scale, CONDITION_TOLERANCE, t, row))
 
 
 def _located(term: Term, condition: Condition) -> Condition:
@@ -300,7 +303,7 @@ def _largest(*parts: Array | ComplexArray) -> float:
 
 def _scales(terms: Array, least: Array) -> Array:
     """Return one scale per component: the largest over time of the sum of the absolute values of its terms."""
-    return np.maximum(terms.max(0), least)
+    return np.maximum(terms.max(0, initial=0.0), least)
 
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:

@@ -157,7 +157,7 @@ def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: f
     problem, T = extremal.problem, extremal.problem.horizon
     x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
     steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
-    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0) for priced in extremal.terms)
+    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
         before = np.abs(extremal.eta_before) + extremal.in_x_terms
         level = stage = SCALE_FLOOR * float(max((before @ x).max(), (extremal.in_u_terms @ u).max()))

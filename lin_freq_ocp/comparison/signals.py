@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
+from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -93,9 +94,9 @@ class Signal:
         w, levels = list[Array](), list[Array]()
         for term in self.problem.terms:
             if term.everywhere is not None and term.map.spectrum_of(*self._rows):
-                peaks, ratios = spectral_peaks(term.everywhere, trajectory.x, trajectory.u, 1.0 - REACHED)
+                peaks, ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
-                levels.append(term.everywhere.limits.at(w[-1]))
+                levels.append(term.everywhere.limit_at(w[-1]))
         return Line(np.concatenate([np.zeros(0), *w]), np.concatenate([np.zeros(0), *levels]))
 
     @property
@@ -193,13 +194,13 @@ def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None
     for term in problem.terms:
         if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
             continue
-        if term.everywhere is None:
-            levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
-            found.append(Line(term.map.frequencies, levels, not term.hard))
-            continue
-        given = term.everywhere.limits
-        pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
-        found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+        match term.everywhere:
+            case Frequencies(limits=given):
+                pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
+                found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+            case _:
+                levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+                found.append(Line(term.map.frequencies, levels, not term.hard))
     return found
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis import measures
 from lin_freq_ocp.analysis.measures import Measures, measure, stopband_peak
+from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
@@ -180,10 +180,10 @@ def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least
     """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
     x, u = trajectory.x, trajectory.u
     if term.everywhere is not None:
-        w, ratios = spectral_peaks(term.everywhere, x, u, 1.0)
+        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
         if not len(w):
             return 0.0, 0.0
-        limits, worst = term.everywhere.limits.at(w), int(np.argmax(ratios))
+        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
         return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
     least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
     violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)

@@ -1,4 +1,4 @@
-"""A problem with masks at every frequency, and its terms at finitely many."""
+"""A problem with masks at every frequency, or for all plants of a box, and its terms at finitely many."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 def at_frequencies(
     problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
 ) -> OptimalControlProblem:
-    """Return the problem whose terms have masks at these frequencies, (groups,) in rad/sample by name of the term.
+    """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
 
-    Others stay where they are. ``relaxed``: nothing is required at other frequencies.
+    Others stay where they are. ``relaxed``: nothing is required at other points.
     """
     found = [term for term in problem.terms if term.everywhere is not None]
     if not found or not (frequencies or relaxed):
         return problem
-    pending = iter([frequencies.get(term.name, term.map.frequencies) for term in found])
+    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
     states = [_placed(one, problem.state_names, pending, relaxed) for one in entries_of(problem.state_spectrum)]
     controls = [_placed(one, problem.control_names, pending, relaxed) for one in entries_of(problem.control_spectrum)]
     outputs = [_outputs_placed(one, pending, relaxed) for one in entries_of(problem.output_spectrum)]

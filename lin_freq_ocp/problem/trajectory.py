@@ -62,9 +62,9 @@ class Multipliers:
         Multipliers of everything else under its name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or above,
         zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask, the
         (Re, Im) of each bin's multiplier in the units of rho. What is not there has zeros.
-    frequencies : mapping from name to (groups,), optional
+    frequencies : mapping from name to (groups,) or (groups, 2), optional
         Of masks at every frequency: where, in rad/sample, their multipliers in ``stage`` stand, which are zero at all
-        other frequencies.
+        other frequencies. Of a residual vibration: natural frequency in Hz and damping ratio of the modes.
     weights : (T, modes), optional
         Of piecewise-affine dynamics: how much of each mode's derivatives stands in those of f_t, the same for states
         and controls. None for linear dynamics, or where the judge is to find them.
@@ -153,10 +153,14 @@ def _frequencies(given: Mapping[str, ArrayLike], stage: Mapping[str, Array]) -> 
     frequencies = {name: real_array(f"multipliers.frequencies[{name!r}]", value) for name, value in given.items()}
     for name, found in frequencies.items():
         count, field = len(stage.get(name, found)), f"multipliers.frequencies[{name!r}]"
-        if found.ndim != 1 or len(found) != count:
-            raise ProblemError(field, f"shape {found.shape}", f"({count},): one per row of its multipliers")
-        if ((found < 0) | (found > np.pi)).any():
+        if found.shape not in ((count,), (count, 2)):
+            expected = f"({count},) or, for plants, ({count}, 2): one per row of its multipliers"
+            raise ProblemError(field, f"shape {found.shape}", expected)
+        if found.ndim == 1 and ((found < 0) | (found > np.pi)).any():
             raise ProblemError(field, brief(found.tolist()), "frequencies from 0 to pi rad/sample")
+        if found.ndim == 2 and ((found[:, 0] <= 0) | (found[:, 1] < 0) | (found[:, 1] >= 1)).any():
+            expected = "a frequency above 0 Hz and a damping ratio from 0 to below 1, in each row"
+            raise ProblemError(field, brief(found.tolist()), expected)
     return frequencies
 
 

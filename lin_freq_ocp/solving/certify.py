@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lin_freq_ocp.analysis.spectral_peaks import peak_frequencies
+from lin_freq_ocp.analysis.peaks import peak_points
 from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
@@ -86,7 +86,7 @@ def certify(
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
         return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))
-    problem = at_frequencies(problem, peak_frequencies(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
+    problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
     if problem.dynamics.mode_names:
         return certify_modes(problem, trajectory).within(allowed)
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))

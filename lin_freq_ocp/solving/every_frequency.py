@@ -1,8 +1,9 @@
 """Masks at every frequency, by exchange: a method solves problems with masks at finitely many frequencies.
 
 A round adds the frequencies of all local maxima of |V| above the limit, and drops those without a multiplier, or next
-to an added one. A problem with finitely many of the constraints is a relaxation: its infeasibility proof and its bound
-are those of the problem, and its trajectory is judged at every frequency.
+to an added one. For a residual vibration, frequencies are points (natural frequency, damping ratio) of a box. A problem
+with finitely many of the constraints is a relaxation: its infeasibility proof and its bound are those of the problem,
+and its trajectory is judged at every frequency.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
@@ -15,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
+from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
@@ -54,7 +55,7 @@ def solve_at_every_frequency(
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
     end = time.perf_counter() + request.time_limit
-    frequencies = {term.name: term.map.frequencies for term in problem.terms if term.everywhere is not None}
+    frequencies = {term.name: term.map.places for term in problem.terms if term.everywhere is not None}
     seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
         left = seconds_left(end, time.perf_counter())
@@ -70,7 +71,7 @@ def solve_at_every_frequency(
         if converged or found.status == Status.LIMIT or found.interrupted:
             break
         excess = largest
-        frequencies = _next(relaxed, frequencies, added, found.trajectory, found.multipliers)
+        frequencies = _next(problem, frequencies, added, found.trajectory, found.multipliers)
     proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.excess < PEAK_TOLERANCE]
     best = min(proven, key=lambda one: one.excess) if proven else rounds[-1]
     return best.restated(problem, seconds, tolerance)
@@ -81,13 +82,13 @@ def _added(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Freq
     added, largest = Frequencies(), 0.0
     for term in problem.terms:
         if term.everywhere is not None:
-            added[term.name], ratios = spectral_peaks(term.everywhere, trajectory.x, trajectory.u, 1.0 + EXCESS / 2)
+            added[term.name], ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, 1.0 + EXCESS / 2)
             largest = max(largest, float(ratios.max(initial=1.0)) - 1.0)
     return added, largest
 
 
 def _next(
-    relaxed: OptimalControlProblem,
+    problem: OptimalControlProblem,
     frequencies: Frequencies,
     added: Frequencies,
     trajectory: Trajectory,
@@ -95,15 +96,15 @@ def _next(
 ) -> Frequencies:
     """Return the frequencies of the next round."""
     found = Frequencies()
-    for term in relaxed.terms:
-        if term.name not in added:
+    for term in problem.terms:
+        if term.everywhere is None:
             continue
         own, new = frequencies[term.name], added[term.name]
         weight = np.linalg.norm(multipliers.stage[term.name], axis=1)
         kept = weight > IDLE * weight.max(initial=0.0)
-        nearest = np.abs(own[:, None] - new).min(axis=1, initial=np.inf)
-        apart = APART * 2 * np.pi / term.map.samples
-        found[term.name] = np.unique(np.concatenate([own[kept & (nearest > apart)], new]))
+        nearest = term.everywhere.distances(own, new).min(axis=1, initial=np.inf)
+        joined = np.unique(np.concatenate([own[kept & (nearest > APART)], new]), axis=0)
+        found[term.name] = joined if len(joined) else own
     return found
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal.windows import chebwin
 
-from lin_freq_ocp.certificate import peaks
-from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.certificate.peaks import cells
+from lin_freq_ocp.certificate.peaks.masks import certified_peak
 from lin_freq_ocp.problem.terms.limits import limits_on
 
 WHOLE = [(0.0, np.pi)]
@@ -73,5 +73,5 @@ def test_it_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
     samples = np.random.default_rng(1).standard_normal(50)
     limits = limits_on(WHOLE, np.zeros(1), np.ones(1))
     whole = certified_peak(samples, limits)
-    monkeypatch.setattr(peaks, "HALVINGS", 1)
+    monkeypatch.setattr(cells, "HALVINGS", 1)
     assert whole.ratio <= certified_peak(samples, limits).ratio < 2 * whole.ratio

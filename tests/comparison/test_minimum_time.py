@@ -111,6 +111,7 @@ MONOTONE = {
     "rows": {"stage_rows": lfo.StageRows([[1.0, 0.0]], [[1.0]], [5.0])},
     "soft rows": {"stage_rows": lfo.StageRows([[0.0, 0.0]], [[1.0]], [-1.0], penalty=2.0)},
     "a mask of the control": {"control_spectrum": mask(every_frequency=True)},
+    "residual vibration": {"control_spectrum": lfo.ResidualVibration((0.5, 1.0), (0.0, 0.1), 0.5)},
     "a soft mask at bins": {"control_spectrum": mask(penalty=1.0)},
     "a mask of states": {"state_spectrum": mask(every_frequency=True)},
     "a mask of outputs": {"output_spectrum": OutputSpectrum([[1.0, 2.0]], [[1.0]], mask(every_frequency=True))},

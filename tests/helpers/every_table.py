@@ -37,6 +37,10 @@ GOOD: dict[str, Any] = {
         {"kind": "magnitude_bound", "limit_db": -3.0, "reference": 2.0, "band": {"kind": "high_pass", "cutoff": 1.0}},
         {"kind": "linear_constraint", "coefficients": [[[1.0]]] * 8, "constant": [0.0], "penalty": 1.0},
         {
+            **{"kind": "residual_vibration", "frequency": [0.9, 1.1], "damping": [0.0, 0.1]},
+            **{"limit": 3.0, "component": 0},
+        },
+        {
             **{"kind": "spectrogram", "bound": {"kind": "energy_bound", "limit": 9.0, "bins": [1]}},
             **{"length": 4, "hop": 2, "past": [[0.0], [0.1]]},
         },

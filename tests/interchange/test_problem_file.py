@@ -392,10 +392,11 @@ def test_every_optional_line_of_the_template_can_be_used(tmp_path):
     optional = [OPTIONAL.match(line) and line[2:] not in OTHER_ENDS for line in template().splitlines()]
     lines = [line[2:] if used else line for line, used in zip(template().splitlines(), optional, strict=True)]
     problem = read_problem(file_with(tmp_path, "\n".join(lines)))
-    *given, mask, energy, windows = problem.control_spectrum
+    *given, mask, energy, vibration, windows = problem.control_spectrum
     assert [band.kind for band in given] == ["low_pass", "high_pass", "band_pass", "notch", "stop_band"]
     assert (mask.window, mask.oversampling, mask.penalty) == ("hann", 4, 10.0)
     assert (energy.limit, energy.penalty) == (400.0, None)
+    assert (vibration.frequency.tolist(), vibration.limit) == ([0.9, 1.1], 0.02)
     assert (windows.length, windows.hop, windows.past.tolist()) == (50, 25, [[0.0], [0.1]])
     assert len(bands(problem.state_spectrum)) == 1
     assert problem.quadratic.x_ref.tolist() == [1.0, 0.0]
@@ -405,7 +406,8 @@ def test_every_optional_line_of_the_template_can_be_used(tmp_path):
     assert problem.stage_rows[0].penalty == 10.0
     assert problem.output_spectrum[0].output_names == ("tip [m]",)
     assert [term.name for term in problem.terms] == [
-        *("speed and force", "mask on force [N]", "energy bound on force [N]", "mask on windows of force [N]"),
+        *("speed and force", "mask on force [N]", "energy bound on force [N]"),
+        *("residual vibration of force [N]", "mask on windows of force [N]"),
         *("energy bound on tip [m]", "L1 cost of states", "L1 cost of controls"),
     ]
 

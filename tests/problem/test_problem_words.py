@@ -159,6 +159,10 @@ SPECTRA: dict[str, tuple[Callable[[int], Any], list[str]]] = {
     "own window": (lambda length: lfo.MagnitudeBound(0.5, bins=[3], window=np.ones(length)), ["window"]),
     "energy": (lambda _: lfo.spectrum.EnergyBound(0.7, bins=[3, 4], component=0), ["energy", "≤ 0.7", "bins 3 to 4"]),
     "soft energy": (lambda _: lfo.spectrum.EnergyBound(0.7, bins=[3, 4], penalty=21.0), ["soft", "21 per unit"]),
+    "vibration": (
+        lambda _: lfo.ResidualVibration((0.9, 1.1), (0.0, 0.05), 23.0),
+        ["≤ 23", "every mode of 0.9 to 1.1 Hz", "damping ratio of 0 to 0.05"],
+    ),
     "equation": (lambda length: lfo.spectrum.LinearConstraint(coefficients(length)), ["linear equation", "all times"]),
     "soft equation": (
         lambda length: lfo.spectrum.LinearConstraint(coefficients(length), penalty=22.0),

@@ -154,7 +154,8 @@ def _data(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
 
 def _mask(term: Term) -> list[object]:
     assert term.everywhere is not None
-    return [term.everywhere.map.C, term.everywhere.map.D, term.everywhere.limits]
+    stated = [value for field, value in vars(term.everywhere).items() if field != "map"]
+    return [term.everywhere.map.C, term.everywhere.map.D, *stated]
 
 
 def _beyond_bounds(given: object) -> object:

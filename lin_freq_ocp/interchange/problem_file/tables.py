@@ -20,6 +20,7 @@ from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
@@ -119,6 +120,7 @@ SPECTRUM.records |= {
     "magnitude_bound": Record(MagnitudeBound, own="stop_band", values=_bound, bins=BINS, band=BANDS, at_least=NO_LOWER),
     "energy_bound": Record(EnergyBound, own="stop_band", values=_bound, bins=BINS, band=BANDS),
     "linear_constraint": Record(LinearConstraint),
+    "residual_vibration": Record(ResidualVibration),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}

@@ -24,7 +24,7 @@ SCHEMA = 1  # version of the layout of the .npz
 # Fields of Multipliers that are one array, with the dimensions of each.
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
 WEIGHTS = "weights"  # field of Multipliers of piecewise-affine dynamics, an array of two dimensions
-FREQUENCIES = "frequencies/"  # the same, of the frequencies of a mask at every frequency
+FREQUENCIES = "frequencies/"  # the same, of where the multipliers of a mask at every frequency stand
 STAGE = "stage/"  # prefix of the name of a family of joint rows: its multipliers are an array of their own
 TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
@@ -145,12 +145,13 @@ def kind_of_file(path: str | PathLike[str], field: str = "") -> str:
     return suffix
 
 
-def _numbers(arrays: Mapping[str, FileArray], name: str, dimensions: int) -> FileArray:
+def _numbers(arrays: Mapping[str, FileArray], name: str, *dimensions: int) -> FileArray:
     if name not in arrays:
         raise ProblemError(name, f"nothing (there is {', '.join(arrays) or 'no array'})", "an array of this name")
     array = arrays[name]
-    if array.dtype.kind not in "biufc" or array.ndim != dimensions:
-        raise ProblemError(name, f"{array.dtype} of shape {array.shape}", f"numbers in {dimensions} dimensions")
+    if array.dtype.kind not in "biufc" or array.ndim not in dimensions:
+        expected = f"numbers in {' or '.join(map(str, dimensions))} dimensions"
+        raise ProblemError(name, f"{array.dtype} of shape {array.shape}", expected)
     return array
 
 
@@ -159,7 +160,7 @@ def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
         return None
     fields = {name: _numbers(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
     stage = {name.removeprefix(STAGE): _numbers(arrays, name, 2) for name in arrays if name.startswith(STAGE)}
-    placed = {name: _numbers(arrays, name, 1) for name in arrays if name.startswith(FREQUENCIES)}
+    placed = {name: _numbers(arrays, name, 1, 2) for name in arrays if name.startswith(FREQUENCIES)}
     frequencies = {name.removeprefix(FREQUENCIES): found for name, found in placed.items()}
     weights = _numbers(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
     eta_C = float(fields.pop("eta_C"))

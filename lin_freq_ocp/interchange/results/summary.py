@@ -10,6 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
@@ -133,11 +135,11 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
 
 
 def _atoms(multipliers: Multipliers | None) -> FileTable:
-    """Return the multipliers of masks at every frequency, if any: frequency in rad/sample, real and imaginary part."""
+    """Return the multipliers of masks at every frequency, if any: where each stands, real and imaginary part."""
     if multipliers is None or not multipliers.frequencies:
         return {}
     atoms = {
-        name: [[w, *pair] for w, pair in zip(found.tolist(), multipliers.stage[name].tolist(), strict=True)]
+        name: np.column_stack([found, multipliers.stage[name]]).tolist()
         for name, found in multipliers.frequencies.items()
     }
     return {"atoms": atoms}

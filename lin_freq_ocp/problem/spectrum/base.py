@@ -66,10 +66,10 @@ class FrequencyConstraint(ABC):
         """
         return self
 
-    every_frequency: bool = False  # whether it holds at every frequency, of which terms have finitely many
+    every_frequency: bool = False  # whether it is infinitely many constraints, of which terms have finitely many
 
     def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> FrequencyConstraint:
-        """Return it with other frequencies in its terms, one array for each component; ``relaxed``: at these only."""
+        """Return it with other points in its terms, one array for each component; ``relaxed``: at these only."""
         return self
 
     def softened(self, penalty: float) -> FrequencyConstraint:

@@ -21,7 +21,7 @@ from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.spectrum.every_frequency import Limit, level, limits_of
-from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -253,8 +253,8 @@ class MagnitudeBound(SpectrumBound):
             self.samples(signal.length, field),
         )
         for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
-            everywhere = Continuum(FrequencyMap(C, D, window, np.zeros(0)), limits)
-            given = everywhere.first_frequencies() if self.frequencies is None else self.frequencies[i]
+            everywhere = Frequencies(FrequencyMap(C, D, window, np.zeros(0)), limits)
+            given = everywhere.first_points() if self.frequencies is None else self.frequencies[i]
             values, balls = everywhere.at(given)
             required = None if self.relaxed else everywhere
             yield Term(f"{self.label} on {name}", signal.kind, values, balls, source, everywhere=required)

@@ -1,17 +1,20 @@
-"""Masks at every frequency: |V(w)| <= l(w) for all w of some intervals, V(w) = sum_t h_t v_t exp(-iwt).
+# ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
+"""Infinitely many constraints |V(p)| <= l(p), one for each point p of a parameter set, on a signal of the trajectory.
 
-It is infinitely many constraints. A term of a problem has finitely many of them, at its frequencies; what must hold at
-all others stands in its ``everywhere``. By Caratheodory's theorem, an optimum has multipliers at finitely many
-frequencies only.
+A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
+By Caratheodory's theorem, an optimum has multipliers at finitely many points only. A new parameter set is a subclass of
+``Continuum``; its maxima are found in ``analysis``, and proven in ``certificate/peaks``.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.arrays import Array, brief
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.limits import Limits
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -19,18 +22,45 @@ from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
 
 
 @dataclass(frozen=True, eq=False)
-class Continuum:
-    """|V(w)| <= l(w) at every w of the intervals of the limits."""
+class Continuum(ABC):
+    """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
 
-    map: FrequencyMap  # at no frequency
+    map: FrequencyMap  # at no point
+
+    @abstractmethod
+    def limit_at(self, points: Array) -> Array:
+        """Return l at points, (k,); infinity outside the set."""
+
+    @abstractmethod
+    def first_points(self) -> Array:
+        """Return the points to begin with."""
+
+    @abstractmethod
+    def distances(self, some: Array, others: Array) -> Array:
+        """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
+
+    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
+        """Return the map to the values at points, and their balls."""
+        if points.shape[1:] != self.map.at.shape[1:]:
+            expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
+            raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
+        return self.map.placed(points), NormBall(2, self.limit_at(points), HARD)
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies(Continuum):
+    """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
+
     limits: Limits
 
-    def at(self, frequencies: Array) -> tuple[FrequencyMap, Penalty]:
-        """Return the map to the values at frequencies (groups,) in rad/sample, and their balls."""
-        return self.map.placed(frequencies), NormBall(2, self.limits.at(frequencies), HARD)
+    def limit_at(self, points: Array) -> Array:
+        return self.limits.at(points)
 
-    def first_frequencies(self) -> Array:
+    def first_points(self) -> Array:
         """Return the bins of the signal's DFT within the intervals, and their ends."""
         bins = 2 * np.pi * np.arange(self.map.samples // 2 + 1) / self.map.samples
         inside = bins[np.isfinite(self.limits.at(bins))]
         return np.unique(np.concatenate([inside, self.limits.low, self.limits.high]))
+
+    def distances(self, some: Array, others: Array) -> Array:
+        return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap, signal_rows
 
@@ -51,6 +51,15 @@ class FrequencyMap(AffineMap):
         return self.at
 
     @property
+    def places(self) -> Array:
+        return self.at
+
+    @property
+    def real(self) -> Mask:
+        """Which of the values are real for every signal, (groups,)."""
+        return np.asarray((self.at == 0) | (self.at == np.pi))
+
+    @property
     def additions(self) -> float:
         return float(4 * len(self.window) + 10)  # that many roundings are in an angle w t
 
@@ -88,7 +97,7 @@ class FrequencyMap(AffineMap):
         first, second = self.factors(np.dtype(np.float64))
         whole = (first[:, :, None] * second[:, None, :]).reshape(len(self.at), -1)[:, : self.samples] * self.window
         waves = np.stack([whole.real, whole.imag], axis=1)
-        waves[(self.at == 0) | (self.at == np.pi), 1] = 0.0  # and not the rounding error of sin(pi t)
+        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
         return waves.reshape(-1, self.samples)
 
     def transform(self, signal: Array) -> ComplexArray:
@@ -119,6 +128,6 @@ class FrequencyMap(AffineMap):
         """Return h_t y_t, (samples,)."""
         return self.window * self._plain.signal(x, u)[: self.samples]
 
-    def placed(self, frequencies: Array) -> FrequencyMap:
-        """Return the map to other frequencies."""
-        return FrequencyMap(self.C, self.D, self.window, frequencies)
+    def placed(self, points: Array) -> FrequencyMap:
+        """Return the map to the values at other points."""
+        return replace(self, at=points)

@@ -113,6 +113,11 @@ class AffineMap(ABC):
         """Return the frequency of each group in rad/sample, (groups,); empty if groups are not single bins."""
         return np.zeros(0)
 
+    @property
+    def places(self) -> Array:
+        """Return where in the parameter set of infinitely many constraints the groups stand, (groups, ...)."""
+        return self.frequencies
+
     def pairs(self, values: Array) -> Array:
         """Return (Re, Im) of every bin of a spectrum, (bins, 2), from values or multipliers (groups, dim)."""
         return values

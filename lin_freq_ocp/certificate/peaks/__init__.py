@@ -1,0 +1,1 @@
+"""Largest values over parameter sets, with proof."""
