@@ -88,7 +88,7 @@ def test_bisection_would_miss_a_horizon_where_feasibility_is_not_monotone():
 def integrator(horizon=6, **fields):
     """Return a double integrator that comes to rest at 0."""
     given = {
-        "dynamics": lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]]),
+        "dynamics": lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]], sampling_time=1.0),
         "cost": lfo.QuadraticCost(R=1.0),
         "control_set": lfo.Box(-1, 1),
         "initial_state": [3.0, 0.0],
