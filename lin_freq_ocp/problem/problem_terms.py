@@ -12,7 +12,6 @@ from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, SetOrSets
-from lin_freq_ocp.problem.sets.linked_ends import Periodic, links_of
 from lin_freq_ocp.problem.spectrum.base import Constraints, Signal, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -63,7 +62,7 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
             where = f"{field}[{i}]" if per_time else field
             raise ProblemError(where, f"a set in {one.dimension} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
-            _require_place(field, one)
+            _require_place(field, one, dimension)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
             if t in fixed and part.penalty.hard and _inside(part, fixed[t]):
@@ -79,17 +78,15 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
 
 def link_terms(problem: ProblemData) -> Iterator[Term]:
     """Yield the equations on both ends together."""
-    n, T, links = problem.state_dim, problem.horizon, links_of(problem.terminal_state)
-    if problem.state_spectrum is not None and any(isinstance(one, Periodic) for one in links):
+    links = problem.terminal_state.links(problem.state_dim, problem.horizon)
+    if problem.state_spectrum is not None and any(one.periodic for one in links):
         advice = (
             "x_T repeats x_0, so that states have T samples: those of OutputSpectrum(C=np.eye(n), D=np.zeros((n, m)), "
             "constraints=...)."
         )
         raise ProblemError("state_spectrum", brief(problem.state_spectrum), "None beside Periodic()", advice)
     for one in links:
-        if one.dimension not in (None, n):
-            raise ProblemError("terminal_state", f"LinkedEnds of {one.dimension} states", f"LinkedEnds of {n}")
-        yield Term(one.name, TermKind.LINKED_ENDS, one.values(n, T), one.penalty, ("terminal_state", 0))
+        yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, ("terminal_state", 0))
 
 
 def missed_bounds(problem: ProblemData) -> Iterator[Term]:
@@ -146,12 +143,12 @@ def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
     return tuple(unique)
 
 
-def _require_place(field: str, one: ConvexSet) -> None:
+def _require_place(field: str, one: ConvexSet, dimension: int) -> None:
     """Raise ProblemError if equations on both ends are given as a set of one state or control."""
-    links = links_of(one)
+    links = one.links(dimension, 1)
     if links and field != "terminal_state":
-        name = type(links[0]).__name__
-        raise ProblemError(field, name, "a set of one state or control", f"{name} is given as terminal_state.")
+        advice = "Periodic and LinkedEnds are given as terminal_state."
+        raise ProblemError(field, links[0].name, "a set of one state or control", advice)
 
 
 def _inside(part: Part, value: Array) -> bool:

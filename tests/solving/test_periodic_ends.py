@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.errors import InfeasibleError
+from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 
 T, METHODS = 12, ("auto", "convex", "structured")
 
@@ -52,14 +52,14 @@ def test_every_method_finds_the_optimum_of_cvxpy(seed):
         assert result.cost == pytest.approx(expected, rel=1e-7, abs=1e-7)
 
 
-def double_integrator(**further) -> lfo.OptimalControlProblem:
+def double_integrator(**further: object) -> lfo.OptimalControlProblem:
     """A position that follows a square wave of one period, whose velocity costs nothing."""
     times, h = np.arange(41), 0.1
     reference = np.column_stack([np.sign(np.sin(2 * np.pi * (times + 0.5) / 40)), 0 * times])
     cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.01, x_ref=reference)
     dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]])
-    given = {"control_set": lfo.Box(-8, 8), "terminal_state": lfo.Periodic()} | further
-    return lfo.OptimalControlProblem(dynamics, 40, cost, **given)
+    given = {"cost": cost, "control_set": lfo.Box(-8, 8), "terminal_state": lfo.Periodic()} | further
+    return lfo.OptimalControlProblem(dynamics, 40, **given)
 
 
 def in_other_units(problem: lfo.OptimalControlProblem) -> lfo.OptimalControlProblem:
@@ -135,3 +135,53 @@ def test_a_rate_limit_an_output_band_and_the_export_keep_it():
     program = lfo.to_cvxpy(problem)
     program.solve(solver="CLARABEL")
     assert program.value == pytest.approx(result.cost, rel=1e-6)
+
+
+CLOSED: dict[str, dict[str, object]] = {
+    "bounds": {"control_set": lfo.Box(-1.5, 1.5)},
+    "state bounds": {"state_set": lfo.Box([-0.5, None], [0.5, None])},
+    "a bound on x_T": {"terminal_state": lfo.Periodic() & lfo.Box([0.3, None], None)},
+    "a bound on x_0": {"initial_state": lfo.Box([0.3, None], None)},
+    "a band": {"control_spectrum": lfo.low_pass(0.6)},
+    "rows": {"stage_rows": lfo.StageRows([[1.0, 0.0]], [[0.1]], [0.4])},
+}
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_the_fourier_domain_method_closes_the_period(name):
+    problem = double_integrator(**CLOSED[name])  # whose integrators have the eigenvalue of bin 0
+    result = lfo.solve(problem, method="spectral")
+    assert result.certificate.globally_optimal
+    assert abs(result.certificate.gap) < 1e-12
+    assert result.cost == pytest.approx(lfo.solve(problem, method="structured").cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(0, 12, 2))
+def test_the_fourier_domain_method_agrees_on_random_problems(seed):
+    given = random_problem(seed)
+    problem = replace(given, cost=replace(given.quadratic, P=np.zeros((3, 3))))
+    result = lfo.solve(problem, method="spectral")
+    assert result.certificate.globally_optimal
+    assert result.cost == pytest.approx(lfo.solve(problem, method="structured").cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"initial_state": [0.0, 0.0]},
+        {"cost": lfo.QuadraticCost(R=1.0, P=1.0)},
+        {"terminal_state": lfo.sets.LinkedEnds(-np.eye(2), np.eye(2))},
+        {"state_set": lfo.sets.Soft(lfo.Box(-1, 1), 1.0)},
+    ],
+)
+def test_the_fourier_domain_method_refuses_other_links(change):
+    problem = double_integrator(**change)
+    with pytest.raises(UnsupportedError, match="linked otherwise"):
+        lfo.solve(problem, method="spectral")
+    assert lfo.solve(problem).certificate.globally_optimal
+
+
+def test_a_solver_of_a_period_takes_no_free_end():
+    solver = lfo.SpectralSolver(double_integrator())
+    with pytest.raises(ProblemError, match=r"terminal_state.*the ends are periodic"):
+        solver.solve(terminal_state=lfo.sets.Everything())

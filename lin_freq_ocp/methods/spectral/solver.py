@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, known_entries, positive_number
+from lin_freq_ocp.arrays import Array, brief, known_entries, positive_number
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
@@ -324,6 +324,9 @@ class SpectralSolver:
         other = changes or references or (terminal_state is not None and self._lti.prices is not None)
         lti = None if other else self._lti.between(problem.ends, self._units.x)
         lti = lti or lti_problem(problem, self._units)
+        if lti.periodic != self._lti.periodic:
+            given = brief(terminal_state)
+            raise ProblemError("terminal_state", given, "None: the ends are periodic", "Make a new SpectralSolver.")
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),

@@ -21,6 +21,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.terms.ends_map import Link
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.text.phrases import MOST_TEXT
 
@@ -68,6 +69,10 @@ class ConvexSet(ABC):
     def members(self) -> tuple[ConvexSet, ...]:
         """Return the sets that it is the intersection of, boxes left out."""
         return (self,)
+
+    def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
+        """Return the equations on both ends that it says as a terminal set."""
+        return ()
 
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
         """Return the parts with a price per unit of excess."""
@@ -170,6 +175,9 @@ class Intersection(ConvexSet):
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return tuple(part for one in self.sets for part in one.parts(dimension))
+
+    def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
+        return tuple(link for one in self.sets for link in one.links(dimension, horizon))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         text = "; and ".join(one.describe(names, signal) for one in self.sets)

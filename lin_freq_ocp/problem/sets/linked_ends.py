@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, assign, real_array, with_columns
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.terms.ends_map import EndsMap, Within
+from lin_freq_ocp.problem.terms.ends_map import EndsMap, Link, Within
 from lin_freq_ocp.text.phrases import datum, plural
 
 
@@ -54,6 +54,7 @@ class LinkedEnds(ConvexSet):
     reach: float  # how far from e the rows may be: above 0 only where a conflict is explained
     may_be_soft: ClassVar[bool] = False
     name: ClassVar[str] = "linked ends"
+    periodic: ClassVar[bool] = False
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
         first, last = real_array("LinkedEnds.E_0", E_0), real_array("LinkedEnds.E_T", E_T)
@@ -82,10 +83,8 @@ class LinkedEnds(ConvexSet):
         """Return E_0 x_0 + E_T x_T - e as a map."""
         return EndsMap(self.E_0, self.E_T, self.e, horizon)
 
-    @property
-    def penalty(self) -> Within:
-        """Return what the values must satisfy."""
-        return Within(self.reach)
+    def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
+        return (Link(self.name, self.values(dimension, horizon), Within(self.reach), self.periodic),)
 
     def extended(self, n: int, k: int) -> ConvexSet:
         rows = self.values(n, 1)
@@ -121,6 +120,7 @@ class Periodic(LinkedEnds):
     """
 
     name: ClassVar[str] = "periodic ends"
+    periodic: ClassVar[bool] = True
 
     def __init__(self):
         assign(self, E_0=np.asarray(-1.0), E_T=np.asarray(1.0), e=np.asarray(0.0), reach=0.0)
@@ -134,11 +134,6 @@ class Periodic(LinkedEnds):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         return "x_T = x_0: the trajectory is one period"
-
-
-def links_of(terminal_state: ConvexSet) -> list[LinkedEnds]:
-    """Return the equations on both ends among the members of a terminal set."""
-    return [member for member in terminal_state.members if isinstance(member, LinkedEnds)]
 
 
 def _widened(links: LinkedEnds, reach: float) -> LinkedEnds:

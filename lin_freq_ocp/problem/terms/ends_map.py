@@ -88,3 +88,13 @@ class Within(Penalty):
     def conic(self, groups: int, dim: int) -> ConicForm:
         count = groups * dim
         return selected_rows(np.arange(count), np.full(count, -self.reach), np.full(count, self.reach))
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Equations on both ends: their values, what these must satisfy, and whether they say x_T = x_0."""
+
+    name: str
+    values: EndsMap
+    penalty: Within
+    periodic: bool

@@ -22,6 +22,7 @@ from lin_freq_ocp.methods.spectral.model.lti import Lti, Units
 from lin_freq_ocp.methods.spectral.model.soft_sets import soft_sets
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.real_rows import bin_multipliers
@@ -94,7 +95,7 @@ def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) ->
 
 def _row_multipliers(structure: Structure, working: WorkingSet, y: Array) -> Array:
     """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1)."""
-    border, lti, n = structure.border, structure.border.lti, structure.border.lti.state_dim
+    border, lti, n = structure.border, structure.border.lti, structure.border.lti.start_points
     on_rows = np.zeros((len(lti.F), lti.horizon + 1))
     np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
     fixed = slice(n, len(border.point_t))
@@ -123,6 +124,9 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: Units,
     x, u = units.cost / units.x, units.cost / units.u
     forces = found.on_rows[: n + m].T * np.concatenate([x, u])
     on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
+    on_ends: dict[str, Array] = {}
+    if structure.border.lti.periodic:
+        on_ends[Periodic.name] = _of_the_period(problem, found.eta[:, -1] * x, forces[:, :n])
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
@@ -133,8 +137,17 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: Units,
         sealed(forces[:-1, n:]),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
-        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets,
+        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets | on_ends,
     )
+
+
+def _of_the_period(problem: OptimalControlProblem, eta: Array, mu: Array) -> Array:
+    """Return the multiplier of x_T - x_0 = 0, (1, n), from eta_{T-1}; mu_0 moves to mu_T where x_T has the bound."""
+    tube = problem.state_tube
+    at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
+    mu[-1] = np.where(at_end, mu[0], 0.0)
+    mu[0] -= mu[-1]
+    return sealed((-eta - mu[-1])[None])
 
 
 def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
@@ -212,7 +225,12 @@ def _adjoint_terms(lti: Lti, outcome: Outcome, found: Recovered, start: int, sto
     """Yield the terms at start <= t < stop, (n, stop - start); at T, the gradient is that of the terminal cost."""
     at, n, eta, eta_C, zero = outcome.signals, lti.state_dim, found.eta, found.eta_C, np.zeros(lti.state_dim)
     yield found.on_rows[:n, start:stop]
-    yield np.hstack([zero[:, None], eta[:, : stop - 1]]) if start == 0 else eta[:, start - 1 : stop - 1]
+    before = np.array(eta[:, np.arange(start - 1, stop - 1)])  # at t = 0, that of the end, if it is periodic
+    if start == 0 and not lti.periodic:
+        before[:, 0] = 0.0
+    if stop == lti.horizon + 1 and lti.periodic:
+        before[:, -1] = 0.0
+    yield before
     yield _columns(-lti.A.T @ eta[:, start:stop], zero, 0, stop - start)
     if eta_C and (lti.state_cost or lti.P.any()):
         yield _columns(lti.M[:n] @ at.y[:, start:stop], lti.P @ at.last, 0, stop - start)

@@ -36,9 +36,9 @@ class Structure:
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
-        """Return the responses of all values of the given rows of F; None if they are many, or the border is soft."""
-        T = self.border.lti.horizon
-        if self.border.soft or not self.kernels.complete or not len(rows) or len(rows) * T > LARGEST:
+        """Return the responses of all values of the rows of F; None if many, or with a soft border or periodic ends."""
+        T, closed = self.border.lti.horizon, self.border.lti.periodic
+        if closed or self.border.soft or not self.kernels.complete or not len(rows) or len(rows) * T > LARGEST:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.border, rows)
@@ -136,9 +136,11 @@ def signals(
     if len(working) or multipliers.any():
         spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
     border.add(theta, spectrum)
-    last = lti.end.copy()
+    y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
+    if lti.periodic:
+        last[:] = y[: lti.state_dim, 0]
     last[border.free_end] = theta[border.at_end]
-    return Signals(fft.irfft(spectrum, lti.horizon), last), spectrum
+    return Signals(y, last), spectrum
 
 
 def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:

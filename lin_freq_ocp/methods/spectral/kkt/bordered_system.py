@@ -31,7 +31,7 @@ class BorderedSystem:
 
     theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
     (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
-    at (point_t, point_f); the first n are x(0).
+    at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
@@ -58,7 +58,8 @@ class BorderedSystem:
 
     def _set_variables(self) -> None:
         lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
-        self.free_start, self.free_end = np.flatnonzero(np.isnan(lti.start)), np.flatnonzero(np.isnan(lti.end))
+        free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
+        self.free_start, self.free_end = map(np.flatnonzero, free)
         ends = len(self.free_start) + len(self.free_end)
         self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
         self.ends = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
@@ -128,7 +129,7 @@ class BorderedSystem:
         np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
 
     def _set_points(self) -> None:
-        n = self.lti.state_dim
+        n = self.lti.start_points
         t, f = self.lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
         self.point_rows = self.values(self.point_t, self.point_f)
@@ -186,9 +187,9 @@ class BorderedSystem:
 
     def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
         """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
-        spaces, n = self.spaces, lti.state_dim
+        spaces, n = self.spaces, lti.start_points
         start = np.where(np.isnan(lti.start), 0.0, lti.start)
-        points = start, lti.lower[self.point_f[n:], self.point_t[n:]]
+        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
         singular = [
             scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
             for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
@@ -265,8 +266,8 @@ class BorderedSystem:
 
 def _null_space(rows: Array, gram: Array) -> Array:
     """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
-    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max())
-    if np.linalg.eigvalsh(gram)[0] > rounding:
+    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
+    if not len(gram) or np.linalg.eigvalsh(gram)[0] > rounding:
         return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
     rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
@@ -279,7 +280,7 @@ def equilibration(matrix: Array) -> Array:
     """Return a scale s for rows and columns such that the largest entries of s_i s_j |matrix_ij| are near 1."""
     scale = np.ones(len(matrix))
     for _ in range(EQUILIBRATIONS):
-        largest = np.abs(matrix * scale[:, None] * scale).max(1)
+        largest = np.abs(matrix * scale[:, None] * scale).max(1, initial=0.0)
         scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
     return scale
 

@@ -72,6 +72,7 @@ class Lti:
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
     prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
+    periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
     @property
     def state_dim(self) -> int:
@@ -82,6 +83,11 @@ class Lti:
     def control_dim(self) -> int:
         """Number of controls m."""
         return self.B.shape[1]
+
+    @property
+    def start_points(self) -> int:
+        """Number of equations x(0) = x_0: none if the ends are periodic."""
+        return 0 if self.periodic else self.state_dim
 
     def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
@@ -136,9 +142,12 @@ class Units:
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
     cost, dynamics = problem.quadratic, problem.linear
-    others = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS and soft_set(problem, term) is None]
+    taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
+    others = [term for term in problem.terms if term.kind not in taken and soft_set(problem, term) is None]
     if others:
         return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
+        return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
     if soft_sets(problem) is None:
         return "two bounds on the same side of a component, of which one is soft"
     if dynamics.time_varying:
@@ -153,6 +162,16 @@ def refusal(problem: OptimalControlProblem) -> str | None:
     if not any(part.any() for part in (cost.Q, cost.R)):
         return "neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost"
     return None
+
+
+def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
+    """Whether x_T = x_0 is all that is said of both ends beyond bounds: then the trajectory is a period in all bins."""
+    links, cost = problem.terminal_state.links(problem.state_dim, problem.horizon), problem.quadratic
+    return (
+        [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]
+        and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())
+        and all(term.hard for term in problem.terms)
+    )
 
 
 def natural_units(problem: OptimalControlProblem) -> Units:
@@ -231,6 +250,11 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     prices = None
     if not all(term.hard for term in problem.terms):
         (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
+    periodic = closes_on_the_circle(problem)
+    if periodic:
+        lower = _met(np.maximum, lower, last_lower)
+        upper = _met(np.minimum, upper, last_upper)
+        last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
     start, end = (_point(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     return Lti(
@@ -253,7 +277,18 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         last_upper=last_upper,
         constant=_cost_at_zero(problem) / units.cost,
         prices=prices,
+        periodic=periodic,
     )
+
+
+def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:
+    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
+    first = tighter(side[: len(last), 0], last)
+    if (first == side[: len(last), 0]).all():
+        return side
+    both = np.array(side)
+    both[: len(last), 0] = first
+    return both
 
 
 def _point(box: Box) -> Array:

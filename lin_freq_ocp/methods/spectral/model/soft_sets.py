@@ -68,10 +68,10 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
 
 
 def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
-    """Return all terms but stage rows as soft sets; None if some is none, or needs the place of another bound."""
+    """Return all sets as soft sets; None if some is none, or needs the place of another bound."""
     found = list[SoftSet]()
     for term in problem.terms:
-        if term.kind != TermKind.STAGE_ROWS:
+        if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
             one = soft_set(problem, term)
             if one is None:
                 return None
