@@ -245,8 +245,9 @@ def _draw_touching(ax: Axes, trace: Trace, component: Signal, factor: float) -> 
     """Mark where a spectrum reaches the limit of a mask at every frequency."""
     touching = component.touching(trace.trajectory)
     if len(touching.at):
-        look = {"markersize": 4, "markerfacecolor": "none", "zorder": trace.style.order + 2}
-        ax.plot(factor * touching.at, touching.values, "o", color=trace.style.color, **look)
+        points = Line2D(factor * touching.at, touching.values, linestyle="none", color=trace.style.color)
+        points.set(marker="o", markersize=4, markerfacecolor="none", zorder=trace.style.order + 2)
+        ax.add_line(points)
 
 
 def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:
