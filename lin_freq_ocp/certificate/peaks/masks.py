@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.terms.limits import Limits
 
 CELLS = 4  # for each sample: the series then converges like (pi/8)^j / j!
 DOUBLE_SHARE = 1e-11  # error of the ratio, from rounding in double precision, that needs no longer numbers
+END_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of an end of an interval, in cells, for each cell before it
 FFT_ROUNDING = 7.0  # roundings of each of the log2 stages of an FFT, relative to the norm of the result
 
 
@@ -65,7 +66,8 @@ def _on_intervals(series: ComplexArray, error: float, limits: Limits, size: floa
     parts: list[Cells] = []
     for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
         k = np.arange(max(round(low / (2 * step)) - 1, 0), min(round(high / (2 * step)) + 2, len(series)))
-        first, last = np.maximum(low / step - 2 * k, -1.0), np.minimum(high / step - 2 * k, 1.0)
+        slack = END_ROUNDING * len(series)
+        first, last = np.maximum(low / step - 2 * k - slack, -1.0), np.minimum(high / step - 2 * k + slack, 1.0)
         kept = first <= last
         k, first, last = k[kept], first[kept], last[kept]
         slope = (at_high - at_low) / (high - low) if high > low else 0.0
