@@ -58,7 +58,7 @@ def shaped_length(impulses: Array, shortest: int) -> int | None:
         assert trajectory is not None
         shaped = np.convolve(trajectory.u[:, 0], on_grid)
         of_its_length = replace(everywhere, map=replace(everywhere.map, window=np.ones(len(shaped))))
-        if proven_peak(shaped, of_its_length).ratio <= 1:
+        if proven_peak(of_its_length, shaped).ratio <= 1:
             return len(shaped)
     return None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
+
 from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
 from lin_freq_ocp.analysis.vibration_peaks import vibration_peaks
 from lin_freq_ocp.arrays import Array
@@ -17,12 +19,11 @@ def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float
     return {name: points for name, points in found.items() if len(points)}
 
 
+@singledispatch
 def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,)."""
-    match everywhere:
-        case Frequencies():
-            return spectral_peaks(everywhere, x, u, above)
-        case PlantBox():
-            return vibration_peaks(everywhere, x, u, above)
-        case _:
-            raise NotImplementedError(type(everywhere).__name__)
+    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,); by kind of set."""
+    raise NotImplementedError(type(everywhere).__name__)
+
+
+peaks_above.register(Frequencies, spectral_peaks)
+peaks_above.register(PlantBox, vibration_peaks)

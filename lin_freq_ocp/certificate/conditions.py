@@ -253,7 +253,7 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
 
 def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, least: Array) -> Condition:
     """C-vi, C-vii, S-yhat everywhere: |V| <= l; compared with l, or a part of the norm of the samples."""
-    peak = proven_peak(priced.signal, everywhere)
+    peak = proven_peak(everywhere, priced.signal)
     frequency, plants = peak.frequency, peak.damping is not None
     limit = float(everywhere.limit_at(np.array([[frequency, peak.damping] if plants else frequency]))[0])
     scale = max(limit, SCALE_FLOOR * float(_scales(priced.sizes, least).max()))

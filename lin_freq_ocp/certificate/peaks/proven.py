@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
+
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.masks import certified_peak
@@ -10,12 +12,17 @@ from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
 from lin_freq_ocp.problem.terms.vibration import PlantBox
 
 
-def proven_peak(samples: Array, everywhere: Continuum) -> Peak:
-    """Return the largest |V| / l of windowed samples (N,) over the parameter set."""
-    match everywhere:
-        case Frequencies():
-            return certified_peak(samples, everywhere.limits)
-        case PlantBox():
-            return certified_vibration(samples, everywhere)
-        case _:
-            raise NotImplementedError(type(everywhere).__name__)
+@singledispatch
+def proven_peak(everywhere: Continuum, samples: Array) -> Peak:
+    """Return the largest |V| / l of windowed samples (N,) over a parameter set; by kind of set."""
+    raise NotImplementedError(type(everywhere).__name__)
+
+
+@proven_peak.register
+def _(everywhere: Frequencies, samples: Array) -> Peak:
+    return certified_peak(samples, everywhere.limits)
+
+
+@proven_peak.register
+def _(everywhere: PlantBox, samples: Array) -> Peak:
+    return certified_vibration(samples, everywhere)

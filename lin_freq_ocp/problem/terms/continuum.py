@@ -3,7 +3,7 @@
 
 A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
 By Caratheodory's theorem, an optimum has multipliers at finitely many points only. A new parameter set is a subclass of
-``Continuum``; its maxima are found in ``analysis``, and proven in ``certificate/peaks``.
+``Continuum``, registered in ``analysis/peaks`` (its maxima) and in ``certificate/peaks/proven`` (their proof).
 """
 
 from __future__ import annotations
