@@ -77,7 +77,8 @@ def compare(
     problem : OptimalControlProblem
         With its frequency constraints.
     filters : sequence of str, optional
-        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; default all.
+        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; of a bound on the residual
+        vibration of controls, the input shapers "ZV", "ZVD", "EI". Default: all that apply.
     backend, time_limit
         As for ``solve``.
 
@@ -88,7 +89,7 @@ def compare(
     Raises
     ------
     ProblemError
-        If there is no filter of a name.
+        If there is no filter of a name, or input shapers do not apply, saying why.
     SolveError
         If the problem has no solution even without its frequency constraints.
 

@@ -26,7 +26,9 @@ from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_
 @click.command("compare")
 @problem_argument
 @settings_option
-@click.option("--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped; default all.")
+@click.option(
+    "--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped,ZV,ZVD,EI; default all."
+)
 @click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report and its figures here.")
 @backend_option
 @time_limit_option
@@ -71,8 +73,11 @@ def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from lin_freq_ocp.report.tables import comparison_table
+    from lin_freq_ocp.report.moves import moves_rows
+    from lin_freq_ocp.report.tables import comparison_table, terminal_table
 
     print_lines(str(comparison.constrained))
     print_conflict(comparison.constrained)
     print_table(comparison_table(comparison))
+    if comparison.moves is not None:
+        print_table(terminal_table("Shortest moves at the same residual vibration", moves_rows(comparison.moves)))

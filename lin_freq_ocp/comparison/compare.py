@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.modes.smooth import Kink, kinks
-from lin_freq_ocp.comparison.filters import (
-    FILTERS,
-    can_be_filtered,
-    filtered,
-    has_frequency_constraint,
-    require_filters,
-)
+from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
+from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
+from lin_freq_ocp.comparison.shapers import SHAPERS
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
@@ -25,7 +21,7 @@ from lin_freq_ocp.comparison.trajectories import (
     replayed,
     solution_label,
 )
-from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.errors import ProblemError, SolveError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
@@ -52,6 +48,7 @@ class ComparisonOutcome:
     classical: Outcome  # without any frequency constraint
     constrained: Outcome  # may be infeasible, which is then the finding
     filtered: tuple[Filtered, ...]  # in the order asked for
+    moves: Moves | None = None  # of input shapers, where controls have a bound on their residual vibration
 
     @cached_property
     def classical_solution(self) -> MeasuredTrajectory:
@@ -131,6 +128,7 @@ class ComparisonOutcome:
             ("classical", text(self.classical.status, self.classical_measures)),
             *((one.name, text(_origin(one.replay), one.replay.measures)) for one in self.filtered),
             ("constrained", text(self.constrained.status, self.constrained_measures)),
+            *((move.name, str(move)) for move in (() if self.moves is None else self.moves.all)),
         ]
 
     def __str__(self) -> str:
@@ -159,8 +157,7 @@ def compared(
 ) -> ComparisonOutcome:
     """Return the parts of a comparison, whose two problems ``solve`` solves; see ``lfo.compare``."""
     require_problem(problem)
-    names = list(FILTERS) if filters is None else list(filters)
-    require_filters(names)
+    names, shapers = _chosen(problem, filters)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
     # The classical plan is only to be filtered: no global bound is asked for.
     method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands else "auto"
@@ -174,4 +171,20 @@ def compared(
         control = filtered(name, problem, plan.u)
         replay = replayed(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
-    return ComparisonOutcome(problem, classical, constrained, tuple(entries))
+    if not shapers:
+        return ComparisonOutcome(problem, classical, constrained, tuple(entries))
+    moves = shortest_moves(problem, partial(solve, backend=backend, time_limit=time_limit, throw=False), shapers)
+    return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)
+
+
+def _chosen(problem: OptimalControlProblem, given: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the names of filters and of shapers; by default all that apply."""
+    obstacle = why_not_shaped(problem)
+    if given is None:
+        return list(FILTERS) if can_be_filtered(problem) or obstacle else [], [] if obstacle else list(SHAPERS)
+    for name in given:
+        if name not in FILTERS and name not in SHAPERS:
+            raise ProblemError("filters", repr(name), f"some of {', '.join([*FILTERS, *SHAPERS])}")
+        if name in SHAPERS and obstacle:
+            raise ProblemError("filters", repr(name), f"a problem that input shapers apply to: {obstacle}")
+    return [name for name in given if name in FILTERS], [name for name in given if name in SHAPERS]

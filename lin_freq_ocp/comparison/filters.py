@@ -12,7 +12,6 @@ import numpy as np
 
 from lin_freq_ocp.analysis.measures import stopped_runs
 from lin_freq_ocp.arrays import Array, Mask
-from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -44,17 +43,9 @@ class Design:
 
 def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
     """Apply the named filter to a control u, shape (T, m)."""
-    require_filters([name])
     step = problem.sampling_time
     hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))
     return FILTERS[name](u, Design(filter_stop(problem), problem.control_tube, *hertz))
-
-
-def require_filters(names: Sequence[str]) -> None:
-    """Raise ProblemError unless all names are filters."""
-    for name in names:
-        if name not in FILTERS:
-            raise ProblemError("filters", repr(name), f"some of {', '.join(FILTERS)}")
 
 
 def filter_stop(problem: OptimalControlProblem) -> Mask:
@@ -98,8 +89,10 @@ def filter_limits(problem: OptimalControlProblem) -> str:
             f"the band is on {others}, on which filters of the controls do not act; they remove its frequencies from "
             "every control instead"
         )
-    if any(term.kind.is_spectrum and not len(term.map.nearest_bins) for term in problem.terms):
+    without_bins = [term for term in problem.terms if term.kind.is_spectrum and not len(term.map.nearest_bins)]
+    if any(term.everywhere is None for term in without_bins):
         limits.append("linear equations over all times are nothing that a filter acts on")
+    limits += [f"{term.name} is not about bins" for term in without_bins if term.everywhere is not None]
     return "; ".join(limits)
 
 

@@ -14,6 +14,7 @@ from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constra
 from lin_freq_ocp.comparison.signals import Signal, controls_of
 from lin_freq_ocp.comparison.trajectories import SAME_PEAK, STOPPED, MeasuredTrajectory, Violation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.report.moves import moves_sentence
 from lin_freq_ocp.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.report.units import frequency_scale, quantity, rough
 from lin_freq_ocp.solving.outcome import Outcome
@@ -45,8 +46,9 @@ def finding(comparison: ComparisonOutcome) -> Finding:
         solution = _without_solution(result) or f"the cost is {number(result.cost)}, {_proven(result)}"
         return Finding("", "No frequency constraint, so nothing to filter", solution)
     filtering, limits = "", filter_limits(comparison.problem)
-    if shown is None and limits and comparison.filtered:
+    if shown is None and limits:
         filtering = f"does not apply: {limits}"
+        filtering += "" if comparison.moves is None else f"; {moves_sentence(comparison.moves)}"
     if shown is not None:
         replay = shown.replay
         filtering = ", ".join(faults(replay, comparison))

@@ -16,7 +16,9 @@ from lin_freq_ocp.report.drawing import Drawing, drawing_of, rendered, save_page
 from lin_freq_ocp.report.figures import figures
 from lin_freq_ocp.report.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.figures.plot_data import PlotData
+from lin_freq_ocp.report.figures.vibration import vibration_figure
 from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
+from lin_freq_ocp.report.moves import moves_caption, moves_rows, moves_title
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
@@ -45,6 +47,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         tiles=tiles(comparison),
         drawings={drawing.name: drawing for drawing in drawings},
         table=comparison_rows(comparison),
+        moves=None if comparison.moves is None else moves_rows(comparison.moves),
         filtering=FILTERING,
         not_meaningful=NOT_MEANINGFUL,
         meaning=stop_band_meaning(comparison),
@@ -106,6 +109,9 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
         yield "state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped)
     if data.outputs:
         yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
+    if comparison.moves is not None:
+        title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
+        yield "vibration", title, caption, vibration_figure(comparison.moves)
     if data.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)

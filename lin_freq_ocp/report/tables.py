@@ -184,8 +184,12 @@ def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -
 
 def comparison_table(comparison: ComparisonOutcome) -> Table:
     """Return the comparison as a table for a terminal."""
-    rows = comparison_rows(comparison)
-    table = Table(title=Text(comparison.problem.name or "Comparison"), caption=Text(KEY))
+    return terminal_table(comparison.problem.name or "Comparison", comparison_rows(comparison))
+
+
+def terminal_table(title: str, rows: ComparisonRows) -> Table:
+    """Return one column per trajectory as a table for a terminal."""
+    table = Table(title=Text(title), caption=Text(KEY))
     table.add_column("")
     for column in rows.columns:
         table.add_column(Text(column), justify="right", style="bold" if column == rows.columns[-1] else "")

@@ -16,6 +16,7 @@ SAYS = {
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",
     "minimum_time": "131 is proven infeasible by a ray, and with it all shorter horizons",
+    "printer_move": "ZVD       28 samples, 0.14 s",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
     "receding_horizon": "0 of 120 steps softened",

@@ -433,7 +433,7 @@ def test_a_result_of_other_keys_is_invalid(solved, place, value):
 
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
-    compared = {"classical", "constrained", "filtered"}
+    compared = {"classical", "constrained", "filtered", "moves"}
     assert set(RESULT["properties"]) - compared == {"atoms", *result_summary(solved, with_trajectory=True)}
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", *ERRORS]
@@ -447,6 +447,13 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
         assert (set(parts[part]["properties"]), set(parts[part]["required"])) == (names, names)
     condition = {**asdict(Condition("C-i", "", 0.0, 1.0, 1.0)), "passed": True}
     assert set(parts["condition"]["properties"]) == {"peak", *parts["condition"]["required"]} == set(condition)
+
+
+def test_the_moves_of_a_comparison_are_valid():
+    summary = printed(comparison_summary(lfo.compare(lfo.library.printer_move(), ["EI"])))
+    assert list(summary["moves"]) == ["unshaped", "EI", "optimal"]
+    assert faults(RESULT, summary) == []
+    assert faults(RESULT, changed(summary, "moves.EI.samples", 0)) != []
 
 
 def test_the_result_of_a_mask_at_every_frequency_is_valid():

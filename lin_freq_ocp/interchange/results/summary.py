@@ -24,6 +24,7 @@ from lin_freq_ocp.system.atomic import write_text
 
 if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
+    from lin_freq_ocp.comparison.moves import Move
 
 SCHEMA = 1
 
@@ -60,7 +61,7 @@ def certificate_summary(problem: OptimalControlProblem, certificate: Certificate
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
     """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
-    constrained = comparison.constrained_measures
+    constrained, moves = comparison.constrained_measures, comparison.moves
     return finite(
         {
             **result_summary(comparison.constrained),
@@ -75,8 +76,19 @@ def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
                 }
                 for filtered in comparison.filtered
             },
+            **({} if moves is None else {"moves": {move.name: _move(move) for move in moves.all}}),
         }
     )
+
+
+def _move(move: Move) -> FileTable:
+    return {
+        "description": move.description,
+        "found": move.measured is not None,
+        "samples": move.samples,
+        "seconds": move.seconds,
+        "vibration": move.ratio,
+    }
 
 
 def failed_comparison_summary(result: Outcome) -> FileTable:

@@ -1,0 +1,103 @@
+"""The shortest moves of input shapers beside that of the problem: lengths, vibrations, and where they do not apply."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.command_line import parsed, run
+from lin_freq_ocp.comparison import moves as moves_of
+from lin_freq_ocp.comparison.moves import why_not_shaped
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.report.figures.vibration import vibration
+from lin_freq_ocp.report.moves import moves_rows, moves_sentence
+from lin_freq_ocp.report.page import draw, render
+
+CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    return lfo.compare(lfo.library.printer_move())
+
+
+def test_no_shaper_is_shorter_and_every_move_is_calm(comparison):
+    moves = comparison.moves
+    assert [(move.name, move.samples) for move in moves.all] == [
+        ("unshaped", 18), ("ZV", 45), ("ZVD", 28), ("EI", 28), ("optimal", 22)
+    ]  # fmt: skip
+    assert moves.proof
+    assert moves.unshaped.ratio > 10
+    assert not moves.unshaped.keeps_everything
+    for move in (*moves.shaped, moves.ours):
+        assert move.keeps_everything
+        frequencies = np.linspace(18.0, 22.0, 101)
+        largest = vibration(move, 0, frequencies).max()
+        assert 0.99 * 0.5 * move.ratio <= largest <= 0.5 * move.ratio
+        x = lfo.simulate(move.measured.problem, move.measured.trajectory.u).x
+        assert x[-1] == pytest.approx([0.02, 0.0], abs=1e-9)
+        assert np.abs(x[:, 1]).max() <= 0.5 + 1e-9
+        assert np.abs(move.measured.trajectory.u).max() <= 10 + 1e-9
+
+
+def test_a_move_that_breaks_a_bound_is_none_of_a_shaper(comparison):
+    move = comparison.moves.shaped[1]
+    at = move.measured.problem
+    slower = replace(at, state_set=lfo.Box([-1, -0.1], [1, 0.1]))
+    assert not replace(move, measured=replace(move.measured, problem=slower)).keeps_everything
+    loud = replace(move, peaks=(replace(move.peaks[0], ratio=1 + 1e-6),))
+    assert not loud.keeps_everything
+
+
+def test_words_table_and_page(comparison):
+    words = moves_sentence(comparison.moves)
+    assert "ZV 45, ZVD 28 and EI 28" in words
+    assert "22 samples are enough, and 21 are proven not to be" in words
+    rows = moves_rows(comparison.moves)
+    assert rows.columns == ("unshaped", "ZV", "ZVD", "EI", "optimal")
+    (group,) = rows.groups
+    assert [cell.text for cell in group.rows[0].cells] == ["18", "45", "28", "28", "22"]
+    assert [cell.passed for cell in group.rows[3].cells] == [False, True, True, True, True]
+    drawings = draw(comparison)
+    (drawing,) = (one for one in drawings if one.name == "vibration")
+    assert 'aria-label="Residual vibration over the natural frequency: ZV, ZVD, EI and optimal' in drawing.inline
+    page = render(comparison, drawings)
+    assert "Shortest moves at the same residual vibration" in page
+    assert "0.5471 at t = 0, 0.4529 at t = 5" in page
+    assert "ZV " in str(comparison)
+
+
+def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
+    monkeypatch.setattr(moves_of, "LONGEST", 2)
+    problem = lfo.library.printer_move(30, vibration_bound=0.002)
+    moves = lfo.compare(problem, ["ZV"]).moves
+    (move,) = moves.shaped
+    assert (move.measured, move.ratio, move.samples) == (None, None, 2 * 18 + 4)
+    assert "ZV more than 40" in moves_sentence(moves)
+    assert "> 40" in [cell.text for cell in moves_rows(moves).groups[0].rows[0].cells]
+
+
+def test_where_shapers_do_not_apply():
+    free = lfo.library.double_integrator(horizon=40, sampling_time=0.04, cutoff_hz=None)
+    assert "no control" in why_not_shaped(free)
+    swing = lfo.library.two_mass_spring(horizon=40, notch_width_hz=None, initial_state=(0.0, 0.5, 0.0, 0.0))
+    ringing = replace(swing, control_spectrum=CALM, terminal_state=None)
+    assert "does not stay" in why_not_shaped(ringing)
+    with pytest.raises(ProblemError, match="'ZV'; expected a problem that input shapers apply to"):
+        lfo.compare(ringing, ["ZV"])
+    varying = replace(free, control_set=[lfo.Box(-1.0, 1.0)] * 40, control_spectrum=CALM)
+    assert "control_set" in why_not_shaped(varying)
+    with pytest.raises(ProblemError, match=r"some of brickwall.*ZV, ZVD, EI"):
+        lfo.compare(free, ["ZVDD"])
+
+
+def test_the_command_prints_both_tables():
+    given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
+    status, out, _ = run(*given)
+    assert status == 0
+    assert "Shortest moves at the same residual vibration" in out
+    status, out, _ = run(*given, "--json")
+    moves = parsed(out)["moves"]
+    assert (status, list(moves)) == (0, ["unshaped", "ZVD", "optimal"])
+    assert (moves["ZVD"]["samples"], moves["optimal"]["samples"]) == (28, 21)

@@ -1,0 +1,63 @@
+"""Input shapers: their impulses against the vibration that they are made for."""
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.comparison.shapers import INSENSITIVITY, SHAPERS, described, impulses, shaped
+from lin_freq_ocp.problem.terms.vibration import PlantBox, VibrationMap
+
+H = 1e-3  # half a period of 10 Hz is 50 samples
+
+
+def box_of(damping, h=H):
+    plain = VibrationMap(None, np.ones(1), np.ones(5), np.zeros((0, 2)), h)
+    frequency = 10.0 / np.sqrt(1 - damping**2)  # damped: 10 Hz
+    return PlantBox(plain, np.array([frequency, damping]), np.array([frequency, damping]), 1.0, h)
+
+
+def left(name, damping, ratio=1.0):
+    """What impulses leave of the vibration of a single impulse at the end, for a mode whose frequency differs."""
+    given, w = impulses(name, box_of(damping)), ratio * 2 * np.pi * 10.0 / np.sqrt(1 - damping**2)
+    s = w * (-damping + 1j * np.sqrt(1 - damping**2))
+    z = np.exp(s * H * np.arange(len(given))[::-1])
+    return abs((given * z).sum()) / abs(z[0])
+
+
+@pytest.mark.parametrize("name", SHAPERS)
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_impulses_are_positive_and_sum_to_one(name, damping):
+    given = impulses(name, box_of(damping))
+    assert given.sum() == pytest.approx(1.0)
+    assert (given >= 0).all()
+    assert len(given) == {"ZV": 51, "ZVD": 101, "EI": 101}[name]
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_zero_vibration_and_zero_derivative(damping):
+    assert left("ZV", damping) < 1e-12
+    assert left("ZVD", damping) < 1e-12
+    assert left("ZV", damping, 1.001) > 1e-3
+    assert left("ZVD", damping, 1.001) < 1e-4
+
+
+def test_extra_insensitive_leaves_its_share_and_is_zero_on_both_sides():
+    assert left("EI", 0.0) == pytest.approx(INSENSITIVITY)
+    ratios = np.linspace(0.8, 1.2, 4001)
+    values = np.array([left("EI", 0.0, ratio) for ratio in ratios])
+    below, above = (values[ratios < 1].min(), values[ratios > 1].min())
+    assert max(below, above) < 1e-3
+    insensitive = np.ptp(ratios[values <= 1.001 * INSENSITIVITY])
+    of_zvd = np.ptp(ratios[np.array([left("ZVD", 0.0, ratio) for ratio in ratios]) <= INSENSITIVITY])
+    assert insensitive > 1.3 * of_zvd
+
+
+def test_a_shaped_control_is_longer_and_has_the_same_sum():
+    box, u = box_of(0.1), np.random.default_rng(0).standard_normal((20, 2))
+    found = shaped("ZVD", box, u)
+    assert found.shape == (120, 2)
+    np.testing.assert_allclose(found.sum(0), u.sum(0), atol=1e-12)
+    assert described("ZV", box_of(0.0)) == "0.5 at t = 0, 0.5 at t = 50"
+
+
+def test_impulses_that_share_a_sample_are_one():
+    assert impulses("ZVD", box_of(0.0, h=1.0)) == pytest.approx([1.0])
