@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.rate_limit import rate_limited
     from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
-    from lin_freq_ocp.sets import Box, Periodic, StageRows
+    from lin_freq_ocp.sets import Box, FiniteSet, Periodic, StageRows
     from lin_freq_ocp.solvers import SpectralSolver
     from lin_freq_ocp.solving.certify import certify
     from lin_freq_ocp.spectrum import MagnitudeBound, ResidualVibration, low_pass, stop_band
@@ -78,7 +78,7 @@ _HOMES = {
     "problem.rate_limit": "rate_limited",
     "problem.simulation": "simulate",
     "results": "Trajectory",
-    "sets": "Box Periodic StageRows",
+    "sets": "Box FiniteSet Periodic StageRows",
     "solvers": "SpectralSolver",
     "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
@@ -88,13 +88,13 @@ _MODULES = {name: module for module, names in _HOMES.items() for name in names.s
 
 # fmt: off
 __all__ = [
-    "AffineMode", "Box", "DifferentiableFunction", "LinearDynamics", "MagnitudeBound", "OptimalControlProblem",
-    "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost", "RecedingHorizon",
-    "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify", "compare", "costs",
-    "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response", "io", "library", "load",
-    "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time", "norm", "rate_limited", "read_csv",
-    "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum",
-    "stop_band", "sweep", "to_cvxpy", "write_problem",
+    "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "LinearDynamics", "MagnitudeBound",
+    "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost",
+    "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
+    "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response", "io",
+    "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time", "norm",
+    "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve",
+    "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on
 

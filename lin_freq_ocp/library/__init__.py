@@ -36,6 +36,7 @@ from lin_freq_ocp.library.walls import cart_pole_with_walls as cart_pole_with_wa
 from lin_freq_ocp.library.walls import pendulum_with_wall as pendulum_with_wall
 from lin_freq_ocp.library.waveforms.mri_gradient import mri_gradient as mri_gradient
 from lin_freq_ocp.library.waveforms.printer_move import printer_move as printer_move
+from lin_freq_ocp.library.waveforms.pulse_pattern import pulse_pattern as pulse_pattern
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Benchmark = Callable[..., OptimalControlProblem]
@@ -59,8 +60,8 @@ LINEAR = _named(
     quarter_car,
     scanner,
 )
-# Without stop bands of their horizon: see docs/minimum_time.md.
-WAVEFORMS = _named(mri_gradient, printer_move)
+# See docs/minimum_time.md, docs/residual_vibration.md and docs/levels.md.
+WAVEFORMS = _named(mri_gradient, printer_move, pulse_pattern)
 # See docs/hybrid_systems.md.
 PIECEWISE_AFFINE = _named(
     absolute_value,

@@ -16,6 +16,7 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
+from lin_freq_ocp.problem.dynamics.levels import with_levels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
@@ -50,7 +51,8 @@ class OptimalControlProblem(ProblemData):
     cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
         The 1/2 of a QuadraticCost is part of its definition.
     control_set, state_set : set, sequence of sets, or None
-        One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states).
+        One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states). A
+        control_set may be a FiniteSet.
     initial_state, terminal_state : (n,), set, or None
         A point (a number, for a single state), a set, or free; taken together with the state set of that time. Outside
         that set, the problem is infeasible. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
@@ -114,6 +116,7 @@ class OptimalControlProblem(ProblemData):
         if not isinstance(cost, Cost):
             raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
         printable("name", name)
+        dynamics, control_set = with_levels(dynamics, control_set)
         n, m, T = dynamics.state_dim, dynamics.control_dim, positive_integer("horizon", horizon)
         dynamics.require_horizon(T)
         require_horizon(T, n, m)

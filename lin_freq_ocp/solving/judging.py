@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.level_rows import with_few_between
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
@@ -69,6 +72,25 @@ def judged(
         interrupted=candidate.interrupted,
         direction=direction,
     )
+
+
+def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
+    """Return the outcome of an optimum of the same cost with few samples between levels, or the outcome itself.
+
+    The multipliers are those of the first: normals to the optima's common face. The judge decides.
+    """
+    problem, at = outcome.problem, outcome.trajectory
+    if outcome.status != Status.OPTIMAL or at is None:
+        return outcome
+    u = with_few_between(problem, at.u)
+    if u is None:
+        return outcome
+    candidate = Candidate("optimal", simulate(problem, u, at.x[0]), outcome.multipliers)
+    found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
+    if found.status != Status.OPTIMAL:
+        return outcome
+    seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + found.seconds["certify"]}
+    return replace(found, seconds=seconds, reason=outcome.reason)
 
 
 def _verified(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:

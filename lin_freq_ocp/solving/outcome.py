@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lin_freq_ocp.analysis.level_rows import LevelUse, level_use
 from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.conflict import Conflict
@@ -167,6 +168,11 @@ class Outcome:
         return None if self.certificate is None else self.certificate.gap
 
     @property
+    def level_use(self) -> LevelUse | None:
+        """Return how the control uses its levels; None where it has none, or there is no trajectory."""
+        return None if self.trajectory is None else level_use(self.problem, self.trajectory.u)
+
+    @property
     def solver(self) -> str:
         """Return the method, with its backend if it has one."""
         return self.method if self.backend is None else f"{self.method}, {self.backend}"
@@ -181,6 +187,8 @@ class Outcome:
         lines += [] if self.certificate is None else [str(self.certificate)]
         if self.tree is not None and self.tree_bound is not None:
             lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
+        levels = self.level_use
+        lines += [] if levels is None else [f"levels    {levels}"]
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
         lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

@@ -14,6 +14,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.solving.every_frequency import solved_by
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
+from lin_freq_ocp.solving.judging import with_few_fractional
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -40,6 +41,7 @@ def solve_judged(
     begin = None if start is None else start_of(problem, start)
     request = Request(np.inf if time_limit is None else time_limit, progress, begin)
     outcome = solved_by(found, problem, request, tolerance or getattr(found, "tolerance", None))
+    outcome = with_few_fractional(outcome, tolerance)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 

@@ -96,6 +96,9 @@ FEATURES_ALONE: dict[str, dict[str, Any]] = {
         "state_set": [*(POLYHEDRON, BALL, ELLIPSOID, CONE, BOX & BALL, lfo.sets.Soft(BOX, 1.0), BOX), *[BALL, CONE] * 3]
     },
     "boxes per time": {"control_set": [lfo.Box(None, t) for t in range(T)]},
+    "levels": {"control_set": lfo.FiniteSet([1.0, -1 / 3, 0.0], costs=[1.0, 1 / 3, 0.0])},
+    "levels of each component": {"control_set": lfo.FiniteSet([[0, 1 / 3], [-1, 0, 1]], [[0.1, 0.2], [1, 0, 1 / 3]])},
+    "levels with duty cycles": {"control_set": lfo.FiniteSet([0, 1, 2], [0.0, 2.0, 1.0], duty_cycles=True)},
     "L1 cost": {"cost": L1Cost(x=[0.1, 0.0, 1 / 3], u=0.7, terminal=2.0, x_ref=CENTRE)},
     "L1 cost per time": {
         "cost": lfo.QuadraticCost(R=1.0)
@@ -180,6 +183,7 @@ def assert_same_dynamics(one: Any, other: Any) -> None:
         *(other.sampling_time, other.state_names, other.control_names),
         other.mode_names,
     )
+    one, other = one.standard_form, other.standard_form
     assert [mode.name for mode in one.modes] == [mode.name for mode in other.modes]
     for mine, theirs in zip(one.modes, other.modes, strict=True):
         if isinstance(mine, lfo.dynamics.SmoothMode):

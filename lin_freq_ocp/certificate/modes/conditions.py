@@ -25,6 +25,7 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import held
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 # Conditions that depend on the weights: at times where only one mode is active they are checked apart
@@ -39,7 +40,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
-    extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
+    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes)
     own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
@@ -70,8 +71,10 @@ def region_distance(arrays: ModeArrays, trajectory: Trajectory, sizes: tuple[Arr
     return np.maximum(violation.max(axis=2), 0.0)
 
 
-def _averaged(problem: OptimalControlProblem, weights: Array) -> OptimalControlProblem:
-    return replace(problem, dynamics=problem.piecewise.averaged(weights))
+def _averaged(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
+    """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
+    dynamics, fixed = problem.piecewise.averaged(weights), problem.dynamics.controls_of(sequence)
+    return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
 
 
 def _weights(
@@ -89,7 +92,7 @@ def _weights(
             raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
         return multipliers.weights
     weights = np.eye(modes)[sequence]
-    extremal = extremal_at(_averaged(problem, weights), trajectory, multipliers)
+    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     for stage in switching_stages(extremal, floors(extremal, trajectory_sizes(problem, trajectory)), arrays, active):
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, located
 from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.interchange.problem_file.dynamics import DYNAMICS, without_zeros
@@ -15,6 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.finite import FiniteSet
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
@@ -34,6 +37,7 @@ SETS.records |= {
     "ellipsoid": Record(Ellipsoid),
     "second_order_cone": Record(SecondOrderCone),
     "intersection": Record(Intersection, sets=Tables(SETS, single=False)),
+    "finite_set": Record(FiniteSet),
     "linked_ends": Record(LinkedEnds),
     "periodic": Record(Periodic),
     "soft": Record(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
@@ -172,6 +176,12 @@ def _fields(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key != "schema"}
+    dynamics, finite = problem.dynamics.given
+    if finite is not None:
+        if problem.control_set is not finite.hull:
+            got, expected = brief(problem.control_set), "the FiniteSet of the dynamics' levels"
+            raise ProblemError("control_set", got, expected, "A file has one control set: another cannot stand beside.")
+        fields |= {"dynamics": dynamics, "control_set": finite}
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
         if isinstance(given, (list, tuple)) and not any(member.members for member in given):

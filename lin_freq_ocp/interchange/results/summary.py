@@ -49,6 +49,7 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "tree": _tree(result),
             "message": result.message or None,
             **_atoms(result.multipliers),
+            **_levels(result),
             **({"trajectory": _trajectory(result)} if with_trajectory else {}),
         }
     )
@@ -155,6 +156,15 @@ def _atoms(multipliers: Multipliers | None) -> FileTable:
         for name, found in multipliers.frequencies.items()
     }
     return {"atoms": atoms}
+
+
+def _levels(result: Outcome) -> FileTable:
+    """Return how the control uses its levels, if it has some: duty cycles by component, time and level."""
+    use = result.level_use
+    if use is None:
+        return {}
+    duty_cycles = [one.tolist() for one in use.duty_cycles]
+    return {"levels": {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}}
 
 
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:

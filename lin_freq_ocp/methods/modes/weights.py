@@ -14,6 +14,7 @@ multiple of them. eta and the other multipliers stay as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,6 +51,10 @@ def weighted(
     across += 0.0 if pushed is None else pushed
     weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
     weights[times, sequence] = 1.0
+    if problem.dynamics.controls_of(sequence) is not None:  # every u is normal to a point
+        nu, stage = multipliers.nu + across[:, x.shape[1] :], dict(multipliers.stage)
+        stage.pop(REGION, None)
+        return replace(multipliers, nu=nu, stage=stage, weights=weights)
     parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
     parts |= {STATE: multipliers.mu.copy(), CONTROL: multipliers.nu.copy()}
     scale = _scale(maps, multipliers)

@@ -19,6 +19,7 @@ from lin_freq_ocp.arrays import Array, Indices, Mask, brief, names, positive_num
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.text.phrases import first_few, plural
 
@@ -54,6 +55,15 @@ class Dynamics(ABC):
     def mode_names(self) -> tuple[str, ...]:
         """Return the name of every mode; empty for dynamics without modes."""
         return self.standard_form.mode_names
+
+    @property
+    def given(self) -> tuple[Dynamics, ConvexSet | None]:
+        """Return the dynamics as stated, and the control set that became a part of them."""
+        return self, None
+
+    def controls_of(self, sequence: Indices) -> Array | None:
+        """Return the controls (T, m) that a mode sequence fixes; None where it leaves them free."""
+        return None
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the dynamics in words, as pairs of a term and what it is; labels name states and controls."""

@@ -74,6 +74,23 @@ class ConvexSet(ABC):
         """Return the equations on both ends that it says as a terminal set."""
         return ()
 
+    @property
+    def hull(self) -> ConvexSet:
+        """Return the convex set that its points span; every other set is its own."""
+        return self
+
+    def points(self, dimension: int) -> Array | None:
+        """Return the finitely many points that alone are admissible, (points, n); None for the set as it is."""
+        return None
+
+    def levels_of(self, dimension: int) -> Sequence[Array]:
+        """Return the levels of each of so many components, (levels,); none for a set without levels."""
+        return ()
+
+    def shares(self, u: Array) -> Sequence[Array]:
+        """Return the duty cycles of the levels of each component, (T, levels); none for a set without levels."""
+        return ()
+
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
         """Return the parts with a price per unit of excess."""
         return tuple(replace(part, penalty=part.penalty.softened(weight)) for part in self.parts(dimension))

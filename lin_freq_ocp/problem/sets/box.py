@@ -248,6 +248,13 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
     return _checked(frozen(lower), frozen(upper)), beyond
 
 
+def held(given: SetOrSets, values: Array | None) -> SetOrSets:
+    """Return a set, for all times, with the values (times, n) as its bounds; the set itself without values."""
+    if values is None:
+        return given
+    return given & Box(values, values) if isinstance(given, ConvexSet) else Box(values, values)
+
+
 def box_of(one: ConvexSet) -> Box:
     """Return a box as it is, and the bounds of any other set."""
     return one if isinstance(one, Box) else _checked(*one.bounds)
