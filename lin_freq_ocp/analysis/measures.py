@@ -57,6 +57,7 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
     problem.require(trajectory)
     x, u = trajectory.x, trajectory.u
     terminal = problem.terminal_box
+    periods = x[: problem.state_samples]
     bounds = problem.state_boxes  # the ends apart
     has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
     missed = terminal.violation(x[-1])
@@ -70,8 +71,8 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
         terminal_errors=tuple(float(miss) for miss in missed) if has_end else None,
         stopband_energy=stopband_energy(u, problem.control_band),
         stopband_peak=stopband_peak(u, problem.control_band),
-        state_stopband_energy=stopband_energy(x, problem.state_band),
-        state_stopband_peak=stopband_peak(x, problem.state_band),
+        state_stopband_energy=stopband_energy(periods, problem.state_band),
+        state_stopband_peak=stopband_peak(periods, problem.state_band),
         amplification=amplification(problem.dynamics_along(trajectory), problem.horizon),
     )
 

@@ -104,7 +104,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
         *adjoint_and_transversality(extremal, least),
         stationarity_in_u(extremal, least),
         *hamiltonian_maximum(extremal, least),
-        frequency("C-vi", "state frequency constraint", x, problem.state_stop, least.x),
+        frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
         membership("S-x", "state in its set", x, problem.state_tube, least.x),
         membership("S-u", "control in its set", u, problem.control_tube, least.u),

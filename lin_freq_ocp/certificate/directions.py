@@ -133,7 +133,7 @@ def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: 
     terms = np.maximum((terms - np.abs(dynamics.offset)).max(0), SCALE_FLOOR * sizes[0])
     residuals = [float((np.abs(along.x[1:] - moved).max(0) / terms).max())]
     stops = problem.state_stop, problem.control_stop
-    for signal, stop, size in zip((along.x, along.u), stops, sizes, strict=True):
+    for signal, stop, size in zip((along.x[: problem.state_samples], along.u), stops, sizes, strict=True):
         magnitude = np.where(stop, np.abs(np.fft.rfft(signal, axis=0)), 0.0).max(0)
         residuals.append(float((magnitude / np.maximum(np.linalg.norm(signal, axis=0), SCALE_FLOOR * size)).max()))
     return residuals

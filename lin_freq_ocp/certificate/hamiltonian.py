@@ -97,7 +97,7 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     T = problem.horizon
     x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
     eta_C = multipliers.eta_C
-    signals = time_signal(extended(multipliers.rho_x), T + 1), time_signal(extended(multipliers.rho_u), T)
+    signals = problem.in_time(extended(multipliers.rho_x)), time_signal(extended(multipliers.rho_u), T)
     cost_x, cost_u = problem.quadratic.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
     cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
@@ -145,6 +145,8 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
         ("rho_u", multipliers.rho_u, problem.control_stop),
         ("rho_x", multipliers.rho_x, problem.state_stop),
     ):
+        if rho.shape != stop.shape:
+            raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
         for k, i in np.argwhere((rho != 0) & ~stop)[:1]:
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}

@@ -98,7 +98,7 @@ def filter_limits(problem: OptimalControlProblem) -> str:
 
 def _other_bands(problem: OptimalControlProblem) -> dict[str, list[tuple[int, Mask]]]:
     """Return the length of the signal and the stopped or bounded bins of every state and output."""
-    states = [(problem.horizon + 1, problem.state_band[:, i]) for i in range(problem.state_dim)]
+    states = [(problem.state_samples, problem.state_band[:, i]) for i in range(problem.state_dim)]
     outputs = list[tuple[int, Mask]]()
     for term in problem.terms:
         if term.kind == TermKind.OUTPUT_SPECTRUM:

@@ -44,6 +44,11 @@ class Signal:
         return (self.problem.state_names if self.is_state else self.problem.control_names)[self.index]
 
     @property
+    def samples(self) -> int:
+        """Return the number N of samples in its spectrum, from time 0 on."""
+        return self.problem.state_samples if self.is_state else self.problem.horizon
+
+    @property
     def stop(self) -> Mask:
         """Return its stopped or bounded bins, (N//2 + 1,)."""
         return (self.problem.state_band if self.is_state else self.problem.control_band)[:, self.index]
@@ -121,10 +126,14 @@ class Output(Signal):
         return self.outputs.output_names[self.index]
 
     @property
+    def samples(self) -> int:
+        """Return the number N of samples in its spectrum, from time 0 on."""
+        return self.problem.horizon + (self.outputs.D is None)
+
+    @property
     def stop(self) -> Mask:
         """Return its stopped or bounded bins, (N//2 + 1,)."""
-        length = self.problem.horizon + (self.outputs.D is None)
-        stop = np.zeros(length // 2 + 1, dtype=bool)
+        stop = np.zeros(self.samples // 2 + 1, dtype=bool)
         for term in self.problem.terms:
             if term.kind == TermKind.OUTPUT_SPECTRUM and term.map.spectrum_of(*self._rows):
                 stop[term.map.nearest_bins] = True

@@ -123,14 +123,14 @@ class MeasuredTrajectory:
 
     def stopband_peak(self, signal: Signal) -> float | None:
         """Return the largest magnitude of the zero-padded spectrum within the stopped bins of a signal."""
-        return stopband_peak(signal.of(self.trajectory)[:, None], signal.stop[:, None])
+        return stopband_peak(signal.of(self.trajectory)[: signal.samples, None], signal.stop[:, None])
 
     def empties_band(self, of_states: bool) -> bool | None:
         """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""
         stop = self.problem.state_stop if of_states else self.problem.control_stop
         if not stop.any() or (of_states and not self.meaningful):
             return None
-        signal = self.trajectory.x if of_states else self.trajectory.u
+        signal = self.trajectory.x[: self.problem.state_samples] if of_states else self.trajectory.u
         scale = np.maximum(np.linalg.norm(signal, axis=0), self._least[0 if of_states else 1])
         magnitude = np.where(stop, np.abs(np.fft.rfft(signal, axis=0)), 0.0)
         return bool((magnitude <= CONDITION_TOLERANCE * scale).all())

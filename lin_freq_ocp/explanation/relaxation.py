@@ -165,7 +165,7 @@ def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Fea
 
 
 def _band_description(problem: OptimalControlProblem, stopped: Mask, bins: int, state: bool) -> str:
-    length = problem.horizon + state
+    length = problem.state_samples if state else problem.horizon
     passed = [np.flatnonzero(mask == 0) for mask in (stopped, kept_stopped(stopped, bins))]
     if len(passed[0]) and stopped[passed[0].max() + 1 :].all() and not stopped[: passed[0].max()].any():
         Ts = problem.sampling_time

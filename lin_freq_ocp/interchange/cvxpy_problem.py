@@ -75,7 +75,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
             *_within(problem.control_tube, u, "control set", taken),
             *terms,
             *_spectrum(problem.control_stop, u, "control spectrum"),
-            *_spectrum(problem.state_stop, x, "state spectrum"),
+            *_spectrum(problem.state_stop, x[: problem.state_samples], "state spectrum"),
         ],
     )
 
@@ -142,7 +142,7 @@ def _within(box: Box, signal: cvxpy.Expression, label: str, taken: set[str | Non
     return [constraint(here).set_label(name) for here, constraint, name in parts if here.any()]
 
 
-def _spectrum(stopped: Mask, signal: cvxpy.Variable, label: str) -> list[cvxpy.Constraint]:
+def _spectrum(stopped: Mask, signal: cvxpy.Expression, label: str) -> list[cvxpy.Constraint]:
     """Return R_i v_i = 0 for every component i with stopped bins, one component after the other."""
     import cvxpy as cp
 

@@ -57,7 +57,7 @@ class OptimalControlProblem(ProblemData):
         A point (a number, for a single state), a set, or free; taken together with the state set of that time. Outside
         that set, the problem is infeasible. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
-        Frequency constraints, on the DFT of length T for controls and T+1 for states.
+        Frequency constraints, on the DFT of length T for controls and T+1 for states (T with Periodic()).
     stage_rows : StageRows, sequence of StageRows, or None
         Joint rows C x_t + D u_t <= e_t for t < T, under different names; once constructed, a tuple of them.
     output_spectrum : OutputSpectrum, sequence of them, or None
@@ -275,7 +275,7 @@ class OptimalControlProblem(ProblemData):
 
     @cached_property
     def state_band(self) -> Mask:
-        """Which bins of which state are removed or bounded by a mask or an energy: shape ((T+1)//2 + 1, n)."""
+        """Which bins of which state are removed or bounded by a mask or an energy: shape (state_samples//2 + 1, n)."""
         return self.state_stop | bounded_bins(self.terms, TermKind.STATE_SPECTRUM, self.state_stop.shape)
 
     def require(self, trajectory: Trajectory) -> None:

@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of, end_within, stacked
-from lin_freq_ocp.problem.spectrum.bands import stopped_bins
+from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -126,7 +126,18 @@ class ProblemData:
         return stopped_bins("control_spectrum", constraints, self.horizon, names, self.sampling_time)
 
     @cached_property
+    def state_samples(self) -> int:
+        """The number N of samples in spectra of states: T with periodic ends, where x_T repeats x_0, else T+1."""
+        links = self.terminal_state.links(self.state_dim, self.horizon)
+        return self.horizon + 1 - any(one.repeats for one in links)
+
+    def in_time(self, rho_x: ComplexArray) -> Array:
+        """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); it is zero where a state is in no spectrum."""
+        signal = time_signal(rho_x, self.state_samples)
+        return np.pad(signal, ((0, self.horizon + 1 - len(signal)), (0, 0)))
+
+    @cached_property
     def state_stop(self) -> Mask:
-        """Which bins are removed from which state: shape ((T+1)//2 + 1, n)."""
+        """Which bins are removed from which state: shape (N//2 + 1, n), N = ``state_samples``."""
         constraints, names = self.state_spectrum, self.state_names
-        return stopped_bins("state_spectrum", constraints, self.horizon + 1, names, self.sampling_time)
+        return stopped_bins("state_spectrum", constraints, self.state_samples, names, self.sampling_time)

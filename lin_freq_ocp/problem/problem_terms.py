@@ -25,7 +25,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     """Return everything beyond the quadratic cost, boxes and stop bands; see ``OptimalControlProblem.terms``."""
     n, m, T, step = problem.state_dim, problem.control_dim, problem.horizon, problem.sampling_time
     fixed = problem.fixed_ends
-    states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, T + 1, step)
+    states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, problem.state_samples, step)
     controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, T, step)
     found = [
         *row_terms(problem.stage_rows, T),
@@ -78,14 +78,7 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
 
 def link_terms(problem: ProblemData) -> Iterator[Term]:
     """Yield the equations on both ends together."""
-    links = problem.terminal_state.links(problem.state_dim, problem.horizon)
-    if problem.state_spectrum is not None and any(one.periodic for one in links):
-        advice = (
-            "x_T repeats x_0, so that states have T samples: those of OutputSpectrum(C=np.eye(n), D=np.zeros((n, m)), "
-            "constraints=...)."
-        )
-        raise ProblemError("state_spectrum", brief(problem.state_spectrum), "None beside Periodic()", advice)
-    for one in links:
+    for one in problem.terminal_state.links(problem.state_dim, problem.horizon):
         yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, ("terminal_state", 0))
 
 

@@ -55,7 +55,7 @@ class Multipliers:
         Adjoint (costate) of x_{t+1} = f_t(x_t, u_t).
     mu : (T+1, n), nu : (T, m)
         Normals to the state and control sets: positive at an active upper bound, negative at a lower one.
-    rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n)
+    rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n), (T//2 + 1, n) with periodic ends
         Frequency multipliers per DFT bin, zero where a bin is free; -rho is the derivative of the optimal
         cost with respect to that bin (its conjugate moving with it).
     stage : mapping from name to (groups, dim)
@@ -119,7 +119,7 @@ class Multipliers:
             "rho_x": ((T + 1) // 2 + 1, n),
         }
         for field, shape in expected.items():
-            if getattr(self, field).shape != shape:
+            if getattr(self, field).shape not in (shape, (T // 2 + 1, n) if field == "rho_x" else shape):
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
         assign(self, stage=_families({} if stage is None else stage))
         assign(self, weights=None if weights is None else _weights(weights, T))

@@ -183,7 +183,9 @@ def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
     bands = (problem.control_stop, problem.control_names), (problem.state_stop, problem.state_names)
     for of_states, (stopped, names) in enumerate(bands):
         if stopped.any():
-            sentences.append(_removed_bins(problem, stopped, names, problem.horizon + of_states))
+            sentences.append(
+                _removed_bins(problem, stopped, names, problem.state_samples if of_states else problem.horizon)
+            )
             sentences.append(_between_the_bins(comparison, "state_stopband_peak" if of_states else "stopband_peak"))
     return sentences
 

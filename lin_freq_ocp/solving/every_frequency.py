@@ -61,7 +61,7 @@ def solve_at_every_frequency(
         left = seconds_left(end, time.perf_counter())
         relaxed = at_frequencies(problem, frequencies, relaxed=True)
         found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
-        seconds = {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
+        seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(found, frequencies, np.inf))
             break

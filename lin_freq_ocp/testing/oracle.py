@@ -123,7 +123,10 @@ def _bounds(box: object, times: int, count: int) -> tuple[Array, Array]:
 def _add_bands(problem: lfo.OptimalControlProblem, equations: _Rows) -> None:
     """Add real and imaginary part of every stopped bin."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    for stop, length, count, first in ((problem.state_stop, T + 1, n, 0), (problem.control_stop, T, m, (T + 1) * n)):
+    for stop, length, count, first in (
+        (problem.state_stop, problem.state_samples, n, 0),
+        (problem.control_stop, T, m, (T + 1) * n),
+    ):
         for k, j in np.argwhere(stop):
             turns = 2 * np.pi * k * np.arange(length) / length
             at = first + np.arange(length) * count + j

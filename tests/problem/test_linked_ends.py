@@ -49,10 +49,20 @@ def test_it_is_a_terminal_state_of_this_dimension_only(field, given):
         replace(problem(None), **{field: given})
 
 
-def test_spectra_of_states_with_periodic_ends_have_t_samples():
-    with pytest.raises(ProblemError, match="OutputSpectrum"):
-        problem(lfo.Periodic(), state_spectrum=lfo.low_pass(1.0))
-    assert problem(LinkedEnds(-np.eye(2), np.eye(2)), state_spectrum=lfo.low_pass(1.0)).state_stop.any()
+@pytest.mark.parametrize("horizon", [7, 8])
+def test_spectra_of_states_with_periodic_ends_have_t_samples(horizon):
+    band = {"state_spectrum": lfo.low_pass(1.0)}
+    periodic, linked = lfo.Periodic(), LinkedEnds(-np.eye(2), np.eye(2))
+    for ends, samples in ((periodic, horizon), (periodic & lfo.Box(-1, 1), horizon), (linked, horizon + 1)):
+        given = replace(problem(ends, **band), horizon=horizon)
+        assert given.state_samples == samples
+        assert given.state_stop.shape == (samples // 2 + 1, 2)
+    rho = np.zeros((horizon // 2 + 1, 2), complex)
+    rho[1] = 1.0, 1j
+    in_time = replace(problem(periodic, **band), horizon=horizon).in_time(rho)
+    angle = 2 * np.pi * np.arange(horizon) / horizon
+    np.testing.assert_allclose(in_time[:-1], np.column_stack([np.cos(angle), -np.sin(angle)]), atol=1e-15)
+    assert not in_time[-1].any()
 
 
 def test_the_adjoint_and_the_rows_are_those_of_the_values():

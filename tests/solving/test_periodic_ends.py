@@ -185,3 +185,107 @@ def test_a_solver_of_a_period_takes_no_free_end():
     solver = lfo.SpectralSolver(double_integrator())
     with pytest.raises(ProblemError, match=r"terminal_state.*the ends are periodic"):
         solver.solve(terminal_state=lfo.sets.Everything())
+
+
+# --- spectra of states -----------------------------------------------------------------------------------------------
+
+
+def with_states(
+    one: lfo.spectrum.FrequencyConstraint, horizon: int = 40, **further: object
+) -> lfo.OptimalControlProblem:
+    times, h = np.arange(horizon + 1), 0.1
+    square = np.sign(np.sin(2 * np.pi * (times + 0.5) / horizon))
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.01, x_ref=np.column_stack([square, 0 * times]))
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]])
+    given = {"control_set": lfo.Box(-8, 8), "state_spectrum": one} | further
+    return lfo.OptimalControlProblem(dynamics, horizon, cost, terminal_state=lfo.Periodic(), **given)
+
+
+SPECTRA = {
+    "band": lfo.low_pass(1.0, component=0),
+    "mask": lfo.MagnitudeBound(1.0, band=lfo.low_pass(0.4), component=0),
+    "energy": lfo.spectrum.EnergyBound(2.0, band=lfo.low_pass(0.4), component=0),
+    "every frequency": lfo.MagnitudeBound(1.0, band=lfo.low_pass(0.4), component=0, every_frequency=True),
+}
+
+
+@pytest.mark.parametrize("horizon", [40, 41])
+@pytest.mark.parametrize("name", SPECTRA)
+def test_spectra_of_states_are_those_of_outputs_with_t_samples(name, horizon):
+    problem = with_states(SPECTRA[name], horizon)
+    outputs = lfo.spectrum.OutputSpectrum(np.eye(2), np.zeros((2, 1)), SPECTRA[name])
+    expected = lfo.solve(replace(problem, state_spectrum=None, output_spectrum=outputs)).cost
+    methods = (*METHODS, *(["spectral"] if name == "band" else []))
+    for result in (lfo.solve(problem, method=method) for method in methods):
+        assert result.certificate.globally_optimal
+        assert result.certificate.pmp == "satisfied"
+        assert result.cost == pytest.approx(expected, rel=1e-9)
+    free = lfo.solve(replace(problem, state_spectrum=None)).cost
+    assert expected > free * (1 + 1e-6)  # it is active
+
+
+def test_a_state_band_of_a_period_agrees_with_cvxpy():
+    for problem in (with_states(SPECTRA["band"], 41), lfo.rate_limited(with_states(SPECTRA["band"], 41), 8.0)):
+        program = lfo.to_cvxpy(problem)
+        program.solve(solver="CLARABEL")
+        assert lfo.solve(problem).cost == pytest.approx(program.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["convex", "structured", "spectral"])
+def test_what_is_wrong_with_a_state_band_of_a_period_fails_at_its_label(method):
+    problem = with_states(SPECTRA["band"], 41)
+    result = lfo.solve(problem, method=method)
+    x, u = result.trajectory.x, result.trajectory.u
+    wave = 1e-6 * np.linalg.norm(x[:, 0]) * np.cos(2 * np.pi * 15 * np.arange(42) / 41)
+    moved = x + np.column_stack([wave, 0 * wave])
+    certificate = lfo.certify(problem, lfo.Trajectory(moved, u), result.multipliers)
+    assert "C-vi" in {condition.label for condition in certificate.failed}
+    rho = result.multipliers.rho_x.copy()
+    rho[np.argmax(np.abs(rho[:, 0])), 0] *= 1.001
+    certificate = lfo.certify(problem, result.trajectory, replace(result.multipliers, rho_x=rho))
+    assert {condition.label for condition in certificate.failed} == {"C-iii", "C-iv"}
+    with pytest.raises(ProblemError, match=r"rho_x.*shape"):
+        lfo.certify(problem, result.trajectory, replace(result.multipliers, rho_x=np.zeros((22, 2))))
+
+
+def test_state_bands_of_a_period_in_other_units_and_that_contradict_bounds():
+    result = lfo.solve(with_states(SPECTRA["band"], 41))
+    scaled = in_other_units(with_states(SPECTRA["band"], 41))
+    again = lfo.solve(
+        replace(scaled, cost=replace(scaled.quadratic, Q=1e-9 * scaled.quadratic.Q, R=1e-9 * scaled.quadratic.R))
+    )
+    assert again.certificate.pmp == "satisfied"
+    assert again.cost == pytest.approx(1e-9 * result.cost, rel=1e-9)
+    bounds = lfo.Box(
+        [[0.5 if t < 21 else None, None] for t in range(42)], [[None if t < 21 else -0.5, None] for t in range(42)]
+    )
+    only_constant = lfo.low_pass(0.01, component=0)
+    for method in METHODS:
+        problem = with_states(only_constant, 41, state_set=bounds)
+        result = lfo.solve(problem, method=method, throw=False)
+        assert result.status == "infeasible"
+        proof = prove_infeasible(problem, result.ray)
+        assert proof is not None
+        assert "state stop band on x_0" in " ".join(map(str, proof.conflict))
+
+
+def test_equations_over_all_times_of_a_period_have_t_matrices():
+    mean = lfo.spectrum.LinearConstraint(np.tile([[1.0, 0.0]], (41, 1, 1)), [2.0])
+    result = lfo.solve(with_states(mean, 41))
+    assert result.certificate.pmp == "satisfied"
+    assert result.trajectory.x[:-1, 0].sum() == pytest.approx(-2.0)
+    with pytest.raises(ProblemError, match=r"\(42, 1, 2\).*\(41, 1, 2\)"):
+        with_states(lfo.spectrum.LinearConstraint(np.tile([[1.0, 0.0]], (42, 1, 1)), [2.0]), 41)
+
+
+def test_a_period_with_a_state_band_is_written_and_reported(tmp_path):
+    lfo.io.write_problem(with_states(SPECTRA["band"], 41), tmp_path / "problem.toml")
+    loaded = lfo.read_problem(tmp_path / "problem.toml")
+    assert loaded.state_samples == 41
+    compared = lfo.compare(loaded, filters=[])
+    page = compared.save(tmp_path / "report")
+    assert "bins 7 to 20 of x_0" in page.read_text()
+    assert compared.optimal.measures.state_stopband_peak > 0
+    lfo.solve(loaded).save(tmp_path / "solution.npz")
+    saved = lfo.load(tmp_path / "solution.npz")
+    assert lfo.certify(loaded, saved.trajectory, saved.multipliers).pmp == "satisfied"

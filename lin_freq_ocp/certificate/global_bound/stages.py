@@ -47,7 +47,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
     own = np.concatenate([np.broadcast_to(cost.q, (T, n)), np.broadcast_to(cost.r, (T, m))], axis=1)
     terminal = cost.P @ x_ref[T]
     constants = [*(0.5 * (y_ref * of_reference).sum(1)), float(0.5 * x_ref[T] @ terminal)]
-    in_x, in_u = time_signal(multipliers.rho_x, T + 1), time_signal(multipliers.rho_u, T)
+    in_x, in_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
     for term in problem.terms:
         values = term.map.values(x_ref, u_ref)
         weights = term.penalty.subgradient(multipliers.stage.get(term.name, np.zeros(term.shape)), 1.0)

@@ -105,7 +105,7 @@ class _StageCosts:
         linear = np.hstack([np.broadcast_to(self._cost.q, (T, n)), np.broadcast_to(self._cost.r, (T, m))])
         self._linear, self._end = linear, np.asarray(self._cost.p)
         if multipliers is not None:
-            of_x, of_u = time_signal(multipliers.rho_x, T + 1), time_signal(multipliers.rho_u, T)
+            of_x, of_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
             self._linear = linear + np.hstack([of_x[:-1], of_u])
             self._end = self._end + of_x[-1]
 

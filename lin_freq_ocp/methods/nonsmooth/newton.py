@@ -109,7 +109,7 @@ def starting_point(
         return _fitted(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
-        (system.rho_x, system.rows_x, time_signal(multipliers.rho_x, len(trajectory.x))),
+        (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
         (system.rho_u, system.rows_u, time_signal(multipliers.rho_u, len(trajectory.u))),
     ):
         if len(block):
@@ -165,8 +165,6 @@ def _answer(system: System, v: Array, value: SystemValue) -> tuple[Trajectory, M
         np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
         for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
     )
-    rho = [
-        spectrum_multipliers(stop, length, values[block])
-        for stop, length, block in ((problem.control_stop, T, system.rho_u), (problem.state_stop, T + 1, system.rho_x))
-    ]
-    return Trajectory(x, u), Multipliers(1.0, values[system.eta], mu, nu, rho[0], rho[1], None, weights)
+    rho_u = spectrum_multipliers(problem.control_stop, T, values[system.rho_u])
+    rho_x = spectrum_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
+    return Trajectory(x, u), Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)

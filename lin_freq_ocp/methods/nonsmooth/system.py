@@ -74,9 +74,9 @@ class System:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
         in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
-        rows_x = spectrum_rows(problem.state_stop, T + 1, (T + 1) * n, 0).toarray()
+        rows_x = spectrum_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
         rows_u = spectrum_rows(problem.control_stop, T, T * m, 0).toarray()
-        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, T + 1))
+        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
         of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
         switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
         norms = _norms(problem, trajectory, near)

@@ -52,6 +52,7 @@ class LinkedEnds(ConvexSet):
     E_T: Array
     e: Array
     reach: float  # how far from e the rows may be: above 0 only where a conflict is explained
+    repeats: bool  # whether x_T repeats x_0, so that spectra of states have T samples
     may_be_soft: ClassVar[bool] = False
     name: ClassVar[str] = "linked ends"
     periodic: ClassVar[bool] = False
@@ -70,7 +71,7 @@ class LinkedEnds(ConvexSet):
         if impossible.any():
             row = int(np.argmax(impossible))
             raise ProblemError("LinkedEnds.e", f"{right[row]:g} for row {row} of zeros", "a row that can hold")
-        assign(self, E_0=first, E_T=last, e=right, reach=0.0)
+        assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 
     @property
     def dimension(self) -> int | None:
@@ -84,15 +85,19 @@ class LinkedEnds(ConvexSet):
         return EndsMap(self.E_0, self.E_T, self.e, horizon)
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
-        return (Link(self.name, self.values(dimension, horizon), Within(self.reach), self.periodic),)
+        return (Link(self.name, self.values(dimension, horizon), Within(self.reach), self.periodic, self.repeats),)
 
     def extended(self, n: int, k: int) -> ConvexSet:
         rows = self.values(n, 1)
-        return _widened(LinkedEnds(with_columns(rows.E_0, k), with_columns(rows.E_T, k), rows.e), self.reach)
+        return self._as(LinkedEnds(with_columns(rows.E_0, k), with_columns(rows.E_T, k), rows.e), self.reach)
 
     def widened(self, amount: float, dimension: int) -> ConvexSet:
         rows = self.values(dimension, 1)
-        return _widened(LinkedEnds(rows.E_0, rows.E_T, rows.e), self.reach + amount)
+        return self._as(LinkedEnds(rows.E_0, rows.E_T, rows.e), self.reach + amount)
+
+    def _as(self, links: LinkedEnds, reach: float) -> LinkedEnds:
+        assign(links, reach=reach, repeats=self.repeats)
+        return links
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         equations = plural(len(self.e), "equation")
@@ -102,8 +107,8 @@ class LinkedEnds(ConvexSet):
 class Periodic(LinkedEnds):
     """x_T = x_0: the trajectory is one period, and both ends are free.
 
-    Beside it stand a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Frequency
-    constraints on states are those of an OutputSpectrum with T samples, since x_T repeats x_0.
+    Beside it stand a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Spectra of
+    states have T samples, x_0 .. x_{T-1}: x_T repeats x_0.
 
     References
     ----------
@@ -123,7 +128,7 @@ class Periodic(LinkedEnds):
     periodic: ClassVar[bool] = True
 
     def __init__(self):
-        assign(self, E_0=np.asarray(-1.0), E_T=np.asarray(1.0), e=np.asarray(0.0), reach=0.0)
+        assign(self, E_0=np.asarray(-1.0), E_T=np.asarray(1.0), e=np.asarray(0.0), reach=0.0, repeats=True)
 
     @property
     def dimension(self) -> None:
@@ -134,8 +139,3 @@ class Periodic(LinkedEnds):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         return "x_T = x_0: the trajectory is one period"
-
-
-def _widened(links: LinkedEnds, reach: float) -> LinkedEnds:
-    assign(links, reach=reach)
-    return links

@@ -27,7 +27,7 @@ class LinearConstraint(FrequencyConstraint):
     Parameters
     ----------
     coefficients : (times, rows, components)
-        One matrix per time: T of them for controls, T+1 for states.
+        One matrix per time: T of them for controls, T+1 for states (T with Periodic()).
     constant : (rows,), optional
         Zero without.
     penalty : float, optional

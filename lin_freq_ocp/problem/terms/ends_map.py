@@ -92,9 +92,13 @@ class Within(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Equations on both ends: their values, what these must satisfy, and whether they say x_T = x_0."""
+    """Equations on both ends: their values, what these must satisfy, and whether they say x_T = x_0.
+
+    ``repeats`` says whether spectra of states have T samples: x_T repeats x_0, beside other equations or none.
+    """
 
     name: str
     values: EndsMap
     penalty: Within
     periodic: bool
+    repeats: bool

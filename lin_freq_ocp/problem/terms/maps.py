@@ -214,8 +214,8 @@ class StageMap(MatrixMap):
 class SumMap(MatrixMap):
     """v = constant + sum_t (Phi_t x_t + Psi_t u_t), a single group (paper, (SFC) and (CFC))."""
 
-    Phi: Array | None  # (T+1, dim, n)
-    Psi: Array | None  # (T, dim, m)
+    Phi: Array | None  # (times, dim, n), from t = 0 on
+    Psi: Array | None  # (times, dim, m)
     constant: Array  # (dim,)
 
     @property
@@ -234,27 +234,33 @@ class SumMap(MatrixMap):
         v = self.constant.astype(np.result_type(x, u))
         for matrix, signal in ((self.Phi, x), (self.Psi, u)):
             if matrix is not None:
-                v = v + np.einsum("tij,tj->i", matrix, signal)
+                v = v + np.einsum("tij,tj->i", matrix, signal[: len(matrix)])
         return v[None]
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        of_x, of_u = (
-            np.zeros(shape, dtype=weights.dtype) if matrix is None else np.einsum("tij,i->tj", matrix, weights[0])
-            for matrix, shape in zip((self.Phi, self.Psi), shapes, strict=True)
-        )
+        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
+        for matrix, part in ((self.Phi, of_x), (self.Psi, of_u)):
+            if matrix is not None:
+                part[: len(matrix)] = np.einsum("tij,i->tj", matrix, weights[0])
         return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         dim = len(self.constant)
         of_x, of_u = (
-            sp.csr_array((dim, columns) if matrices is None else np.swapaxes(matrices, 0, 1).reshape(dim, columns))
-            for matrices, columns in ((self.Phi, (horizon + 1) * n), (self.Psi, horizon * m))
+            _first_columns(np.zeros((dim, 0)) if part is None else np.swapaxes(part, 0, 1).reshape(dim, -1), columns)
+            for part, columns in ((self.Phi, (horizon + 1) * n), (self.Psi, horizon * m))
         )
         return joined_rows(of_x, of_u), self.constant
 
     def magnitudes(self) -> AffineMap:
         Phi, Psi = (None if part is None else np.abs(part) for part in (self.Phi, self.Psi))
         return SumMap(Phi, Psi, np.abs(self.constant))
+
+
+def _first_columns(rows: Array, columns: int) -> sp.csr_array:
+    """Return rows on the first of so many columns."""
+    found = sp.csr_array(rows)
+    return sp.csr_array((found.data, found.indices, found.indptr), shape=(len(rows), columns))
 
 
 def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:

@@ -218,7 +218,7 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
         (price, [signal for signal in signals if signal.stop.any()], what, length)
         for price, signals, what, length in (
             (prices[0], data.controls, "control", data.problem.horizon),
-            (prices[1], data.states, "state", data.problem.horizon + 1),
+            (prices[1], data.states, "state", data.problem.state_samples),
         )
     ]
     kinds = [kind for kind in kinds if kind[1]]

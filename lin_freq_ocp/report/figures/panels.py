@@ -100,10 +100,10 @@ def phase_panel(ax: Axes, data: PlotData, i: int, j: int, title: str) -> None:
 def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> None:
     """Draw the spectrum of a component, its DFT bins as points and what lies between them as a line."""
     traces = data.showing(component)
-    padded = [padded_spectrum(trace.of(component)[:, None]) for trace in traces]
+    padded = [padded_spectrum(trace.of(component)[: component.samples, None]) for trace in traces]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
-    length = len(traces[0].of(component))
+    length = component.samples
     shade_stop_band(ax, component.stop, length, data.frequency.factor)
     highest = _draw_levels(ax, data, component, floor, ABOVE * top)
     for trace, spectrum in zip(traces, padded, strict=True):
@@ -115,7 +115,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
             zorder=trace.style.order,
         )
         frequency = data.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
-        _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component))), floor)
+        _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component)[:length])), floor)
         _draw_touching(ax, trace, component, data.frequency.factor)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())

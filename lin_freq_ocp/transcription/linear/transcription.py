@@ -4,7 +4,7 @@
     DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
     STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
     CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
-    STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of T+1       dual rho, one real number a row
+    STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of N         dual rho, one real number a row
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
     TERMS             everything else: conic_terms.py
 
@@ -49,7 +49,7 @@ class LinearTranscription:
         stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
         stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
         for block, stop, length, first in (
-            (Block.STATE_SPECTRUM, problem.state_stop, problem.horizon + 1, 0),
+            (Block.STATE_SPECTRUM, problem.state_stop, problem.state_samples, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
         ):
             matrix = spectrum_rows(stop, length, states + controls, first)
@@ -101,7 +101,7 @@ class LinearTranscription:
             mu=mu,
             nu=nu,
             rho_u=spectrum_multipliers(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
-            rho_x=spectrum_multipliers(problem.state_stop, T + 1, y[rows[Block.STATE_SPECTRUM]]),
+            rho_x=spectrum_multipliers(problem.state_stop, problem.state_samples, y[rows[Block.STATE_SPECTRUM]]),
             stage=self.conic_terms.multipliers(y[rows[Block.TERMS]]),
         )
 

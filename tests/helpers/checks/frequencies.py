@@ -12,14 +12,14 @@ from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.peaks.masks import certified_peak
-from lin_freq_ocp.problem.terms.limits import limits_on
+from lin_freq_ocp.problem.terms.limits import Limits, limits_on
 
 GRID = 64  # points of CVXPY's masks for each sample
 DENSE = 1024  # points for each sample at which an upper bound is feasible
 BRACKET = 1e-6  # of the cost, by which the bounds, from Clarabel, may be wrong
 ATTEMPTS = 8  # to lower the limit
 SEARCHED = 10  # peaks of a signal, the highest by parabolas
-KINDS = ("low pass", "high pass", "notch", "points", "state")
+KINDS = ("low pass", "high pass", "notch", "points", "state", "period", "state of a period")
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,15 @@ def problem_of(seed: int) -> lfo.OptimalControlProblem:
 def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     """Return the kind and the problem of a seed: its mask is a part of what the optimum without it has in the band."""
     rng, problem, kind = np.random.default_rng(seed + 10**6), problem_of(seed), KINDS[seed % len(KINDS)]
+    if "period" in kind:
+        reference = rng.standard_normal((problem.horizon + 1, problem.state_dim))
+        cost = replace(problem.quadratic, x_ref=reference)
+        problem = replace(problem, cost=cost, initial_state=None, terminal_state=lfo.Periodic())
     free = lfo.solve(problem, throw=False).trajectory
     if free is None:
         return kind, problem
-    signal = free.x[:, 0] if kind == "state" else free.u[:, 0]
+    of_state = kind.startswith("state")
+    signal = free.x[: problem.state_samples, 0] if of_state else free.u[:, 0]
     w0, level = rng.uniform(0.3, 2.0), 10.0 ** rng.uniform(-1.5, 0)
     bands = {"high pass": lfo.spectrum.high_pass(w0), "notch": lfo.spectrum.notch(w0, rng.uniform(0.1, 0.5))}
     band = bands.get(kind, lfo.low_pass(w0))
@@ -78,21 +83,22 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
         [[w0, limit], [(w0 + np.pi) / 2, limit * rng.uniform(0.2, 2)], [np.pi, limit]] if kind == "points" else limit
     )
     mask = lfo.MagnitudeBound(given, band=band, component=0, every_frequency=True)
-    return kind, replace(problem, **{"state_spectrum" if kind == "state" else "control_spectrum": mask})
+    return kind, replace(problem, **{"state_spectrum" if of_state else "control_spectrum": mask})
 
 
 def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> tuple[str, float, np.ndarray]:
     """Return status, cost and masked signal of the model with ``share`` of the limit on a grid."""
     T, linear, cost = problem.horizon, problem.linear, problem.quadratic
     x, u = cp.Variable((T + 1, problem.state_dim)), cp.Variable((T, problem.control_dim))
-    J = sum(cp.quad_form(x[t], cost.Q) + cp.quad_form(u[t], cost.R) for t in range(T)) + cp.quad_form(x[T], cost.P)
-    rows = [x[0] == problem.initial_box.lower, x[1:].T == linear.A @ x[:-1].T + linear.B @ u.T]
-    if problem.terminal_state is not None and problem.terminal_box.fixed.all():
+    a, period = x - np.broadcast_to(cost.x_ref, x.shape), "period" in kind
+    J = sum(cp.quad_form(a[t], cost.Q) + cp.quad_form(u[t], cost.R) for t in range(T)) + cp.quad_form(a[T], cost.P)
+    rows = [x[0] == (x[T] if period else problem.initial_box.lower), x[1:].T == linear.A @ x[:-1].T + linear.B @ u.T]
+    if problem.terminal_box.fixed.all():
         rows.append(x[T] == problem.terminal_box.lower)
     if problem.control_set is not None:
         rows += [u <= problem.control_tube.upper[0], u >= problem.control_tube.lower[0]]
-    signal = x[:, 0] if kind == "state" else u[:, 0]
-    limits = problem.terms[0].everywhere.limits
+    signal = x[: T + (not period), 0] if kind.startswith("state") else u[:, 0]
+    limits = mask_of(problem)
     w = frequencies(limits, GRID * signal.shape[0])
     waves = np.outer(w, np.arange(signal.shape[0]))
     values = cp.vstack([np.cos(waves) @ signal, -np.sin(waves) @ signal])
@@ -100,6 +106,11 @@ def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> 
     program = cp.Problem(cp.Minimize(J / 2), rows)
     program.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
     return program.status, float(program.value), np.zeros(0) if signal.value is None else np.asarray(signal.value)
+
+
+def mask_of(problem: lfo.OptimalControlProblem) -> Limits | None:
+    """Return the limits of the mask at every frequency; None without one."""
+    return next((one.everywhere.limits for one in problem.terms if one.everywhere is not None), None)
 
 
 def frequencies(limits: object, points: int) -> np.ndarray:
@@ -111,11 +122,12 @@ def frequencies(limits: object, points: int) -> np.ndarray:
 def check(seed: int) -> Findings:
     """Solve the problem of a seed, and bound its optimum."""
     kind, problem = case_of(seed)
-    if not problem.terms or problem.terms[0].everywhere is None:
+    limits = mask_of(problem)
+    if limits is None:
         return Findings(seed, kind, "infeasible", np.nan, np.nan, np.nan, 0.0, "infeasible without a mask")
     result = lfo.solve(problem, throw=False)
     theirs, lower, _ = independent(problem, kind, 1.0)
-    share, upper, limits = 1.0, np.inf, problem.terms[0].everywhere.limits
+    share, upper = 1.0, np.inf
     for _ in range(ATTEMPTS):
         status, value, signal = independent(problem, kind, share)
         if "optimal" not in status:

@@ -72,7 +72,7 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
     border = structure.border
     on_bands, rho_x = y[len(y) - len(border.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
     for i in border.band_components:
-        rho_x[:, i] = bin_multipliers(lti.horizon + 1, lti.state_stop[:, i], on_bands[border.band_component == i])
+        rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[border.band_component == i])
     found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
     _set_ends(border, lti, outcome, found, on_bands)
     return found
@@ -198,7 +198,7 @@ def _missed_values(lti: Lti, y: Array, last: Array) -> float:
     missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
     if not lti.state_stop.any():
         return missed
-    x = np.hstack([y[:n], last[:, None]])
+    x = np.hstack([y[:n], last[:, None]])[:, : lti.state_samples]
     spectrum = np.abs(fft.rfft(x)).T[lti.state_stop].max()
     return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), tol.LEAST_SIZE))
 
@@ -239,7 +239,7 @@ def _adjoint_terms(lti: Lti, outcome: Outcome, found: Recovered, start: int, sto
     if len(lti.F) > len(lti.M):
         yield lti.F[len(lti.M) :, :n].T @ found.on_rows[len(lti.M) :, start:stop]
     if found.rho_x.any():
-        yield time_signal(found.rho_x, lti.horizon + 1).T[:, start:stop]
+        yield _columns(time_signal(found.rho_x, lti.state_samples).T, np.zeros(n), start, stop)
 
 
 def _columns(inner: Array, last: Array, start: int, stop: int) -> Array:

@@ -155,9 +155,12 @@ class BorderedSystem:
         return values.real[None] if self.spaces.weight[k] == 1 else np.stack([values.real, values.imag])
 
     def _set_band_rows(self) -> None:
-        """State bands: rows of the DFT of length T+1, whose last entry acts on x_T."""
+        """State bands: rows of the DFT of length T+1, whose last entry acts on x_T; of T with periodic ends."""
         stop, T = self.lti.state_stop, self.lti.horizon
-        parts = [(int(i), real_rows(T + 1, stop[:, i])) for i in np.flatnonzero(stop.any(0))]
+        samples = self.lti.state_samples
+        beyond = (0, 0), (0, T + 1 - samples)
+        chosen = np.flatnonzero(stop.any(0))
+        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), beyond)) for i in chosen]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])

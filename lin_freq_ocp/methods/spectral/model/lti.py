@@ -59,7 +59,7 @@ class Lti:
     P: Array
     F: Array  # (rows, n+m): the identity, then the stage rows
     passed: Mask  # (m, T//2 + 1): which bins each control may use
-    state_stop: Mask  # ((T+1)//2 + 1, n): which bins are removed from each state
+    state_stop: Mask  # (state_samples//2 + 1, n): which bins are removed from each state
     horizon: int
     start: Array  # x_0, NaN where it is free
     end: Array  # x_T, NaN where it is free
@@ -83,6 +83,11 @@ class Lti:
     def control_dim(self) -> int:
         """Number of controls m."""
         return self.B.shape[1]
+
+    @property
+    def state_samples(self) -> int:
+        """Number of samples in spectra of states: T+1, or T with periodic ends."""
+        return self.horizon + 1 - self.periodic
 
     @property
     def start_points(self) -> int:

@@ -233,7 +233,7 @@ class _Builder:
         problem, T, n, m = self._problem, self._T, self._n, self._m
         origin, columns = self.origin, Columns(T + 1, n, m, self._width)
         parts = [
-            *stopped_parts(problem.state_stop, T + 1, 0, origin.values, self._width, self.layout.rho_x),
+            *stopped_parts(problem.state_stop, problem.state_samples, 0, origin.values, self._width, self.layout.rho_x),
             *stopped_parts(problem.control_stop, T, n, origin.values, self._width, self.layout.rho_u),
             *self._stage_equations(columns),
         ]
