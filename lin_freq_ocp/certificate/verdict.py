@@ -239,9 +239,9 @@ def judge(
         bound = None
         if found.extremal is not None and multipliers.eta_C == 1:
             bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
-        jumps = found.borders is not None and found.borders.jumping is not None
+        applicable = found.borders is None or found.borders.applicable
         certificate = Certificate(
-            pmp="not_applicable" if jumps else _principle(found.conditions),
+            pmp=_principle(found.conditions) if applicable else "not_applicable",
             normal=multipliers.eta_C == 1,
             conditions=found.conditions,
             cost=problem.value(trajectory.x, trajectory.u),

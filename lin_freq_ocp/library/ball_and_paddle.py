@@ -19,20 +19,30 @@ the paddle is driven and does not feel it. The slip then becomes slip + (1/m + r
 
 N and P are affine in (x, u), so this is a piecewise-affine map, and it is continuous: P is P_0 clipped to [-mu N, mu N]
 and N is max(0, -m gap/h).
+
+In the published model friction at the ceiling has the other sign: P = +mu N where the slip after it is >= 0, -mu N
+where it is <= 0. Where |P_0| <= mu N all three laws hold, and the optimiser chooses. Here a choice is a control: a
+third one, without cost, whose regions [-1, -1/2], [-1/2, 1/2] and [1/2, 1] stand for left, stick and right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import pi
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from lin_freq_ocp.arrays import Array, positive_integer, positive_number
+from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.convex import Polyhedron
+from lin_freq_ocp.problem.spectrum.bands import Band
+from lin_freq_ocp.problem.spectrum.base import Constraints, FrequencyConstraint, entries_of
 
 MASS, RADIUS, GRAVITY, FRICTION = 1.0, 0.1, 10.0, 0.2  # kg, m, m/s^2, none
 INERTIA = 0.4 * MASS * RADIUS**2  # kg m^2
@@ -42,6 +52,7 @@ BY_IMPULSE = 1 / MASS + RADIUS**2 / INERTIA  # 1/kg: slip made by a tangential i
 STATE_WEIGHTS = np.diag([1.0, 1.0, 0.01, 1.0, 1.0, 1.0, 1.0, 0.01, 1.0, 1.0])
 CONTROL_WEIGHTS = np.diag([0.01, 0.001])
 STATES, CONTROLS = 10, 2
+MODELS = "braking", "published"
 
 
 def ball_and_paddle(
@@ -54,6 +65,7 @@ def ball_and_paddle(
     terminal_cost: bool = True,
     state_bounds: Sequence[float] = (0.3, 0.2, 1.2 * pi, 0.3, 0.15, 2.0, 2.0, 10.0, 2.0, 2.0),
     acceleration_bounds: Sequence[float] = (30.0, 30.0),
+    friction: str = "braking",
 ) -> OptimalControlProblem:
     """Turn a ball by half a turn between a paddle and a ceiling, by stick and slip: a hard one.
 
@@ -67,7 +79,8 @@ def ball_and_paddle(
     sampling_time : float
         Seconds: h of the time-stepping.
     keep_over_paddle : bool
-        Whether |x_b - x_p| <= 0.3 m, the half width of the paddle, at all times; without, the paddle has no end.
+        Whether |x_b - x_p| <= 0.3 m, the half width of the paddle, at all times (in the published model: after every
+        step that touches it); without, the paddle has no end.
     control_spectrum : band, list of bands, list of bins, "freq" or None
         Frequency constraints on the accelerations; "freq" removes the bins max(2, ceil(T/3)) <= k <= T//2.
     initial_state, terminal_state : (10,)
@@ -79,6 +92,10 @@ def ball_and_paddle(
         Symmetric bounds on the states.
     acceleration_bounds : (2,)
         Symmetric bounds on the accelerations of the paddle in x and y [m/s^2].
+    friction : {"braking", "published"}
+        "braking": it opposes sliding, at the paddle and at the ceiling. "published": the model of the record, with
+        regions that leave gaps, friction that drives a sliding ball on at the ceiling, and a third control which
+        chooses the law there.
 
     Returns
     -------
@@ -93,13 +110,12 @@ def ball_and_paddle(
     ----------
     Marcucci and Tedrake, "Mixed-integer formulations for optimal control of piecewise-affine systems", Hybrid Systems:
     Computation and Control, 2019. Numbers, states, weights and bounds are theirs. The paper prints no matrices; those
-    here are derived in this module, and the contact law agrees with that of the paper's public code
-    (github.com/TobiaMarcucci/pympc) but in three points. (a) There the regions leave out the ball squeezed between
-    paddle and ceiling; regions must cover the bounds here, and the paddle comes first. So the map jumps between
-    contacts with the paddle and with the ceiling, where y_b+ = y_p+ > 0.2 m, which the bounds exclude. (b) There the
-    ball must be over the paddle only while they touch; a constraint of some modes only would leave a gap in the
-    regions, so ``keep_over_paddle`` demands it at all times. (c) There friction at the ceiling drives a sliding ball
-    on, so that regions overlap; here it brakes.
+    here are derived in this module, and "published" agrees with the paper's public code
+    (github.com/TobiaMarcucci/pympc). "braking" differs in three points. (a) There the regions leave out the ball
+    squeezed between paddle and ceiling; here the paddle comes first. So the map jumps between contacts with the paddle
+    and with the ceiling, where y_b+ = y_p+ > 0.2 m, which the bounds exclude. (b) There the ball must be over the
+    paddle only while they touch, here at all times. (c) There friction at the ceiling drives a sliding ball on, so that
+    laws overlap; here it brakes.
 
     Modes: "free", then "stick", "slide right", "slide left" on the paddle, and the same at the ceiling; right and left
     say where the ball's lowest, or highest, point slides to.
@@ -110,65 +126,123 @@ def ball_and_paddle(
     20
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
-    bounds = symmetric("state_bounds", state_bounds)
+    if friction not in MODELS:
+        raise ProblemError("friction", brief(friction), "'braking' or 'published'")
+    published, ends = friction == "published", flag("keep_over_paddle", keep_over_paddle)
+    bounds, limits = symmetric("state_bounds", state_bounds), symmetric("acceleration_bounds", acceleration_bounds)
     over = np.zeros((2, STATES))
     over[:, [0, 3]] = [[1.0, -1.0], [-1.0, 1.0]]
-    ends = Polyhedron(over, [HALF_WIDTH, HALF_WIDTH])
+    accelerations = ["acceleration x [m/s^2]", "acceleration y [m/s^2]"]
+    if published:
+        limits = limits.at_dimension(CONTROLS, "acceleration_bounds")
+        limits = Box(np.append(limits.lower, -1.0), np.append(limits.upper, 1.0))
     return OptimalControlProblem(
         dynamics=PiecewiseAffineDynamics(
-            _modes(h),
+            _published_modes(h, ends) if published else _modes(h),
             sampling_time=h,
             state_names=[
                 *("ball x [m]", "ball y [m]", "angle [rad]", "paddle x [m]", "paddle y [m]"),
                 *("ball speed x [m/s]", "ball speed y [m/s]", "angular speed [rad/s]"),
                 *("paddle speed x [m/s]", "paddle speed y [m/s]"),
             ],
-            control_names=["acceleration x [m/s^2]", "acceleration y [m/s^2]"],
+            control_names=[*accelerations, "law at ceiling"] if published else accelerations,
         ),
         horizon=T,
-        cost=sum_of_squares(STATE_WEIGHTS, CONTROL_WEIGHTS, terminal_cost),
-        control_set=symmetric("acceleration_bounds", acceleration_bounds),
-        state_set=bounds & ends if flag("keep_over_paddle", keep_over_paddle) else bounds,
+        cost=sum_of_squares(STATE_WEIGHTS, block_diag(CONTROL_WEIGHTS, np.zeros((int(published),) * 2)), terminal_cost),
+        control_set=limits,
+        state_set=bounds & Polyhedron(over, [HALF_WIDTH, HALF_WIDTH]) if ends and not published else bounds,
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=control_band(control_spectrum, T),
+        control_spectrum=_of_accelerations(control_band(control_spectrum, T)),
         name="ball_and_paddle",
     )
 
 
-def _modes(h: float) -> list[AffineMode]:
-    rows = np.eye(STATES + CONTROLS + 1)  # coefficients of (x, u, 1)
-    positions, velocities, one = rows[:5], rows[5:10].copy(), rows[-1]
-    velocities[1] -= h * GRAVITY * one
-    velocities[3] += h * rows[10]
-    velocities[4] += h * rows[11]
-    after = positions + h * velocities
-    gap_paddle, gap_ceiling = after[1] - after[4], CLEARANCE * one - after[1]
-    slip_paddle = velocities[0] + RADIUS * velocities[2] - velocities[3]
-    slip_ceiling = velocities[0] - RADIUS * velocities[2]
+def _of_accelerations(given: Constraints) -> Constraints:
+    """Return stop bands on every component as such on both accelerations: the choice of a law has no spectrum."""
+    bands = list[FrequencyConstraint]()
+    for one in entries_of(given):
+        everywhere = isinstance(one, Band) and one.component is None
+        bands += [replace(one, component=i) for i in range(CONTROLS)] if everywhere else [one]
+    return bands
 
-    def mode(name: str, velocities: Array, region: list[Array]) -> AffineMode:
+
+class _Contacts:
+    """The free step, and steps with a contact, as rows of coefficients of (x, u, 1)."""
+
+    def __init__(self, h: float, controls: int):
+        rows = np.eye(STATES + controls + 1)
+        self.h, self.one, self.law = h, rows[-1], rows[-2]  # the law is the last control, if it is one
+        self.positions, self.velocities = rows[:5], rows[5:10].copy()
+        self.velocities[1] -= h * GRAVITY * self.one
+        self.velocities[3] += h * rows[10]
+        self.velocities[4] += h * rows[11]
+        after = self.positions + h * self.velocities
+        self.gap_paddle, self.gap_ceiling = after[1] - after[4], CLEARANCE * self.one - after[1]
+        ball, paddle = self.velocities[0], self.velocities[3]
+        self.slip_paddle = ball + RADIUS * self.velocities[2] - paddle
+        self.slip_ceiling = ball - RADIUS * self.velocities[2]
+
+    def pushed(self, normal: Array, tangential: Array, side: float) -> Array:
+        """Return the velocities after the impulses N and P of the paddle (side 1) or of the ceiling (side -1)."""
+        changed = self.velocities.copy()
+        changed[0] += tangential / MASS
+        changed[1] += side * normal / MASS
+        changed[2] += side * RADIUS * tangential / INERTIA
+        return changed
+
+    def mode(self, name: str, velocities: Array, region: Sequence[Array]) -> AffineMode:
         """Return the step that ends with these velocities, where all rows of the region are <= 0."""
-        A, B, offset = np.split(np.vstack([positions + h * velocities, velocities]), [STATES, -1], axis=1)
+        A, B, offset = np.split(np.vstack([self.positions + self.h * velocities, velocities]), [STATES, -1], axis=1)
         G, H, constant = np.split(np.array(region), [STATES, -1], axis=1)
         return AffineMode(A, B, offset[:, 0], G, H, -constant[:, 0], name)
 
-    modes = [mode("free", velocities, [-gap_paddle, -gap_ceiling])]
+    def past_an_end(self, velocities: Array) -> list[Array]:
+        """Return |x_b - x_p| - 0.3 m after the step, as two rows."""
+        ahead = (self.positions + self.h * velocities)[[0, 3]]
+        return [way * (ahead[0] - ahead[1]) - HALF_WIDTH * self.one for way in (1.0, -1.0)]
+
+
+def _modes(h: float) -> list[AffineMode]:
+    """Return the modes of friction that brakes: a paddle and a ceiling that push, the paddle first."""
+    step = _Contacts(h, CONTROLS)
+    modes = [step.mode("free", step.velocities, [-step.gap_paddle, -step.gap_ceiling])]
     for where, side, gap, slip, others in (
-        ("on paddle", 1.0, gap_paddle, slip_paddle, []),
-        ("at ceiling", -1.0, gap_ceiling, slip_ceiling, [-gap_paddle]),
+        ("on paddle", 1.0, step.gap_paddle, step.slip_paddle, []),
+        ("at ceiling", -1.0, step.gap_ceiling, step.slip_ceiling, [-step.gap_paddle]),
     ):
         normal, stick = -MASS / h * gap, -slip / BY_IMPULSE
-        limit = FRICTION * normal
-        laws = {  # P, and the rows <= 0 of the region; those of stick imply that the gap is closed
-            "stick": (stick, [stick - limit, -stick - limit]),
-            "slide right": (-limit, [stick + limit, gap]),
-            "slide left": (limit, [limit - stick, gap]),
-        }
-        for law, (tangential, region) in laws.items():
-            changed = velocities.copy()
-            changed[0] += tangential / MASS
-            changed[1] += side * normal / MASS
-            changed[2] += side * RADIUS * tangential / INERTIA
-            modes.append(mode(f"{law} {where}", changed, [*region, *others]))
+        for law, (tangential, region) in _coulomb(normal, stick, gap).items():
+            modes.append(step.mode(f"{law} {where}", step.pushed(normal, tangential, side), [*region, *others]))
+    return modes
+
+
+def _coulomb(normal: Array, stick: Array, gap: Array) -> dict[str, tuple[Array, list[Array]]]:
+    """Return P of every law (2), and the rows <= 0 of its region; those of stick imply that the gap is closed."""
+    limit = FRICTION * normal
+    return {
+        "stick": (stick, [stick - limit, -stick - limit]),
+        "slide right": (-limit, [stick + limit, gap]),
+        "slide left": (limit, [limit - stick, gap]),
+    }
+
+
+def _published_modes(h: float, ends: bool) -> list[AffineMode]:
+    """Return the modes of the record's model: never two contacts in a step; the last control chooses at the ceiling."""
+    step = _Contacts(h, CONTROLS + 1)
+    modes = [step.mode("free", step.velocities, [-step.gap_paddle, -step.gap_ceiling])]
+    normal, stick = -MASS / h * step.gap_paddle, -step.slip_paddle / BY_IMPULSE
+    for law, (tangential, region) in _coulomb(normal, stick, step.gap_paddle).items():
+        after = step.pushed(normal, tangential, 1.0)
+        beside = step.past_an_end(after) if ends else []
+        modes.append(step.mode(f"{law} on paddle", after, [*region, -step.gap_ceiling, *beside]))
+    normal, stick = -MASS / h * step.gap_ceiling, -step.slip_ceiling / BY_IMPULSE
+    limit, half = FRICTION * normal, 0.5 * step.one
+    for law, tangential, region in (
+        ("stick", stick, [stick - limit, -stick - limit, step.law - half, -step.law - half]),
+        ("slide right", limit, [stick - limit, half - step.law]),
+        ("slide left", -limit, [-stick - limit, half + step.law]),
+    ):
+        others = [step.gap_ceiling, -step.gap_paddle]
+        modes.append(step.mode(f"{law} at ceiling", step.pushed(normal, tangential, -1.0), [*region, *others]))
     return modes

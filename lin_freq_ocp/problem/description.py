@@ -14,12 +14,16 @@ LONGEST = 300  # characters of a fact; names of any length could make it longer
 Fact = tuple[str, str]  # a term, and its description
 
 
-def problem_facts(problem: ProblemData) -> list[Fact]:
-    """Return the description of a problem as pairs of a term and its text; a term may occur more than once."""
+def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
+    """Return the description of a problem as pairs of a term and its text; a term may occur more than once.
+
+    ``gap`` is a place in the sets, as text, that the regions of all modes leave out, if there is one.
+    """
     facts = [
         ("horizon", _horizon(problem)),
         *_cost(problem),
         *problem.dynamics.facts(_signals(problem)),
+        *([("gap", f"no mode {gap}: infeasible there")] if gap else []),
         *_controls(problem),
         *_states(problem),
         *_sets(problem),

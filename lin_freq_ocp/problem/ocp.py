@@ -44,8 +44,7 @@ class OptimalControlProblem(ProblemData):
     Parameters
     ----------
     dynamics : LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics
-        The map f_t, with names, units and sampling time. The regions of affine modes must cover the state and control
-        sets.
+        The map f_t, with names, units and sampling time. Outside the regions of all modes nothing is feasible.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
     cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
@@ -137,7 +136,7 @@ class OptimalControlProblem(ProblemData):
         )
         _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked and cached
         if dynamics.mode_names:
-            dynamics.require_sets(self._stage_sets)
+            dynamics.require_sets(self.stage_sets)
 
     def with_ends(
         self, initial_state: ConvexSet | ArrayLike | None = None, terminal_state: ConvexSet | ArrayLike | None = None
@@ -224,7 +223,7 @@ class OptimalControlProblem(ProblemData):
             return self
         problem = copy(self)
         assign(problem, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
-        problem.__dict__["borders"] = ()  # smooth pieces meet continuously
+        problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
 
     def with_modes(self, sequence: ArrayLike) -> OptimalControlProblem:
@@ -253,10 +252,16 @@ class OptimalControlProblem(ProblemData):
     @cached_property
     def borders(self) -> tuple[SwitchingFacet, ...]:
         """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
-        return self.dynamics.borders(self._stage_sets) if self.dynamics.mode_names else ()
+        return self.dynamics.borders(self.stage_sets) if self.dynamics.mode_names else ()
+
+    @cached_property
+    def gap(self) -> str | None:
+        """A place in the sets, as text, that the regions of affine modes leave out; None if they cover the sets."""
+        return self.dynamics.gap(self.stage_sets) if self.dynamics.mode_names else None
 
     @property
-    def _stage_sets(self) -> StageSets:
+    def stage_sets(self) -> StageSets:
+        """The polyhedral part of the sets of (x_t, u_t)."""
         return stage_sets(self.state_boxes, self.control_tube, self.state_tube, self.terms)
 
     @cached_property
@@ -303,7 +308,7 @@ class OptimalControlProblem(ProblemData):
         return f"OptimalControlProblem({self})"
 
     def _repr_html_(self) -> str:
-        return html_table(self.name or "Optimal control problem", problem_facts(self))
+        return html_table(self.name or "Optimal control problem", problem_facts(self, self.gap))
 
 
 def _in_form(dynamics: Dynamics, kind: type[Kind], advice: str = "") -> Kind:

@@ -31,7 +31,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         drawing=drawing,
         counts=_counts(loop),
         excess=_excess(loop),
-        facts=problem_facts(loop.problem),
+        facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
         version=version("lin-freq-ocp"),
     )

@@ -58,7 +58,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         result=result,
         comparison=comparison,
         amplification=rough(comparison.classical_measures.amplification),
-        facts=problem_facts(problem),
+        facts=problem_facts(problem, problem.gap),
         filter_limits=filter_limits(problem),
         constrained=constrained,
         filters=comparison.filtered if can_be_filtered(problem) else (),

@@ -95,6 +95,11 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
             f"The map jumps at the border between {first} and {second}, so the maximum principle makes no statement "
             "there; what follows was looked at all the same."
         )
+    if borders.gaps:
+        sentences.append(
+            f"{_times(borders.gaps)} the trajectory lies on the rim of a gap between the regions, where the dynamics "
+            "are not defined, so the maximum principle makes no statement; what follows was looked at all the same."
+        )
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
         return [*sentences, f"{what}: the dynamics have one derivative at every step, and nothing had to be chosen."]
@@ -170,7 +175,7 @@ def _choices(borders: SwitchingFacts) -> list[str]:
 def _where(borders: SwitchingFacts) -> str:
     parts = list[str]()
     if borders.times:
-        parts.append(f"modes meet at {_times(borders.times)}")
+        parts.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
     for norm in dict.fromkeys(one.norm for one in borders.norms):
         parts.append(f"{norm} is zero at {_times([one.time for one in borders.norms if one.norm == norm])}")
     text = listed(parts)

@@ -183,6 +183,7 @@ def test_wrong_arguments_are_problem_errors(name, wrong, message):
         ("cart_pole_with_walls", {"force_bound": -2.0}, "force_bound"),
         ("cart_pole_with_walls", {"sampling_time": None}, "sampling_time"),
         ("ball_and_paddle", {"keep_over_paddle": None}, "keep_over_paddle"),
+        ("ball_and_paddle", {"friction": "none"}, "friction"),
         ("ball_and_paddle", {"acceleration_bounds": (1.0, -1.0)}, "acceleration_bounds"),
     ],
 )

@@ -251,6 +251,24 @@ def test_the_ball_can_be_turned():
     np.testing.assert_allclose(state, 0, atol=1e-6)
 
 
+def test_the_published_model_of_the_ball_has_the_cost_of_its_record():
+    """The record's own sequence; its optimum, found with a solver's tolerance on bounds, was 37.207761."""
+    problem = library.ball_and_paddle(friction="published", control_spectrum="freq")
+    assert problem.control_stop.any(axis=0).tolist() == [True, True, False]
+    problem = library.ball_and_paddle(friction="published")
+    assert problem.gap is not None
+    sequence = np.array([1, 1, 0, 5, 0, 0, 3, 1, 1, 1, 1, 1, 1, 0, 6, 0, 0, 0, 1, 1])
+    result = lfo.solve(problem.with_modes(sequence))
+    assert result.cost == pytest.approx(37.207866, rel=1e-7)
+    assert result.certificate.globally_optimal
+    laws, speeds = result.control[[3, 14], 2], result.trajectory.x[[3, 14], 5]
+    after = result.trajectory.x[[4, 15], 5]
+    assert laws[0] >= 0.5 - 1e-6
+    assert laws[1] <= -0.5 + 1e-6
+    assert ((after - speeds) * np.sign(laws) > 0).all()  # friction drives the ball on
+    assert len(library.ball_and_paddle(friction="published", keep_over_paddle=False).dynamics.modes) == 7
+
+
 def test_solve_finds_multipliers_at_a_kink_where_the_sequences_own_do_not_fit():
     certificate = lfo.solve(library.max_min_network(horizon=2)).certificate
     assert certificate.globally_optimal

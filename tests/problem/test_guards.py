@@ -70,16 +70,16 @@ def test_guards_on_controls():
     assert lfo.simulate(problem_of(dynamics, 2, initial_state=[1.0, 1.0]), [[0.6], [0.4]]).x[2].tolist() == [2.0, 3.6]
 
 
-def test_signs_that_occur_beyond_the_sets_only_may_be_left_out_on_purpose():
+def test_signs_may_be_left_out_on_purpose():
     guards = {"G": [[1.0, 0.0], [0.0, 1.0]], "H": None, "d": [0.0, 5.0]}
     modes = {"+-": (A, B), "--": (2 * A, B)}
     with pytest.raises(lfo.errors.ProblemError, match=r"no pattern for the signs '\+\+' *; .* give None for them"):
         from_guards(**guards, modes=modes)
     dynamics = from_guards(**guards, modes=modes | {"*+": None})
     assert len(dynamics.modes) == 2
-    assert len(problem_of(dynamics, state_set=lfo.Box(-1, 1)).borders) == 1
-    with pytest.raises(lfo.errors.ProblemError, match="no mode around"):
-        problem_of(dynamics, state_set=lfo.Box(-6, 6))
+    problem = problem_of(dynamics, state_set=lfo.Box(-1, 1))
+    assert (len(problem.borders), problem.gap) == (1, None)
+    assert problem_of(dynamics, state_set=lfo.Box(-6, 6)).gap is not None
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """What the maximum principle says of piecewise-affine dynamics where several modes are active (docs/borders.md).
 
+Where the trajectory touches a gap between regions, a single mode may be active, and its region ends there.
+
 At (x_t, u_t), with I the active modes, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first order,
 p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same without
 the normals to the sets of the stage:
@@ -28,7 +30,7 @@ from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.sizes import Floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
+from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -98,7 +100,7 @@ class SwitchingFacts:
     regular : bool
         Whether -<eta_t, f_t> is Clarke-regular wherever several modes are active, as the printed form needs.
     times : tuple of int
-        Where several modes are active.
+        Where several modes are active, or the trajectory touches a gap.
     weights : (len(times), modes)
         alpha there.
     jumping : SwitchingFacet or None
@@ -107,6 +109,9 @@ class SwitchingFacts:
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
     norms : tuple of NormKink
         Where the arguments of norms are zero.
+    gaps : tuple of int
+        Where the trajectory touches a gap between regions: f_t is not defined around it, so that the theorem does not
+        apply.
     """
 
     elsewhere: bool
@@ -121,17 +126,26 @@ class SwitchingFacts:
     conditions: tuple[Condition, ...]
     mode_names: tuple[str, ...]
     norms: tuple[NormKink, ...] = ()
+    gaps: tuple[int, ...] = ()
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the theorem says anything: the map does not jump, and is defined around the trajectory."""
+        return self.jumping is None and not self.gaps
 
     def __str__(self) -> str:
         parts = list[str]()
         if self.jumping is not None:
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
+        if self.gaps:
+            where = ", ".join(map(str, self.gaps))
+            parts.append(f"the trajectory touches a gap between regions at t = {where}: the theorem does not apply")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
         if self.times:
-            parts.append(f"modes meet at t = {', '.join(map(str, self.times))}")
+            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {', '.join(map(str, self.times))}")
         parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
         parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
         flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)
@@ -215,8 +229,20 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
 
 
-def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask) -> list[SwitchingStage]:
-    """Return every time with several active modes (T, modes); the extremal is of any averaged dynamics."""
+def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays, active: Mask) -> Indices:
+    """Return the times at which the regions of the active modes (T, modes) leave a part of the sets out."""
+    if problem.gap is None:
+        return np.zeros(0, dtype=np.intp)
+    x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
+    touched = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
+    found = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
+    return np.fromiter(found, dtype=np.intp)
+
+
+def switching_stages(
+    extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask, gaps: Indices
+) -> list[SwitchingStage]:
+    """Return every time with several active modes (T, modes), or at a gap; the extremal is of any averaged dynamics."""
     trajectory, multipliers = extremal.trajectory, extremal.multipliers
     required, n = required_slopes(extremal), extremal.problem.state_dim
     active_facets = arrays.active_facets(trajectory.x, trajectory.u)
@@ -226,7 +252,7 @@ def switching_stages(extremal: Extremal, least: Floors, arrays: ModeArrays, acti
     terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
     scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
     stages = list[SwitchingStage]()
-    for t in np.flatnonzero(active.sum(axis=1) > 1):
+    for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
         modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
         facets = tuple(rows[t, i, active_facets[t, i]].T for i in modes)
         stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
@@ -267,6 +293,7 @@ def switching_facts(
     trajectory: Trajectory,
     stages: Sequence[SwitchingStage],
     weights: Array,
+    gaps: Indices,
     joint: bool,
     elsewhere: bool,
 ) -> SwitchingFacts:
@@ -294,6 +321,7 @@ def switching_facts(
         jumping=max(jumping, key=lambda facet: facet.jump, default=None),
         conditions=conditions,
         mode_names=problem.piecewise.mode_names,
+        gaps=tuple(gaps.tolist()),
     )
 
 

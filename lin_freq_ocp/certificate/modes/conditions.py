@@ -19,6 +19,7 @@ from lin_freq_ocp.certificate.modes.clarke import (
     stationarity_scale,
     switching_facts,
     switching_stages,
+    times_at_gaps,
 )
 from lin_freq_ocp.certificate.sizes import Floors, floors, measured_modes, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
@@ -39,18 +40,19 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(arrays, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
+    gaps = times_at_gaps(problem, trajectory, arrays, active)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes)
     own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
-    stages = switching_stages(extremal, least, arrays, active)
+    stages = switching_stages(extremal, least, arrays, active, gaps)
     others = all(given.passed for given in (*linear, active_mode) if given.name not in OF_WEIGHTS)
     elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
     conditions = (*linear, active_mode, of_weights)
     joint = all(given.passed for given in conditions)
-    facts = switching_facts(problem, trajectory, stages, weights, joint, elsewhere)
+    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 
 
@@ -93,7 +95,8 @@ def _weights(
         return multipliers.weights
     weights = np.eye(modes)[sequence]
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
-    for stage in switching_stages(extremal, floors(extremal, trajectory_sizes(problem, trajectory)), arrays, active):
+    least, none = floors(extremal, trajectory_sizes(problem, trajectory)), np.zeros(0, dtype=np.intp)
+    for stage in switching_stages(extremal, least, arrays, active, none):
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)
     return weights

@@ -45,7 +45,7 @@ def description_summary(problem: OptimalControlProblem, about: str, parameters: 
         {
             **head(problem),
             "about": about or None,
-            "facts": [{"what": what, "words": words} for what, words in problem_facts(problem)],
+            "facts": [{"what": what, "words": words} for what, words in problem_facts(problem, problem.gap)],
             "states": [
                 _signal(name, states, i) | {"initial": _pair(bounds[0], i), "terminal": _pair(bounds[1], i)}
                 for i, name in enumerate(problem.state_names)

@@ -189,6 +189,7 @@ def _borders(facts: SwitchingFacts | None) -> FileTable | None:
         "jumping": jumping and {"modes": [jumping.first, jumping.second], "jump": jumping.jump, "time": jumping.time},
         "conditions": _conditions(facts.conditions),
         "norms": [kink._asdict() for kink in facts.norms],
+        "gaps": list(facts.gaps),
     }
 
 

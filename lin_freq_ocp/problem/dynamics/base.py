@@ -74,8 +74,12 @@ class Dynamics(ABC):
         self.standard_form.require_horizon(horizon)
 
     def require_sets(self, sets: StageSets) -> None:
-        """Raise ProblemError unless f_t is defined on the sets, and unique."""
+        """Raise ProblemError unless f_t is unique on the sets."""
         self.standard_form.require_sets(sets)
+
+    def gap(self, sets: StageSets) -> str | None:
+        """Return a place in the sets where f_t is not defined, as text; None if there is none."""
+        return self.standard_form.gap(sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return where regions of affine modes meet within the sets."""
@@ -134,6 +138,10 @@ class StandardDynamics(Dynamics):
 
     def require_sets(self, sets: StageSets) -> None:
         """Accept all sets."""
+
+    def gap(self, sets: StageSets) -> str | None:
+        """Return None: f_t is defined everywhere."""
+        return None
 
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return none."""

@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.dynamics.guards import guarded_modes
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.max_min import modes_of
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArrays
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet, borders_of, require_partition
+from lin_freq_ocp.problem.dynamics.regions import CheckedRegions, SwitchingFacet, borders_of
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.text.phrases import AT_MOST
@@ -28,8 +28,9 @@ from lin_freq_ocp.text.phrases import AT_MOST
 class PiecewiseAffineDynamics(StandardDynamics):
     """x_{t+1} = A_i x_t + B_i u_t + d_i in the region of mode i.
 
-    Regions must cover the problem's state and control sets and overlap on borders only; a problem checks both. On the
-    border of a map that jumps there, an optimiser may choose either mode, and a replay takes the first listed.
+    Regions overlap on borders only, which a problem checks. They may leave gaps: a trajectory outside all regions is
+    infeasible, and ``problem.gap`` is a place of such. On the border of a map that jumps there, an optimiser may choose
+    either mode, and a replay takes the first listed.
 
     Parameters
     ----------
@@ -145,8 +146,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         modes : mapping from str to AffineMode, (A, B), (A, B, offset), or None
             One mode for each pattern of signs, which has one character per guard: "+" (zero or above), "-" (zero or
             below) or "*" (any). The first is mode 0. An AffineMode brings its name, and no region of its own; another
-            mode is named by its pattern. None: no mode, because these signs do not occur within the sets of the
-            problem, which checks it.
+            mode is named by its pattern. None: no mode, a gap between the regions.
         sampling_time, state_names, control_names
             As for the class.
 
@@ -205,9 +205,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
         return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
 
     @cached_property
-    def _checked(self) -> set[bytes]:
-        """Sets that the regions were found to cover without overlap."""
-        return set()
+    def _checked(self) -> CheckedRegions:
+        """What the regions were found to be within sets."""
+        return CheckedRegions(self.mode_names, not self.regions_vary)
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return how many modes there are, their names, and that they are affine."""
@@ -225,11 +225,14 @@ class PiecewiseAffineDynamics(StandardDynamics):
                 raise ProblemError(f"dynamics.modes[{i}].{own}", error.got, error.expected, error.advice) from None
 
     def require_sets(self, sets: StageSets) -> None:
-        """Raise ProblemError unless the regions cover the sets and overlap on borders only."""
+        """Raise ProblemError unless the regions overlap on borders only within the sets."""
         if REGION in sets.names:
             raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
-        arrays = self.arrays(sets.horizon)
-        require_partition(arrays, self.mode_names, sets, not self.regions_vary, self._checked)
+        self._checked.require_apart(self.arrays(sets.horizon), sets)
+
+    def gap(self, sets: StageSets) -> str | None:
+        """Return a place in the sets that no region holds, as text; None if they cover the sets."""
+        return self._checked.gap(self.arrays(sets.horizon), sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return where regions meet within the sets, and whether the map jumps there."""
@@ -310,7 +313,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
     def stepper(self, horizon: int) -> Step:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
 
-        It raises NumericalError where no region holds (x_t, u_t): the state has left the sets that the regions cover.
+        It raises NumericalError where no region holds (x_t, u_t).
         What follows a state that is not finite is not a number.
         """
         arrays = self.arrays(horizon)
@@ -325,7 +328,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
             if not holds.any():
                 raise NumericalError(
                     f"No mode of the dynamics holds at t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}: "
-                    "the regions cover the state and control sets, and this lies outside."
+                    "this lies outside all regions."
                 )
             i = int(np.argmax(holds))
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]

@@ -1,4 +1,4 @@
-"""Polyhedral regions in (x, u): whether they cover the sets or overlap, where they meet, and whether the map jumps.
+"""Polyhedral regions in (x, u): whether they overlap or leave gaps, where they meet, and whether the map jumps.
 
 Lengths are measured in natural units: of each component the half width of its bounds, or how far the rows of the
 regions reach along it, if that is less or if it has none.
@@ -6,9 +6,10 @@ regions reach along it, if that is less or if it has none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from lin_freq_ocp.geometry.polyhedra import (
     natural_sizes,
     uncovered,
 )
-from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
 
 # Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
@@ -34,6 +35,10 @@ NARROW = 1e-9  # A component whose bounds are closer than this, relative to thei
 # Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
 # shorter may be rounding, and THICKNESS times this is still a hundred times above it.
 LEAST_UNIT = 1e-6
+
+
+Found = TypeVar("Found")
+_Overlap = tuple[int, int, str]  # two modes, and a point of both as text
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,30 +85,65 @@ class _Pieces:
         return b"|".join(part.tobytes() for part in parts)
 
 
-def require_partition(
-    arrays: ModeArrays, names: Sequence[str], sets: StageSets, constant: bool, checked: set[bytes]
-) -> None:
-    """Raise ProblemError unless the regions cover the sets and overlap on facets only.
+class CheckedRegions:
+    """What the regions of dynamics are known to be, by the keys of their pieces: overlaps and gaps are costly to find.
 
-    ``constant``: no region depends on time. ``checked``: keys of pieces known to be without fault; more are added.
+    ``names`` are those of the modes; ``constant``: no region depends on time.
     """
 
-    def fault(t: int, stage: StageSet, when: str) -> ProblemError | None:
-        pieces = _pieces(arrays, t, stage)
-        found = None if pieces.key in checked else _fault(pieces, names, when)
-        if found is None:
-            checked.add(pieces.key)
-        return found
+    def __init__(self, names: Sequence[str], constant: bool):
+        self.names, self.constant = names, constant
+        self._overlaps = dict[bytes, _Overlap | None]()
+        self._gaps = dict[bytes, str | None]()
 
-    everywhere = fault(0, sets.around(), "") if constant else None
-    if everywhere is not None and sets.constant:
-        raise everywhere
-    if everywhere is None and constant:
-        return
-    for t in range(sets.horizon):
-        found = fault(t, sets.at(t), f" at t = {t}")
+    def require_apart(self, arrays: ModeArrays, sets: StageSets) -> None:
+        """Raise ProblemError unless regions overlap on facets only."""
+        found = self._first(arrays, sets, self._overlaps, _overlap)
         if found is not None:
-            raise found
+            (first, second, point), when = found
+            got = f"a region that overlaps that of {self.names[first]!r}{when}, around (x, u) = {point}"
+            raise ProblemError(f"dynamics.modes[{second}]", got, "regions that meet on borders only")
+
+    def gap(self, arrays: ModeArrays, sets: StageSets) -> str | None:
+        """Return a place in the sets that no region holds, as text; None if they cover the sets."""
+        found = self._first(arrays, sets, self._gaps, _gap)
+        return None if found is None else f"around (x, u) = {found[0]}{found[1]}"
+
+    def _first(
+        self,
+        arrays: ModeArrays,
+        sets: StageSets,
+        known: dict[bytes, Found | None],
+        fault: Callable[[_Pieces], Found | None],
+    ) -> tuple[Found, str] | None:
+        """Return the first fault over all times, and when it is; without any around all sets, there is none."""
+
+        def at(t: int, stage: StageSet) -> Found | None:
+            pieces = _pieces(arrays, t, stage)
+            if pieces.key not in known:
+                known[pieces.key] = fault(pieces)
+            return known[pieces.key]
+
+        if self.constant:
+            everywhere = at(0, sets.around())
+            if everywhere is None or sets.constant:
+                return None if everywhere is None else (everywhere, "")
+        found = ((at(t, sets.at(t)), f" at t = {t}") for t in range(sets.horizon))
+        return next(((one, when) for one, when in found if one is not None), None)
+
+
+def meets_gap(arrays: ModeArrays, sets: StageSets, t: int, v: Array, modes: Mask) -> bool:
+    """Whether these modes, which hold at v = (x_t, u_t), leave a part of the sets next to it uncovered.
+
+    Near v a region is the cone of the rows that it touches, within FACET_TOLERANCE, and so are the sets.
+    """
+    pieces = _pieces(arrays, t, sets.at(t))
+    y = (v - pieces.centre) / pieces.units
+    free, columns = y[pieces.free], np.eye(len(y))[:, pieces.free]
+    cells = [_cone(cell, y).restricted(np.zeros(len(y)), columns) for cell in np.array(pieces.cells)[modes]]
+    near = np.eye(len(free))
+    ball = Cell(np.vstack([near, -near]), np.ones(2 * len(free)))
+    return uncovered(ball & _cone(pieces.domain, free), [cell for cell in cells if cell is not None]) is not None
 
 
 def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[SwitchingFacet, ...]:
@@ -150,30 +190,32 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
     return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
 
 
-def _fault(pieces: _Pieces, names: Sequence[str], when: str) -> ProblemError | None:
-    """Return what is wrong with the regions of one time: an overlap, or a point that no mode covers."""
-    for i, j in combinations(range(len(names)), 2):
-        point = _overlap(pieces, i, j)
-        if point is not None:
-            got = f"a region that overlaps that of {names[i]!r}{when}, around (x, u) = {pieces.point_text(point)}"
-            return ProblemError(f"dynamics.modes[{j}]", got, "regions that meet on borders only")
+def _gap(pieces: _Pieces) -> str | None:
+    """Return a point of one time that no mode covers, as text."""
     columns = np.eye(len(pieces.free))[:, pieces.free]
     regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
     point = uncovered(pieces.domain, [region for region in regions if region is not None])
-    if point is None:
-        return None
-    got, advice = f"no mode around (x, u) = {pieces.point_text(point)}{when}", "Widen a region or tighten the bounds."
-    return ProblemError("dynamics.modes", got, "regions that cover the state and control sets", advice)
+    return None if point is None else pieces.point_text(point)
 
 
-def _overlap(pieces: _Pieces, i: int, j: int) -> Array | None:
-    """Return the centre, in the sets, of a ball in all components that both regions hold."""
-    first, second, domain = pieces.cells[i], pieces.cells[j], pieces.domain
-    if first.apart_from(second, THICKNESS):
-        return None
-    normals = np.vstack([first.normals[:, pieces.free], second.normals[:, pieces.free], domain.normals])
-    limits = np.concatenate([first.limits, second.limits, domain.limits])
-    return ball_centre(normals, limits, np.ones(len(limits)), THICKNESS)
+def _cone(cell: Cell, y: Array) -> Cell:
+    """Return the directions into a cell from a point of it: the rows that the point touches, with limits of zero."""
+    touched = cell.limits - cell.normals @ y <= FACET_TOLERANCE * (1 + np.abs(cell.limits))
+    return Cell(cell.normals[touched], np.zeros(int(touched.sum())))
+
+
+def _overlap(pieces: _Pieces) -> _Overlap | None:
+    """Return the first two regions that overlap in the sets, and the centre of a ball that both hold, as text."""
+    domain = pieces.domain
+    for (i, first), (j, second) in combinations(enumerate(pieces.cells), 2):
+        if first.apart_from(second, THICKNESS):
+            continue
+        normals = np.vstack([first.normals[:, pieces.free], second.normals[:, pieces.free], domain.normals])
+        limits = np.concatenate([first.limits, second.limits, domain.limits])
+        point = ball_centre(normals, limits, np.ones(len(limits)), THICKNESS)
+        if point is not None:
+            return i, j, pieces.point_text(point)
+    return None
 
 
 def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None:
