@@ -8,8 +8,8 @@ from lin_freq_ocp.analysis.spectral_peaks import spectral_peaks
 from lin_freq_ocp.analysis.vibration_peaks import vibration_peaks
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
-from lin_freq_ocp.problem.terms.vibration import PlantBox
 
 
 def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:

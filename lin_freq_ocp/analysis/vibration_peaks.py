@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.problem.terms.vibration import PlantBox
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 
 FINENESS = 16  # points for each bin of the signal's DFT
 STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on

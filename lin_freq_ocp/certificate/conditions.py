@@ -258,7 +258,7 @@ def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, leas
     limit = float(everywhere.limit_at(np.array([[frequency, peak.damping] if plants else frequency]))[0])
     scale = max(limit, SCALE_FLOOR * float(_scales(priced.sizes, least).max()))
     name = f"holds {'for all plants' if plants else 'at every frequency'}: {priced.term.name}"
-    time = None if plants else round(frequency * everywhere.map.samples / (2 * np.pi))
+    time = None if plants or frequency > np.pi else round(frequency * everywhere.map.samples / (2 * np.pi))
     residual = max(peak.ratio - 1.0, 0.0) * limit
     return Condition(label, name, residual, scale, PEAK_TOLERANCE, time, peak=peak)
 

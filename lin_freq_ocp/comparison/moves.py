@@ -22,8 +22,8 @@ from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
-from lin_freq_ocp.problem.terms.vibration import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.text.phrases import number

@@ -156,8 +156,8 @@ def _frequencies(given: Mapping[str, ArrayLike], stage: Mapping[str, Array]) -> 
         if found.shape not in ((count,), (count, 2)):
             expected = f"({count},) or, for plants, ({count}, 2): one per row of its multipliers"
             raise ProblemError(field, f"shape {found.shape}", expected)
-        if found.ndim == 1 and ((found < 0) | (found > np.pi)).any():
-            raise ProblemError(field, brief(found.tolist()), "frequencies from 0 to pi rad/sample")
+        if found.ndim == 1 and (found < 0).any():
+            raise ProblemError(field, brief(found.tolist()), "frequencies from 0 rad/sample on")
         if found.ndim == 2 and ((found[:, 0] <= 0) | (found[:, 1] < 0) | (found[:, 1] >= 1)).any():
             expected = "a frequency above 0 Hz and a damping ratio from 0 to below 1, in each row"
             raise ProblemError(field, brief(found.tolist()), expected)

@@ -241,9 +241,12 @@ def test_atoms_outside_the_circle_or_without_weights_are_refused(solved):
     given = solved.multipliers
     ((name, atoms),) = given.frequencies.items()
     fields = {key: getattr(given, key) for key in ("eta_C", "eta", "mu", "nu", "rho_u", "rho_x", "stage")}
-    for wrong, words in ((atoms + 4.0, "from 0 to pi"), (atoms[:-1], "one per row")):
+    for wrong, words in ((atoms - 4.0, "from 0 rad/sample on"), (atoms[:-1], "one per row")):
         with pytest.raises(ProblemError, match=words):
             Multipliers(**fields, frequencies={name: wrong})
+    beyond = Multipliers(**fields, frequencies={name: atoms + 4.0})
+    with pytest.raises(ProblemError, match="from 0 to pi"):
+        lfo.certify(solved.problem, solved.trajectory, beyond)
 
 
 def test_infeasible_masks_are_proven(tmp_path):

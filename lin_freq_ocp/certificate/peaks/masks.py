@@ -13,12 +13,14 @@ References: Higham, Accuracy and Stability of Numerical Algorithms, 2002, Theore
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, extended
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.certificate.peaks.cells import TERMS, Cells, Peak, joined, largest
 from lin_freq_ocp.problem.terms.limits import Limits
 
@@ -28,16 +30,36 @@ END_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of an end of an interval, 
 FFT_ROUNDING = 7.0  # roundings of each of the log2 stages of an FFT, relative to the norm of the result
 
 
-def certified_peak(samples: Array, limits: Limits) -> Peak:
-    """Return the largest |V| / l of samples (N,), with proof."""
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The polynomials g on cells of the half-width ``step`` about 2 k step, k = 0, 1, ..., from those on [0, pi]."""
+
+    a: ComplexArray  # (cells, TERMS)
+    error: float  # by which |g| can miss |V|
+
+    @property
+    def step(self) -> float:
+        """Return the half-width of the cells."""
+        return float(np.pi / (2 * (len(self.a) - 1)))
+
+    def on(self, k: Indices) -> tuple[ComplexArray, Array]:
+        """Return a of cells k, (k, TERMS), and their errors: V(w + 2 pi) = V(w), and V(-w) is its conjugate."""
+        points = 2 * (len(self.a) - 1)
+        k = k % points
+        mirrored = 2 * k > points
+        a = self.a[np.where(mirrored, points - k, k)]
+        return np.where(mirrored[:, None], (-1.0) ** np.arange(TERMS) * a.conj(), a), np.full(len(k), self.error)
+
+
+def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray, float], Series] = Series) -> Peak:
+    """Return the largest |V| / l of samples (N,), with proof; of another kind of series, its |g| / l."""
     size = float(np.abs(samples).max(initial=0.0))
     if size == 0:
         return Peak(0.0, 0.0, float(limits.low[0]))
     if not np.isfinite(size):
         return Peak(np.inf, np.inf, float(limits.low[0]))
     least = float(min(limits.at_low.min(), limits.at_high.min())) / size
-    series, error = _series(extended(samples) / size, least)
-    return largest(_on_intervals(series, error, limits, size))
+    return largest(_on_intervals(kind(*_series(extended(samples) / size, least)), limits, size))
 
 
 def _series(values: Array, least: float) -> tuple[ComplexArray, float]:
@@ -60,19 +82,19 @@ def _series(values: Array, least: float) -> tuple[ComplexArray, float]:
     return found, error
 
 
-def _on_intervals(series: ComplexArray, error: float, limits: Limits, size: float) -> Cells:
+def _on_intervals(series: Series, limits: Limits, size: float) -> Cells:
     """Return the parts of the cells on each interval on which the limit is linear."""
-    step = np.pi / (2 * (len(series) - 1))
-    parts: list[Cells] = []
+    step, parts = series.step, list[Cells]()
     for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
-        k = np.arange(max(round(low / (2 * step)) - 1, 0), min(round(high / (2 * step)) + 2, len(series)))
-        slack = END_ROUNDING * len(series)
+        k = np.arange(max(round(low / (2 * step)) - 1, 0), round(high / (2 * step)) + 2)
+        slack = END_ROUNDING * max(len(series.a), len(k) + int(k[0]))
         first, last = np.maximum(low / step - 2 * k - slack, -1.0), np.minimum(high / step - 2 * k + slack, 1.0)
         kept = first <= last
         k, first, last = k[kept], first[kept], last[kept]
         slope = (at_high - at_low) / (high - low) if high > low else 0.0
         middle, ones = 2.0 * step * k, np.ones(len(k))
         limit = at_low + slope * (middle - low)
-        whole = Cells(series[k], middle, step * ones, limit / size, slope * step / size * ones, error * ones)
+        a, error = series.on(k)
+        whole = Cells(a, middle, step * ones, limit / size, slope * step / size * ones, error)
         parts.append(whole.part(first, last))
     return joined(parts)

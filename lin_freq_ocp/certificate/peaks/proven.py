@@ -6,10 +6,12 @@ from functools import singledispatch
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.peaks.cells import Peak
+from lin_freq_ocp.certificate.peaks.held import HeldSeries
 from lin_freq_ocp.certificate.peaks.masks import certified_peak
 from lin_freq_ocp.certificate.peaks.vibrations import certified_vibration
+from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
-from lin_freq_ocp.problem.terms.vibration import PlantBox
 
 
 @singledispatch
@@ -21,6 +23,11 @@ def proven_peak(everywhere: Continuum, samples: Array) -> Peak:
 @proven_peak.register
 def _(everywhere: Frequencies, samples: Array) -> Peak:
     return certified_peak(samples, everywhere.limits)
+
+
+@proven_peak.register
+def _(everywhere: HeldFrequencies, samples: Array) -> Peak:
+    return certified_peak(samples, everywhere.limits, HeldSeries)
 
 
 @proven_peak.register

@@ -112,6 +112,7 @@ def _bound(bound: MagnitudeBound | EnergyBound) -> FileTable:
         "oversampling": bound.oversampling if bound.oversampling != 1 else None,
         "between": getattr(bound, "between", False) or None,
         "every_frequency": bound.every_frequency or None,
+        "hold": getattr(bound, "hold", False) or None,
         "penalty": bound.penalty,
         "window": bound.window,
     }

@@ -20,7 +20,8 @@ from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer,
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.spectrum.every_frequency import Limit, level, limits_of
+from lin_freq_ocp.problem.spectrum.every_frequency import Limit, held_limits_of, level, limits_of
+from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies, HeldMap
 from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
@@ -187,6 +188,11 @@ class MagnitudeBound(SpectrumBound):
         limit) of shape (points, 2) in the unit of the band, linear between them, or a function of the frequency, which
         is sampled to 64 points of the band; in ``limit_db``, points are linear over the logarithm of the frequency,
         sampled to 64 points from each to the next. Excludes bins, oversampling, between and penalty.
+    hold : bool
+        With every_frequency: for the signal as the plant sees it, held for a sampling time h after each sample,
+        |sinc(f h) V(2 pi f h)| <= limit, sinc(a) = sin(pi a) / (pi a), at every f of the band in Hz, images above
+        Nyquist included: low_pass(cutoff_hz=f_c) is then [f_c, infinity), and edges and points may be above Nyquist.
+        After the last point, the last limit holds.
 
     Raises
     ------
@@ -206,6 +212,7 @@ class MagnitudeBound(SpectrumBound):
     limit: Array
     between: bool
     every_frequency: bool
+    hold: bool
     frequencies: tuple[Array, ...] | None = None  # of the finitely many constraints, one array for each component
     relaxed: bool = False  # whether it holds at these only
 
@@ -224,21 +231,26 @@ class MagnitudeBound(SpectrumBound):
         oversampling: int = 1,
         between: bool = False,
         every_frequency: bool = False,
+        hold: bool = False,
     ):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
         require_one_limit(limit, limit_db, reference)
-        if not isinstance(every_frequency, bool):
-            raise ProblemError("MagnitudeBound.every_frequency", brief(every_frequency), "True or False")
+        for name, given in (("every_frequency", every_frequency), ("hold", hold)):
+            if not isinstance(given, bool):
+                raise ProblemError(f"MagnitudeBound.{name}", brief(given), "True or False")
         if every_frequency:
             found = level("MagnitudeBound.limit", limit, limit_db, reference, band)
         else:
             found = _limit(limit, limit_db, reference)
-        assign(self, limit=found, between=between, every_frequency=every_frequency)
+        assign(self, limit=found, between=between, every_frequency=every_frequency, hold=hold)
         self._set_domain(bins, band, component, penalty, window, oversampling)
         if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between or penalty is not None):
             got = "bins, oversampling, between or a penalty, with every_frequency=True"
             raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
+        if hold and not (every_frequency and self.band.unit == "Hz"):
+            got = "hold=True without every_frequency=True, or with a band that is not in Hz"
+            raise ProblemError("MagnitudeBound.hold", got, "every_frequency=True and a band in Hz")
         if not isinstance(between, bool):
             raise ProblemError("MagnitudeBound.between", brief(between), "True or False")
         if between and self.oversampling < 2:
@@ -248,16 +260,15 @@ class MagnitudeBound(SpectrumBound):
         if not self.every_frequency:
             yield from super().terms(signal, field, source)
             return
-        limits, window = (
-            limits_of(field, self.limit, self.band, signal.sampling_time),
-            self.samples(signal.length, field),
-        )
+        limits = (held_limits_of if self.hold else limits_of)(field, self.limit, self.band, signal.sampling_time)
+        window, label = self.samples(signal.length, field), f"held {self.label}" if self.hold else self.label
+        kind, of_signal = (HeldFrequencies, HeldMap) if self.hold else (Frequencies, FrequencyMap)
         for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
-            everywhere = Frequencies(FrequencyMap(C, D, window, np.zeros(0)), limits)
+            everywhere = kind(of_signal(C, D, window, np.zeros(0)), limits)
             given = everywhere.first_points() if self.frequencies is None else self.frequencies[i]
             values, balls = everywhere.at(given)
             required = None if self.relaxed else everywhere
-            yield Term(f"{self.label} on {name}", signal.kind, values, balls, source, everywhere=required)
+            yield Term(f"{label} on {name}", signal.kind, values, balls, source, everywhere=required)
 
     def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> MagnitudeBound:
         return self._with(frequencies=tuple(frequencies), relaxed=relaxed)
@@ -268,7 +279,8 @@ class MagnitudeBound(SpectrumBound):
         limit = low if low == high else f"{low} to {high} (a limit for each bin)"
         of = component_words(self.component, names)
         if self.every_frequency:
-            return f"mask of {of}: |V(w)| {AT_MOST} {limit} at every frequency of {self.where}"
+            spectrum = "|sinc(f h) V|, as it is held," if self.hold else "|V(w)|"
+            return f"mask of {of}: {spectrum} {AT_MOST} {limit} at every frequency of {self.where}"
         between = " and between its points" if self.between else ""
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 

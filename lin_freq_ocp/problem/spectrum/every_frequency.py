@@ -62,6 +62,36 @@ def limits_of(field: str, limit: Array, band: Band, sampling_time: float | None)
     return limits_on(intervals, points, values)
 
 
+def held_limits_of(field: str, limit: Array, band: Band, sampling_time: float | None) -> Limits:
+    """Return the limit of a held signal on the intervals in Hz that a band removes, at w = 2 pi f h of any size.
+
+    Beyond the last point the limit is constant; of an interval without end, there is one period of V after it.
+    """
+    if sampling_time is None:
+        raise ProblemError(field, f"{band}, and no sampling time", "dynamics with a sampling_time in seconds, for hold")
+    intervals = _without_end(band)
+    if not intervals or intervals[0][0] >= intervals[-1][1]:
+        raise ProblemError(f"{field}.band", str(band), "a band that removes frequencies")
+    points, values = (limit[:, 0], limit[:, 1]) if limit.ndim else (np.zeros(1), limit.reshape(1))
+    first = intervals[0][0]
+    if limit.ndim and points[0] > first * (1 + 1e-9):
+        got = f"points from {points[0]:g} Hz"
+        raise ProblemError(f"{field}.limit", got, f"points from {first:g} Hz, which the band removes")
+    w = 2 * np.pi * sampling_time
+    ends = [
+        (low, high if np.isfinite(high) else max(low, float(points[-1])) + 1 / sampling_time) for low, high in intervals
+    ]
+    return limits_on([(w * low, w * high) for low, high in ends], w * points, values)
+
+
+def _without_end(band: Band) -> list[tuple[float, float]]:
+    """Return the closed intervals from 0 to infinity that a band removes, in its unit."""
+    low, high = band.limits
+    if band.kind == "notch":
+        return [(max(low, 0.0), high)]
+    return ([(0.0, low)] if low > 0 else []) + ([(high, np.inf)] if np.isfinite(high) else [])
+
+
 def _intervals(field: str, band: Band, factor: float) -> Sequence[tuple[float, float]]:
     """Return the closed intervals within [0, pi] that a band removes, in rad/sample."""
     low, high = (min(edge * factor, np.pi) for edge in band.limits)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, assign, brief, positive_number, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.problem.terms.vibration import PlantBox, VibrationMap
 from lin_freq_ocp.text.phrases import AT_MOST, number
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,6 +53,7 @@ class Frequencies(Continuum):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
 
     limits: Limits
+    highest: ClassVar[float] = np.pi  # beyond it, there are no points
 
     def limit_at(self, points: Array) -> Array:
         return self.limits.at(points)
@@ -61,6 +63,19 @@ class Frequencies(Continuum):
         bins = 2 * np.pi * np.arange(self.map.samples // 2 + 1) / self.map.samples
         inside = bins[np.isfinite(self.limits.at(bins))]
         return np.unique(np.concatenate([inside, self.limits.low, self.limits.high]))
+
+    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
+        if points.ndim == 1 and (points > self.highest).any():
+            raise ProblemError("multipliers.frequencies", brief(points.tolist()), "frequencies from 0 to pi rad/sample")
+        return super().at(points)
+
+    def factor(self, points: Array) -> Array:
+        """Return the modulus of what V is multiplied by, (k,)."""
+        return np.ones(len(points))
+
+    def log_slopes(self, points: Array) -> tuple[Array, Array]:
+        """Return the first and second derivative by w of the logarithm of the factor, both (k,)."""
+        return np.zeros(len(points)), np.zeros(len(points))
 
     def distances(self, some: Array, others: Array) -> Array:
         return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)

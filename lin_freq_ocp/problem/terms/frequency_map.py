@@ -115,6 +115,11 @@ class FrequencyMap(AffineMap):
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
+        return self.plain_factors
+
+    @property
+    def plain_factors(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return the factors in extended precision."""
         B = int(np.ceil(np.sqrt(self.samples)))
         w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
         return np.exp(-1j * w * (B * np.arange(A))), np.exp(-1j * w * np.arange(B))

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Move, Moves, boxes_of
-from lin_freq_ocp.problem.terms.vibration import PlantBox
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.report.figures.style import (
     BAND,
     BOUND,

@@ -16,38 +16,26 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask, extended
+from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.problem.terms.continua.scaled_map import ScaledMap
 from lin_freq_ocp.problem.terms.continuum import Continuum
-from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
-from lin_freq_ocp.problem.terms.maps import Shapes
 
 
 @dataclass(frozen=True, eq=False)
-class VibrationMap(FrequencyMap):
+class VibrationMap(ScaledMap):
     """(Re, Im) of V for modes ``at`` (groups, 2): natural frequency in Hz, damping ratio."""
 
     sampling_time: float
 
     @property
-    def nearest_bins(self) -> Indices:
-        return np.arange(0)
-
-    @property
-    def frequencies(self) -> Array:
-        return np.zeros(0)
-
-    @property
     def real(self) -> Mask:
         return np.zeros(len(self.at), dtype=bool)
 
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        return False
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        return super().sizes(x, u) * np.abs(self._gain.astype(complex))[:, None]
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return super().pulled_sizes(weights * np.abs(self._gain.astype(complex))[:, None], shapes)
+    @property
+    def gain(self) -> ComplexArray:
+        """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
+        turned: ComplexArray = np.exp(self._angles)
+        return (turned - 1) / np.sqrt(1 - self._damping**2)
 
     @property
     def _angles(self) -> ComplexArray:
@@ -59,17 +47,11 @@ class VibrationMap(FrequencyMap):
     def _damping(self) -> Array:
         return extended(self.at[:, 1])
 
-    @property
-    def _gain(self) -> ComplexArray:
-        """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
-        turned: ComplexArray = np.exp(self._angles)
-        return (turned - 1) / np.sqrt(1 - self._damping**2)
-
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
         B, s = int(np.ceil(np.sqrt(self.samples))), self._angles[:, None]
         left = self.samples - 1 - B * np.arange(-(-self.samples // B))
-        return self._gain[:, None] * np.exp(s * left), np.exp(-s * np.arange(B))
+        return self.gain[:, None] * np.exp(s * left), np.exp(-s * np.arange(B))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Parameter sets of infinitely many constraints beyond the frequencies of a DFT."""

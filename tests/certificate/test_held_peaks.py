@@ -1,0 +1,92 @@
+"""The proven largest spectrum of a held signal: against dense sampling, far above Nyquist, and without end."""
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.analysis.peaks import peaks_above
+from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies, HeldMap
+from lin_freq_ocp.problem.terms.limits import limits_on
+
+ABOVE = 1e-9  # of the proven ratio over the largest value
+
+
+def held(N, intervals, points=(0.0,), values=(1.0,)):
+    plain = HeldMap(None, np.ones(1), np.ones(N), np.zeros(0))
+    return HeldFrequencies(plain, limits_on(intervals, np.array(points), np.array(values)))
+
+
+def magnitude(samples, w):
+    """By the integral of the held signal over time, sample by sample."""
+    t = np.arange(len(samples))
+    out = np.zeros(len(w))
+    for part in np.array_split(np.arange(len(w)), max(len(w) // 4000, 1)):
+        wave = np.exp(-1j * np.outer(w[part], t)) @ samples
+        out[part] = np.abs(
+            np.where(w[part] == 0, 1.0, np.sin(w[part] / 2) / np.where(w[part] == 0, 1, w[part] / 2)) * wave
+        )
+    return out
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_nothing_is_above_the_proven_value(seed):
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(1, 120))
+    first, last = np.sort(rng.uniform(0.0, 40.0, 2)) if seed % 4 else (0.0, 7.0)
+    points = np.sort(rng.uniform(first, last, 4))
+    everywhere = held(N, [(first, last)], points, 10.0 ** rng.uniform(-3, 1, 4))
+    samples = rng.standard_normal(N) * 10.0 ** rng.uniform(-6, 6)
+    peak = proven_peak(everywhere, samples)
+    w = np.linspace(first, last, 20_001)
+    assert (magnitude(samples, w) / everywhere.limits.at(w)).max() <= peak.ratio <= peak.found * (1 + ABOVE)
+    at = np.array([peak.frequency])
+    assert peak.found == pytest.approx((magnitude(samples, at) / everywhere.limits.at(at))[0], rel=ABOVE)
+    peaks, ratios = peaks_above(everywhere, np.zeros((N + 1, 0)), samples[:, None], 0.5 * peak.found)
+    assert ratios.max() == pytest.approx(peak.found, rel=1e-7)
+    assert ratios == pytest.approx(magnitude(samples, peaks) / everywhere.limits.at(peaks), rel=1e-9)
+
+
+def test_a_single_sample_is_a_box():
+    """|S| alone: 1 at zero, and 2/(3 pi) about at its first side lobe."""
+    assert proven_peak(held(1, [(0.0, 9.0)]), np.ones(1)).ratio == pytest.approx(1.0, rel=ABOVE)
+    lobe = proven_peak(held(1, [(2 * np.pi, 4 * np.pi)]), np.ones(1))
+    assert lobe.ratio == pytest.approx(0.21723362821122166, rel=ABOVE)
+    assert lobe.frequency / 2 == pytest.approx(4.493409457909064, rel=1e-6)  # tan a = a
+
+
+def test_one_period_after_the_last_point_is_enough():
+    rng = np.random.default_rng(3)
+    for first in (0.2, 2.0, 5.0, 11.0):
+        samples = rng.standard_normal(30)
+        peak = proven_peak(held(30, [(first, first + 2 * np.pi)]), samples)
+        assert magnitude(samples, np.linspace(first, 120.0, 100_001)).max() <= peak.ratio
+        shorter = proven_peak(held(30, [(first + 2 * np.pi, first + 8 * np.pi)]), samples)
+        assert shorter.found < peak.found
+
+
+def test_deep_images_of_a_smooth_signal():
+    """Far below the largest value, the images of a slow signal are proven as closely."""
+    N = 400
+    samples = 1e3 * np.hanning(N) ** 2
+    everywhere = held(N, [(2 * np.pi - 1.0, 2 * np.pi - 0.2)], values=(1e-3,))
+    peak = proven_peak(everywhere, samples)
+    w = np.linspace(2 * np.pi - 1.0, 2 * np.pi - 0.2, 20_001)
+    largest = magnitude(samples, w).max() / 1e-3
+    assert largest * (1 - 1e-6) <= peak.ratio <= largest * (1 + 1e-6)
+    assert peak.found <= peak.ratio <= peak.found * (1 + 1e-7)
+
+
+def test_slopes_of_the_factor():
+    everywhere = held(5, [(0.0, 1.0)])
+    w = np.array([0.0, 1e-3, 0.3, 2.0, 5.0, 7.0, 20.0])
+    first, second = everywhere.log_slopes(w)
+    step = 1e-4
+    ln = [np.log(everywhere.factor(np.abs(w + move))) for move in (-step, 0.0, step)]
+    np.testing.assert_allclose(first, (ln[2] - ln[0]) / (2 * step), rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(second, (ln[2] - 2 * ln[1] + ln[0]) / step**2, rtol=1e-4, atol=1e-6)
+
+
+def test_zeros_and_what_is_not_finite():
+    everywhere = held(5, [(1.0, 9.0)])
+    assert proven_peak(everywhere, np.zeros(5)).ratio == 0
+    assert proven_peak(everywhere, np.array([1.0, np.inf, 0, 0, 0])).ratio == np.inf
