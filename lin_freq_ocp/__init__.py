@@ -34,7 +34,13 @@ if TYPE_CHECKING:
     from lin_freq_ocp.api.solve import solve
     from lin_freq_ocp.api.sweep import sweep
     from lin_freq_ocp.costs import QuadraticCost
-    from lin_freq_ocp.dynamics import AffineMode, LinearDynamics, PiecewiseAffineDynamics, PiecewiseSmoothDynamics
+    from lin_freq_ocp.dynamics import (
+        AffineMode,
+        FrequencyResponse,
+        LinearDynamics,
+        PiecewiseAffineDynamics,
+        PiecewiseSmoothDynamics,
+    )
     from lin_freq_ocp.explanation.explanation import explain
     from lin_freq_ocp.formulas import DifferentiableFunction, from_casadi, maximum, minimum, norm, signals
     from lin_freq_ocp.io import (
@@ -70,7 +76,7 @@ _HOMES = {
     "api.solve": "solve",
     "api.sweep": "sweep",
     "costs": "QuadraticCost",
-    "dynamics": "AffineMode LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
+    "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain",
     "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
@@ -88,7 +94,7 @@ _MODULES = {name: module for module, names in _HOMES.items() for name in names.s
 
 # fmt: off
 __all__ = [
-    "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "LinearDynamics", "MagnitudeBound",
+    "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "FrequencyResponse", "LinearDynamics", "MagnitudeBound",
     "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost",
     "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
     "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response", "io",

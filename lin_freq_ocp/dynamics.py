@@ -1,14 +1,16 @@
-"""Dynamics: linear, piecewise affine and piecewise smooth."""
+"""Dynamics: linear, by frequency response, piecewise affine and piecewise smooth."""
 
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, SmoothPiece
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 
 __all__ = [
     "AffineMode",
     "DifferentiableFunction",
+    "FrequencyResponse",
     "LinearDynamics",
     "PiecewiseAffineDynamics",
     "PiecewiseSmoothDynamics",

@@ -144,7 +144,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     x, u = extremal.trajectory.x, extremal.trajectory.u
     slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
     terms = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
-    unit = _unit_rounding(extremal)
+    unit = unit_rounding(extremal)
     stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
     for signal, exact, size, curvature, (lower, upper) in zip(
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
@@ -179,7 +179,7 @@ def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
     return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(extremal.problem.linear.offset)).sum())
 
 
-def _unit_rounding(extremal: Extremal) -> float:
+def unit_rounding(extremal: Extremal) -> float:
     """Return a bound on rounding errors of the extremal, relative to the sum of the absolute values of its terms."""
     problem = extremal.problem
     rows = sum(term.map.additions for term in problem.terms)

@@ -136,8 +136,8 @@ def non_triviality(extremal: Extremal) -> Condition:
 
 def state_equation(problem: OptimalControlProblem, trajectory: Trajectory, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t)."""
-    x, u = np.abs(trajectory.x), np.abs(trajectory.u)
-    terms = x[1:] + problem.linear.magnitudes().successors(x, u)
+    sizes = problem.equations.successor_sizes(trajectory.x, trajectory.u)
+    terms = np.abs(trajectory.x[1:]) + sizes
     residual = np.abs(state_residual(problem, trajectory))
     return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.bound import Bound, ray_bound
+from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.response_bound import farkas_bound
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -85,7 +86,7 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
 def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
     """Return the bound D of a Farkas ray relative to the terms that it is a difference of: 1 at best."""
     rest, bound = _rest(problem), _bound(problem, ray)
-    residual = rest.x[1:] - problem.linear.successors(rest.x, rest.u)
+    residual = rest.x[1:] - problem.equations.successors(rest.x, rest.u)
     terms = float(np.abs(ray.eta * residual).sum()) + abs(bound.stage_term)
     if bound.stage_gaps is not None:
         terms += float(np.abs(bound.stage_gaps).sum())
@@ -127,7 +128,7 @@ def _rest(problem: OptimalControlProblem) -> Trajectory:
 
 def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
     x, u = stated_sizes(problem)
-    return ray_bound(extremal_at(problem, _rest(problem), ray), (PRACTICAL * x, PRACTICAL * u))
+    return farkas_bound(extremal_at(problem, _rest(problem), ray), (PRACTICAL * x, PRACTICAL * u))
 
 
 def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:

@@ -127,10 +127,11 @@ def _normalised(
 
 def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> list[float]:
     """Return how far it leaves the dynamics and the stop bands; what should be zero holds rounding only."""
-    dynamics = problem.linear
-    moved = dynamics.successors(along.x, along.u) - dynamics.offset
-    terms = np.abs(along.x[1:]) + dynamics.magnitudes().successors(np.abs(along.x), np.abs(along.u))
-    terms = np.maximum((terms - np.abs(dynamics.offset)).max(0), SCALE_FLOOR * sizes[0])
+    dynamics = problem.equations
+    rest = np.zeros_like(along.x), np.zeros_like(along.u)
+    moved = dynamics.successors(along.x, along.u) - dynamics.successors(*rest)
+    terms = np.abs(along.x[1:]) + dynamics.successor_sizes(along.x, along.u)
+    terms = np.maximum((terms - dynamics.successor_sizes(*rest)).max(0), SCALE_FLOOR * sizes[0])
     residuals = [float((np.abs(along.x[1:] - moved).max(0) / terms).max())]
     stops = problem.state_stop, problem.control_stop
     for signal, stop, size in zip((along.x[: problem.state_samples], along.u), stops, sizes, strict=True):

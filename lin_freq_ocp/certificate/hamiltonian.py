@@ -86,7 +86,7 @@ class Extremal:
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t) of linear dynamics, shape (T, n)."""
-    return trajectory.x[1:] - problem.linear.successors(trajectory.x, trajectory.u)
+    return trajectory.x[1:] - problem.equations.successors(trajectory.x, trajectory.u)
 
 
 def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
@@ -103,8 +103,8 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
-    through_x, through_u = problem.linear.pull_back(eta)
-    terms_x, terms_u = problem.linear.magnitudes().pull_back(np.abs(eta))
+    through_x, through_u = problem.equations.pull_back(eta)
+    terms_x, terms_u = problem.equations.pulled_sizes(eta)
     in_x[:-1] += through_x
     in_u += through_u
     in_x_terms[:-1] += terms_x

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.bound import Bound, lower_bound
+from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.modes.clarke import Judgement, SwitchingFacts
 from lin_freq_ocp.certificate.modes.conditions import judge_modes
 from lin_freq_ocp.certificate.modes.smooth import judge_smooth
+from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.errors import ProblemError
@@ -22,6 +23,7 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.status import Status
@@ -238,7 +240,7 @@ def judge(
         scale = cost_scale(problem, trajectory) if found.cost_scale is None else found.cost_scale
         bound = None
         if found.extremal is not None and multipliers.eta_C == 1:
-            bound = lower_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
+            bound = best_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
         applicable = found.borders is None or found.borders.applicable
         certificate = Certificate(
             pmp=_principle(found.conditions) if applicable else "not_applicable",
@@ -273,6 +275,7 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {
     LinearDynamics: _judge_linear,
+    FrequencyResponse: _judge_linear,
     PiecewiseAffineDynamics: judge_modes,
     PiecewiseSmoothDynamics: judge_smooth,
 }

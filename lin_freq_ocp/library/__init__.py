@@ -37,6 +37,7 @@ from lin_freq_ocp.library.walls import pendulum_with_wall as pendulum_with_wall
 from lin_freq_ocp.library.waveforms.mri_gradient import mri_gradient as mri_gradient
 from lin_freq_ocp.library.waveforms.printer_move import printer_move as printer_move
 from lin_freq_ocp.library.waveforms.pulse_pattern import pulse_pattern as pulse_pattern
+from lin_freq_ocp.library.waveforms.wave_energy import wave_energy as wave_energy
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Benchmark = Callable[..., OptimalControlProblem]
@@ -74,7 +75,9 @@ PIECEWISE_AFFINE = _named(
     ball_and_paddle,
 )
 PIECEWISE_SMOOTH = _named(norm_dynamics, buck_converter, pendulum_swing_up, cart_pole, planar_quadrotor)
-PROBLEMS = LINEAR | WAVEFORMS | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
+# See docs/frequency_response.md.
+MEASURED = _named(wave_energy)
+PROBLEMS = LINEAR | WAVEFORMS | MEASURED | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 
 
 def by_name(name: str) -> Benchmark:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, with_columns, with_rows
-from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
@@ -30,19 +31,28 @@ class AddedStates:
 
 def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    k = len(added.A)
+    dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
+    return wider(problem, dynamics, added.initial, added.lower, _wider_cost(problem, len(added.A)))
+
+
+def wider(
+    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
+) -> OptimalControlProblem:
+    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
+    k = len(lower)
     free = np.full(k, np.inf)
     return replace(
         problem,
-        dynamics=problem.dynamics.augmented(added.A, added.B, added.names),
-        cost=_wider_cost(problem, k),
-        state_set=_wider_state_set(problem, added.lower),
-        initial_state=_with_box(problem.initial_state, problem.initial_box, added.initial),
+        dynamics=dynamics,
+        cost=cost,
+        state_set=_wider_state_set(problem, lower),
+        initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
             *bands_of(problem.state_stop),
-            *(wider for one in entries_of(problem.state_spectrum) for wider in one.extended(problem.state_dim, k)),
-        ],
+            *(more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)),
+        ]
+        or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],

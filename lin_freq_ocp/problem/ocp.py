@@ -15,7 +15,7 @@ from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, printable
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, printable
 from lin_freq_ocp.problem.dynamics.levels import with_levels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
@@ -43,7 +43,7 @@ class OptimalControlProblem(ProblemData):
 
     Parameters
     ----------
-    dynamics : LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics
+    dynamics : LinearDynamics, FrequencyResponse, PiecewiseAffineDynamics or PiecewiseSmoothDynamics
         The map f_t, with names, units and sampling time. Outside the regions of all modes nothing is feasible.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
@@ -109,7 +109,7 @@ class OptimalControlProblem(ProblemData):
         name: str = "",
     ):
         if not isinstance(dynamics, Dynamics):
-            expected = "LinearDynamics, PiecewiseAffineDynamics or PiecewiseSmoothDynamics"
+            expected = "LinearDynamics, FrequencyResponse, PiecewiseAffineDynamics or PiecewiseSmoothDynamics"
             advice = "From python-control: LinearDynamics.from_statespace."
             raise ProblemError("dynamics", brief(dynamics), expected, advice)
         if not isinstance(cost, Cost):
@@ -195,6 +195,12 @@ class OptimalControlProblem(ProblemData):
         """Return the dynamics, which must be linear; else raise UnsupportedError."""
         advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
         return _in_form(self.dynamics, LinearDynamics, advice)
+
+    @property
+    def equations(self) -> StateEquations:
+        """Return the dynamics, which must be linear or known by a frequency response; else raise UnsupportedError."""
+        advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
+        return _in_form(self.dynamics, StateEquations, advice)
 
     @property
     def piecewise(self) -> PiecewiseAffineDynamics:

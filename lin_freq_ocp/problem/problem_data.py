@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -16,6 +17,7 @@ from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of, end_within, st
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.terms.ends_map import Link
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
@@ -87,6 +89,16 @@ class ProblemData:
         times = (0, self.horizon)
         return {t: end.lower for t, end in zip(times, self.ends, strict=True) if end.fixed.all()}
 
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """Return the equations on both ends, those that the dynamics imply last."""
+        given = self.terminal_state.links(self.state_dim, self.horizon)
+        implied = self.dynamics.links(self.horizon)
+        if given and any(one.periodic for one in implied):
+            advice = "Its outputs are periodic by themselves: x_T = x_0."
+            raise ProblemError("terminal_state", given[0].name, "none beside a periodic FrequencyResponse", advice)
+        return (*given, *implied)
+
     @cached_property
     def state_boxes(self) -> Box:
         """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
@@ -128,8 +140,7 @@ class ProblemData:
     @cached_property
     def state_samples(self) -> int:
         """The number N of samples in spectra of states: T with periodic ends, where x_T repeats x_0, else T+1."""
-        links = self.terminal_state.links(self.state_dim, self.horizon)
-        return self.horizon + 1 - any(one.repeats for one in links)
+        return self.horizon + 1 - any(one.repeats for one in self.links)
 
     def in_time(self, rho_x: ComplexArray) -> Array:
         """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); it is zero where a state is in no spectrum."""

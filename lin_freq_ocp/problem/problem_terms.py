@@ -78,7 +78,7 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
 
 def link_terms(problem: ProblemData) -> Iterator[Term]:
     """Yield the equations on both ends together."""
-    for one in problem.terminal_state.links(problem.state_dim, problem.horizon):
+    for one in problem.links:
         yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, ("terminal_state", 0))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import one_component, real_array
+from lin_freq_ocp.arrays import brief, one_component, real_array
 from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -48,6 +48,12 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     if u.shape != (T, m):
         raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
+    response = problem.dynamics.response(T)
+    if response is not None:
+        if initial_state is not None:
+            advice = "All outputs follow from the controls."
+            raise ProblemError("initial_state", brief(initial_state), "None for a FrequencyResponse", advice)
+        return Trajectory(response.states(u), u)
     if initial_state is None:
         if not problem.initial_box.fixed.all():
             got = "None, for a problem whose initial state is not one point"

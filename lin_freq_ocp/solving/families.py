@@ -14,6 +14,7 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
@@ -63,6 +64,14 @@ FAMILIES: dict[type, Family] = {
             "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
             "spectral": Shorthand(Spectral(), RESIDUALS),
             "structured": Shorthand(Structured(), RESIDUALS),
+            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
+        },
+    ),
+    FrequencyResponse: Family(
+        "frequency-response",
+        {
+            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
+            "spectral": Shorthand(Spectral(), RESIDUALS),
             "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
         },
     ),

@@ -229,6 +229,9 @@ class LinearAuto:
     def _in_turn(self, problem: OptimalControlProblem) -> Iterator[Method]:
         yield Spectral(self.tolerance)
         convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
+        if problem.dynamics.response(problem.horizon) is not None:  # there are no stages
+            yield convex
+            return
         yield from (structured, convex) if structured_first(problem) else (convex, structured)
 
 

@@ -308,8 +308,8 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     """With a coarser arithmetic assumed, the bound falls by what it then cannot exclude."""
     result = solved("paper, constrained")
     before = result.certificate.bound
-    honest = bound_module._unit_rounding
-    monkeypatch.setattr(bound_module, "_unit_rounding", lambda lift: 1e4 * honest(lift))
+    honest = bound_module.unit_rounding
+    monkeypatch.setattr(bound_module, "unit_rounding", lambda lift: 1e4 * honest(lift))
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
     assert after.value < before.value

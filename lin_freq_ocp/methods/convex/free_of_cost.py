@@ -28,8 +28,9 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
     cost, (T, m) = problem.quadratic, near.u.shape
     priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
     u = np.where(priced, cost.u_ref, near.u)
+    follows = problem.dynamics.response(T) is not None  # x_0, too, from the controls
     try:
-        trajectory = simulate(problem, u, problem.state_tube.at(0).project(near.x[0]))
+        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
     except NumericalError:
         return None
     rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)

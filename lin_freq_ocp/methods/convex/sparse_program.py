@@ -8,8 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.analysis.response_curvature import require_convex_bins
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import ACCURATE, SOLVED_TOLERANCE, Attempt, Solves, better_of, over
 from lin_freq_ocp.methods.convex.retries import further
@@ -48,6 +50,11 @@ def convex_candidates(
     After Ctrl-C the last is the first again, interrupted. Raises what ``solve_convex`` raises.
     """
     require_convex(problem)
+    absorbed = absorbed_cost(problem)
+    if absorbed is not None:
+        found = convex_candidates(absorbed.problem, backend_name, tolerance, time_limit)
+        yield from map(absorbed.candidate, found)
+        return
     solver = backend(backend_name)
     started = time.perf_counter()
     rows = dense_rows(problem)
@@ -120,7 +127,11 @@ def _followed(solves: Solves, attempt: Attempt) -> Attempt:
 
 
 def require_convex(problem: OptimalControlProblem) -> None:
-    """Raise UnsupportedError, with the time and eigenvalue, unless the cost is convex."""
+    """Raise UnsupportedError, with the time or the bins and the eigenvalue, unless the cost is convex."""
+    response = problem.dynamics.response(problem.horizon)
+    if response is not None:
+        require_convex_bins(problem, response)
+        return
     worst = problem.quadratic.nonconvexity()
     if worst is not None:
         where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"

@@ -19,8 +19,10 @@ from lin_freq_ocp.arrays import Array, Indices, Mask, brief, names, positive_num
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
+from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
+from lin_freq_ocp.problem.terms.ends_map import Link
 from lin_freq_ocp.text.phrases import first_few, plural
 
 Entry = TypeVar("Entry")
@@ -73,6 +75,14 @@ class Dynamics(ABC):
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
         self.standard_form.require_horizon(horizon)
 
+    def links(self, horizon: int) -> tuple[Link, ...]:
+        """Return the equations on the ends that these dynamics imply."""
+        return ()
+
+    def response(self, horizon: int) -> Response | None:
+        """Return the map from all controls to all states, of dynamics known by it; None for a recursion."""
+        return None
+
     def require_sets(self, sets: StageSets) -> None:
         """Raise ProblemError unless f_t is unique on the sets."""
         self.standard_form.require_sets(sets)
@@ -113,9 +123,9 @@ class Dynamics(ABC):
         """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
         return self.standard_form.active_kinks(x, u)
 
-    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> Dynamics:
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
-        return self.standard_form.augmented(A, B, names)
+        return self.standard_form.augmented(A, B, names, horizon)
 
 
 class StandardDynamics(Dynamics):
@@ -162,6 +172,26 @@ class StandardDynamics(Dynamics):
     def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
         """Return none: there are no norms."""
         return {}
+
+
+class StateEquations(StandardDynamics):
+    """x_{t+1} = f_t, affine in all states and controls of the trajectory: what the judge needs of linear dynamics."""
+
+    @abstractmethod
+    def successors(self, x: Array, u: Array) -> Array:
+        """Return f_t for all t < T, (T, n); x is (T+1, n) or (T, n), u is (T, m)."""
+
+    @abstractmethod
+    def successor_sizes(self, x: Array, u: Array) -> Array:
+        """Return what residuals of ``successors`` are relative to, (T, n)."""
+
+    @abstractmethod
+    def pull_back(self, eta: Array) -> tuple[Array, Array]:
+        """Return the derivatives of <eta, f> in x_t, t < T, (T, n), and in u_t, (T, m), for eta (T, n)."""
+
+    @abstractmethod
+    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
+        """Return what residuals of ``pull_back`` are relative to."""
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:

@@ -74,9 +74,9 @@ class SwitchedDynamics(Dynamics):
         """Return the controls of a mode sequence, (T, m)."""
         return self.choices[sequence]
 
-    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> SwitchedDynamics:
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> SwitchedDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
-        return SwitchedDynamics(self.dynamics.augmented(A, B, names), self.control_set)
+        return SwitchedDynamics(self.dynamics.augmented(A, B, names, horizon), self.control_set)
 
 
 def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, SetOrSets]:

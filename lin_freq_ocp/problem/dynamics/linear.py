@@ -13,13 +13,13 @@ from scipy.linalg import expm
 
 from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors, with_columns, with_rows
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, signal_labels
+from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
 from lin_freq_ocp.text.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class LinearDynamics(StandardDynamics):
+class LinearDynamics(StateEquations):
     """x_{t+1} = A_t x_t + B_t u_t + d_t, for t = 0 .. T-1.
 
     Parameters
@@ -244,6 +244,14 @@ class LinearDynamics(StandardDynamics):
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
         return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
 
+    def successor_sizes(self, x: Array, u: Array) -> Array:
+        """Return the sums of the absolute values of the terms of f_t."""
+        return self.magnitudes().successors(np.abs(x), np.abs(u))
+
+    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of ``pull_back``."""
+        return self.magnitudes().pull_back(np.abs(eta))
+
     def stepper(self, horizon: int) -> Step:
         """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,)."""
 
@@ -263,7 +271,7 @@ class LinearDynamics(StandardDynamics):
         """Return these dynamics."""
         return self
 
-    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> LinearDynamics:
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         k = len(A)
         wider = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))

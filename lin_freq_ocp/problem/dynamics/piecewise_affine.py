@@ -281,11 +281,11 @@ class PiecewiseAffineDynamics(StandardDynamics):
         """Return the linear dynamics of the modes that a trajectory is in."""
         return self.along(self.sequence_of(x, u))
 
-    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> PiecewiseAffineDynamics:
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseAffineDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         modes = list[AffineMode]()
         for mode in self.modes:
-            map_, region = mode.linear.augmented(A, B, names), mode.region
+            map_, region = mode.linear.augmented(A, B, names, horizon), mode.region
             G = with_columns(region.C, len(A))
             modes.append(AffineMode(map_.A, map_.B, map_.offset, G, region.D, region.e, mode.name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, [*self.state_names, *names], self.control_names)

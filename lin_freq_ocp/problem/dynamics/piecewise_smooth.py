@@ -317,7 +317,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         """Return the linearisation along a trajectory, of the modes that it is in."""
         return self.affine_at(x, u).linear_at(x, u)
 
-    def augmented(self, A: Array, B: Array, names: Sequence[str]) -> PiecewiseSmoothDynamics:
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseSmoothDynamics:
         """Raise UnsupportedError."""
         raise UnsupportedError(
             "dynamics: got PiecewiseSmoothDynamics; further states take linear or piecewise-affine dynamics: write the "

@@ -98,7 +98,7 @@ class Link:
     """
 
     name: str
-    values: EndsMap
+    values: AffineMap
     penalty: Within
     periodic: bool
     repeats: bool

@@ -131,7 +131,13 @@ class LinearTranscription:
         return self.problem.horizon * self.problem.control_dim
 
     def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
-        dynamics, T, n = self.problem.linear, self.problem.horizon, self.problem.state_dim
+        T, n = self.problem.horizon, self.problem.state_dim
+        response = self.problem.dynamics.response(T)
+        if response is not None:  # x_{t+1} is a sum over all controls
+            through_u = response.matrix[n:]
+            matrix = sp.hstack([sp.csc_array((T * n, n)), sp.eye_array(T * n), sp.csc_array(-through_u)])
+            return sp.csc_array(matrix), response.base[1:].ravel(), response.base[1:].ravel()
+        dynamics = self.problem.linear
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
         parts = [(np.eye(n), 0, n), (-dynamics.A, 0, 0), (-dynamics.B, 0, self._states)]
         matrix = _placed([_block_diagonal(*part, T) for part in parts], (T * n, self._states + self._controls))

@@ -179,6 +179,8 @@ def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array
 def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
     """Return magnitudes (T+1, n) and (T, m), none smaller than what others would notice through the dynamics."""
     program, problem = transcription.program, transcription.problem
+    if problem.dynamics.response(problem.horizon) is not None:  # nothing is noticed from one step to the next
+        return x, u
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
     constant = np.abs(program.lower[program.rows[Block.DYNAMICS]]).reshape(-1, problem.state_dim)
     part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()

@@ -171,7 +171,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
     """Whether x_T = x_0 is all that is said of both ends beyond bounds: then the trajectory is a period in all bins."""
-    links, cost = problem.terminal_state.links(problem.state_dim, problem.horizon), problem.quadratic
+    links, cost = problem.links, problem.quadratic
     return (
         [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]
         and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())

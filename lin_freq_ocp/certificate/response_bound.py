@@ -1,0 +1,143 @@
+"""The global lower bound where a frequency response gives all states: a bound over the controls alone.
+
+With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h(L), the Lagrangian
+
+    l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
+
+is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is
+(analysis/response_curvature.py). So D = l(u_0) + min over U of its tangent and of the curvature that all bins have.
+eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the controls exactly.
+
+At a trajectory whose states differ from x(u_0) by r, l is taken at these states, with <slope in x, r> and what the
+curvature can lose by r: 1/2 <|Q| |r|, |r|> + <|r|, |Q| |Y du| + |S| |du|> where the stage Hessian is not positive
+semidefinite by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.analysis.response_curvature import bin_curvature, require_convex_bins
+from lin_freq_ocp.arrays import Array, extended, times_vectors
+from lin_freq_ocp.certificate.bound import (
+    NEVER_NEGATIVE,
+    Bound,
+    box_minimum,
+    cost_is_never_negative,
+    lower_bound,
+    ray_bound,
+    unit_rounding,
+)
+from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.reach import Pair
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+
+def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
+    """Return D for normal multipliers, or None if the cost is not convex; see ``bound.lower_bound``."""
+    problem = extremal.problem
+    response = problem.dynamics.response(problem.horizon)
+    if response is None:
+        return lower_bound(extremal, allowed)
+    curvature = control_curvature(problem, response)
+    if curvature is None:
+        return None
+    cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
+    tube = problem.control_tube
+    proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, "rigorous", "the stated bounds")
+    if proven.value < 0 and cost_is_never_negative(problem) and problem.quadratic.nonconvexity() is None:
+        proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
+    if cost - proven.value <= allowed:
+        return proven
+    near = _cut(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
+    sets = f"{NUMERICAL_REACH:g} times the trajectory"
+    numerical = _evaluate(extremal, response, curvature, near, cost, "numerical", sets)
+    return numerical if numerical.value - proven.value > allowed else proven
+
+
+def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
+    """Return D for eta_C = 0 from any trajectory; see ``bound.ray_bound``."""
+    problem = extremal.problem
+    response = problem.dynamics.response(problem.horizon)
+    if response is None:
+        return ray_bound(extremal, largest)
+    flat, tube = np.zeros(problem.control_dim), problem.control_tube
+    proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, "rigorous", "the stated bounds")
+    if proven.value > 0:
+        return proven
+    near = _cut(problem, largest[1])
+    return _evaluate(extremal, response, flat, near, 0.0, "numerical", "what is practical")
+
+
+def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:
+    """Return the curvature that the cost has at least in each control, (m,); None if it is not convex."""
+    try:
+        require_convex_bins(problem, response)
+    except UnsupportedError:
+        return None
+    found = bin_curvature(problem, response)
+    return np.zeros(problem.control_dim) if found is None else found.diagonal()
+
+
+def _cut(problem: OptimalControlProblem, largest: Array) -> Pair:
+    """Return the bounds of the controls, cut at ``largest`` (m,)."""
+    tube = problem.control_tube
+    return np.maximum(tube.lower, np.minimum(-largest, tube.upper)), np.minimum(
+        tube.upper, np.maximum(largest, tube.lower)
+    )
+
+
+def _evaluate(
+    extremal: Extremal, response: Response, curvature: Array, box: Pair, cost: float, kind: str, sets: str
+) -> Bound:
+    """Return D over bounds of the controls."""
+    problem, multipliers = extremal.problem, extremal.multipliers
+    x, u, unit = extended(extremal.trajectory.x), extended(extremal.trajectory.u), unit_rounding(extremal)
+    normal, limits = _normals(problem, multipliers.mu)
+    slope_x, residual = normal - extremal.in_x, x - response.states(u)
+    through_u = problem.equations.pull_back(extended(multipliers.eta))[1]
+    slope = (through_u - extremal.in_u + response.pull_back(slope_x)).astype(np.float64)
+    lost = multipliers.eta_C * np.abs(residual[:-1]).astype(np.float64)
+    Q, S = (np.abs(part) for part in (problem.quadratic.Q, problem.quadratic.S))
+    in_states = unit * (extremal.in_x_terms + np.abs(normal))
+    in_states[:-1] += times_vectors(Q, lost)
+    error = unit * (extremal.in_u_terms + np.abs(through_u)) + _gain(response, in_states + unit * np.abs(slope_x))
+    error = (error + times_vectors(np.swapaxes(S, -1, -2), lost)).astype(np.float64)
+    error += ARITHMETIC_ROUNDING * np.abs(slope)
+    low, high = box[0] - extremal.trajectory.u, box[1] - extremal.trajectory.u
+    minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
+    losses = ARITHMETIC_ROUNDING * np.abs(slope * u) - np.minimum(*pessimistic)
+    beyond = (normal * (x - limits)).sum(1)
+    stage_gaps = -beyond.astype(np.float64)
+    stage_gaps[:-1] -= minimum.sum(1)
+    dynamics_term = -float((slope_x * residual).sum()) - 0.5 * float((lost * times_vectors(Q, lost)).sum())
+    frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
+    stage_term = float(sum(priced.gap.sum() for priced in extremal.terms))
+    summed = float((extremal.in_x_terms * np.abs(x)).sum() + (extremal.in_u_terms * np.abs(u)).sum())
+    summed += float((np.abs(normal) * (np.abs(x) + np.abs(limits))).sum())
+    summed += float(sum(priced.gap_terms.sum() for priced in extremal.terms))
+    certain, complementary = float(losses.sum()), float(beyond.sum())
+    others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term) + abs(complementary)
+    last = unit * summed + ARITHMETIC_ROUNDING * others
+    value = cost + complementary + dynamics_term + frequency_term - stage_term - certain - last
+    value = value if np.isfinite(value) else -np.inf
+    rounding = certain + float(minimum.sum()) + last if np.isfinite(certain) else np.inf
+    return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, sets)
+
+
+def _normals(problem: OptimalControlProblem, mu: Array) -> Pair:
+    """Return the part of mu at bounds that exist, (T+1, n), and these bounds, 0 elsewhere."""
+    lower, upper = problem.state_tube.lower, problem.state_tube.upper
+    above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
+    return np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
+
+
+def _gain(response: Response, weights: Array) -> Array:
+    """Return a bound on ``pull_back`` of all weights (T+1, p) of these magnitudes, (m,)."""
+    return np.abs(response.G).max(0).T @ np.linalg.norm(weights.astype(np.float64), axis=0)

@@ -1,0 +1,125 @@
+"""Costs that are convex over a frequency response, but not at each time, as squares of further outputs.
+
+With H_k = L_k^2 >= 0, L_k Hermitian (analysis/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
+of the outputs w = L u, for x = Y u + g and up to a constant:
+
+    1/2 x'Q x + x'S u + 1/2 u'R u  =  1/2 w'w + (Q g)'x + (S'g)'u.
+
+Zero-padded, Q stays as it is, and w has 2T samples: two outputs at each time. The multipliers differ by the gradients
+in x, Q (x - g) + S u, and, where a band removes some controls from a bin, by those of H_k in these controls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
+from lin_freq_ocp.arrays import with_columns
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.problem.augmented import wider
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class AbsorbedCost:
+    """The problem with further outputs, and what the given one was."""
+
+    problem: OptimalControlProblem
+    given: OptimalControlProblem
+    response: Response
+    curvature: BinCurvature
+
+    def candidate(self, found: Candidate) -> Candidate:
+        """Return the candidate for the given problem."""
+        n, trajectory, multipliers = self.given.state_dim, found.trajectory, found.multipliers
+        if trajectory is not None:
+            trajectory = Trajectory(trajectory.x[:, :n], trajectory.u)
+        if trajectory is not None and multipliers is not None:
+            multipliers = self._moved(self._cut(multipliers), trajectory)
+        ray = None if found.ray is None else self._cut(found.ray)
+        descent = None if found.descent is None else Trajectory(found.descent.x[:, :n], found.descent.u)
+        return replace(found, trajectory=trajectory, multipliers=multipliers, ray=ray, descent=descent)
+
+    def _cut(self, given: Multipliers) -> Multipliers:
+        """Return the multipliers without those of the further outputs."""
+        n, links = self.given.state_dim, {link.name for link in self.given.links}
+        stage = {name: one[:, :n] if name in links else one for name, one in given.stage.items()}
+        return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
+
+    def _moved(self, found: Multipliers, at: Trajectory) -> Multipliers:
+        """Return multipliers whose gradients are those of the given cost at a trajectory."""
+        cost, link = self.given.quadratic, self.given.links[-1].name
+        absorbed = at.u @ cost.S.T
+        if self.response.closed:
+            absorbed = absorbed + (at.x - self.response.base)[:-1] @ cost.Q
+        eta, on_link = found.eta.copy(), found.stage[link].copy()
+        eta[:-1] -= absorbed[1:]
+        if self.response.closed:
+            eta[-1] -= absorbed[0]
+            on_link += absorbed[0]
+        else:
+            on_link -= absorbed[0]
+        H, inside = self.curvature.hessians, self.curvature.within
+        rho_u = found.rho_u.copy()
+        if self.response.closed:
+            spectrum = fft.rfft(at.u, axis=0)
+            missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
+            rho_u -= self.response.weight[:, None] * missing / self.response.record
+        return replace(found, eta=eta, rho_u=rho_u, stage={**found.stage, link: on_link})
+
+
+def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
+    """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
+    response = problem.dynamics.response(problem.horizon)
+    found = None if response is None else bin_curvature(problem, response)
+    if response is None or found is None or problem.quadratic.nonconvexity() is None:
+        return None
+    values, vectors = np.linalg.eigh(found.within)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
+    if not response.closed:  # the samples from T on, as outputs that lead by T
+        lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
+        root = np.concatenate([root, lead * root], axis=1)
+    k = root.shape[1]
+    dynamics = FrequencyResponse(
+        np.concatenate([response.G, root], axis=1),
+        problem.sampling_time,
+        disturbance=with_columns(response.base[:-1] if response.closed else response.base, k),
+        mode="periodic" if response.closed else "zero-padded",
+        state_names=[*problem.state_names, *(f"square root of the cost {i}" for i in range(k))],
+        control_names=problem.control_names,
+    )
+    free = np.full(k, np.inf)
+    further = wider(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
+    return AbsorbedCost(further, problem, response, found)
+
+
+def _cost(problem: OptimalControlProblem, response: Response, k: int) -> CostSum:
+    """Return the cost in the outputs (x, w), w in R^k."""
+    cost, n, m = problem.quadratic, problem.state_dim, problem.control_dim
+    x_ref, u_ref = np.broadcast_to(cost.x_ref, (problem.horizon + 1, n))[:-1], cost.u_ref
+    kept, moved = (np.zeros((n, n)), cost.Q) if response.closed else (cost.Q, np.zeros((n, n)))
+    g = response.base[:-1]
+    q = cost.q - u_ref @ cost.S.T + (g - x_ref) @ moved
+    r = cost.r - u_ref @ cost.R + (g - x_ref) @ cost.S
+    Q = np.zeros((n + k, n + k))
+    Q[:n, :n], Q[n:, n:] = kept, np.eye(k)
+    P = np.zeros((n + k, n + k))
+    P[:n, :n] = cost.P
+    quadratic = QuadraticCost(
+        Q=Q,
+        R=np.zeros((m, m)),
+        q=with_columns(q, k),
+        r=r,
+        P=P,
+        p=with_columns(cost.p, k),
+        x_ref=with_columns(cost.x_ref, k),
+    )
+    return CostSum([quadratic, *(one.extended(n, k) for one in problem.cost.norms)])

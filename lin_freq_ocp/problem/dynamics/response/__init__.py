@@ -1,0 +1,1 @@
+"""Plants that are known by their frequency response."""

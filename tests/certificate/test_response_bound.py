@@ -1,0 +1,144 @@
+"""The judge of frequency responses: every condition broken once, units, and a bound that holds for any multipliers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+T = 16
+LIMIT = 1.15  # of the output: some of its largest values reach it
+MODES = ["periodic", "zero-padded"]
+
+
+def wave_problem(mode, x_unit=1.0, u_unit=1.0, cost_unit=1.0):
+    """Return least power with a bound on both signals, in units of the output, the control and the cost."""
+    N = T if mode == "periodic" else 2 * T
+    w = 2 * np.pi * np.arange(N // 2 + 1) / N
+    offset = 0.5 * np.fft.rfft(np.random.default_rng(3).standard_normal((N, 1)), axis=0)
+    G = x_unit / u_unit / (1.2 - 0.9 * np.exp(-1j * w))
+    S = [[cost_unit / x_unit / u_unit]]
+    return lfo.OptimalControlProblem(
+        lfo.FrequencyResponse(G, 0.1, x_unit * offset, mode=mode),
+        T,
+        lfo.QuadraticCost(S=S, q=[0.1 * cost_unit / x_unit]),
+        control_set=lfo.Box(-0.3 * u_unit, 0.3 * u_unit),
+        state_set=lfo.Box(-LIMIT * x_unit, LIMIT * x_unit),
+        control_spectrum=lfo.low_pass(cutoff=2.0),
+    )
+
+
+@pytest.fixture(scope="module", params=MODES)
+def solved(request):
+    result = lfo.solve(wave_problem(request.param))
+    assert result.certificate.globally_optimal
+    assert result.certificate.pmp == "satisfied"
+    assert np.abs(result.multipliers.mu).max() > 1e-3
+    assert np.abs(result.multipliers.nu).max() > 1e-3
+    return result
+
+
+def failed(problem, trajectory, multipliers):
+    return {(one.label, one.name) for one in judge(problem, trajectory, multipliers).failed}
+
+
+@pytest.mark.parametrize("time", [1, 7, T])
+def test_an_output_that_is_not_of_the_response_fails(solved, time):
+    x = solved.trajectory.x.copy()
+    x[time] += 4e-6 * np.abs(x).max()
+    found = failed(solved.problem, Trajectory(x, solved.trajectory.u), solved.multipliers)
+    assert ("C-iii", "state equation") in found
+
+
+def test_the_first_output_fails(solved):
+    x = solved.trajectory.x.copy()
+    x[0] += 4e-6 * np.abs(x).max()
+    found = failed(solved.problem, Trajectory(x, solved.trajectory.u), solved.multipliers)
+    assert {label for label, _ in found} == {"S-ends"}
+
+
+def test_a_response_that_is_broken_fails(solved):
+    G = solved.problem.dynamics.G * (1 + 1e-5)
+    problem = replace(solved.problem, dynamics=replace(solved.problem.dynamics, G=G))
+    found = failed(problem, solved.trajectory, solved.multipliers)
+    assert ("C-iii", "state equation") in found
+
+
+@pytest.mark.parametrize("time", [0, 6])
+def test_a_multiplier_of_the_response_that_is_moved_fails(solved, time):
+    eta = solved.multipliers.eta.copy()
+    eta[time] += 1e-5 * np.abs(eta).max()
+    found = failed(solved.problem, solved.trajectory, replace(solved.multipliers, eta=eta))
+    assert ("C-iii", "adjoint equation") in found
+    assert ("C-v", "Hamiltonian stationary in u") in found
+
+
+def test_the_last_multiplier_and_that_of_the_ends_are_checked(solved):
+    eta = solved.multipliers.eta.copy()
+    eta[-1] += 1e-5 * np.abs(eta).max()
+    found = failed(solved.problem, solved.trajectory, replace(solved.multipliers, eta=eta))
+    assert ("C-iv", "transversality at T") in found
+    stage = {name: one + 1e-5 * np.abs(eta).max() for name, one in solved.multipliers.stage.items()}
+    found = failed(solved.problem, solved.trajectory, replace(solved.multipliers, stage=stage))
+    assert ("C-iv", "transversality at 0") in found
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("x_unit", "u_unit", "cost_unit"), [(1e6, 1, 1), (1, 1e-6, 1), (1, 1, 1e-9), (1e3, 1e-3, 1e9)])
+def test_the_verdict_does_not_depend_on_units(mode, x_unit, u_unit, cost_unit):
+    plain, other = lfo.solve(wave_problem(mode)), lfo.solve(wave_problem(mode, x_unit, u_unit, cost_unit))
+    assert other.certificate.globally_optimal
+    assert other.certificate.pmp == "satisfied"
+    assert other.cost / cost_unit == pytest.approx(plain.cost, rel=1e-8)
+
+
+def test_the_bound_holds_for_any_multipliers(solved):
+    rng = np.random.default_rng(0)
+    given = solved.multipliers
+    for size in (1e-6, 1e-2, 1.0):
+        nu = given.nu + size * rng.standard_normal(given.nu.shape)
+        mu = given.mu + size * rng.standard_normal(given.mu.shape)
+        eta = given.eta + size * rng.standard_normal(given.eta.shape)
+        certificate = judge(solved.problem, solved.trajectory, replace(given, eta=eta, mu=mu, nu=nu))
+        assert certificate.bound.kind == "rigorous"
+        assert certificate.lower_bound <= solved.cost + 1e-12
+
+
+def test_the_bound_holds_from_other_trajectories(solved):
+    rng = np.random.default_rng(1)
+    for size in (1e-8, 1e-3, 1.0):
+        x = solved.trajectory.x + size * rng.standard_normal(solved.trajectory.x.shape)
+        u = solved.trajectory.u + size * rng.standard_normal(solved.trajectory.u.shape)
+        assert judge(solved.problem, Trajectory(x, u), solved.multipliers).lower_bound <= solved.cost + 1e-12
+
+
+def test_power_is_not_bounded_by_zero():
+    certificate = lfo.solve(replace(wave_problem("periodic"), cost=lfo.QuadraticCost(S=[[1.0]]))).certificate
+    assert certificate.globally_optimal
+    assert certificate.lower_bound < -0.1
+
+
+def test_without_bounds_the_curvature_of_all_bins_bounds_the_cost():
+    problem = replace(wave_problem("periodic"), control_set=None, state_set=None)
+    certificate = lfo.solve(problem).certificate
+    assert certificate.bound.kind == "rigorous"
+    assert certificate.globally_optimal
+
+
+def test_a_cost_that_is_not_convex_has_no_bound():
+    problem = wave_problem("periodic")
+    problem = replace(problem, dynamics=replace(problem.dynamics, G=-problem.dynamics.G))
+    trajectory = lfo.simulate(problem, np.zeros((T, 1)))
+    certificate = lfo.certify(problem, trajectory)
+    assert certificate.bound is None
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_what_no_control_can_do_is_proven(mode):
+    problem = replace(wave_problem(mode), state_set=lfo.Box(-0.5, 0.5))
+    result = lfo.solve(problem, throw=False)
+    assert str(result.status) == "infeasible"
+    assert any("x_0" in one.block for one in result.conflict)
