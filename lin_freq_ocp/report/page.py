@@ -14,9 +14,10 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report import proof
 from lin_freq_ocp.report.drawing import Drawing, drawing_of, rendered, save_page
 from lin_freq_ocp.report.figures import figures
+from lin_freq_ocp.report.figures.continua import held_figure, vibrations_figure
 from lin_freq_ocp.report.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.report.figures.plot_data import PlotData
-from lin_freq_ocp.report.figures.vibration import vibration_figure
+from lin_freq_ocp.report.figures.vibration import moves_figure
 from lin_freq_ocp.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.report.moves import moves_caption, moves_rows, moves_title
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
@@ -111,7 +112,8 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
         yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
     if comparison.moves is not None:
         title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
-        yield "vibration", title, caption, vibration_figure(comparison.moves)
+        yield "vibration", title, caption, moves_figure(comparison.moves)
+    yield from _of_continua(data, comparison.moves is None)
     if data.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
@@ -132,6 +134,19 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
             "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
         )
         yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
+
+
+def _of_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, str, Figure]]:
+    held, vibrations = held_figure(data), vibrations_figure(data) if with_boxes else None
+    if held is not None:
+        caption = (
+            "What the plant sees of a signal that is held between its samples: |sinc(f h) V(2 pi f h)|, images above "
+            "the Nyquist frequency included (for many bins, its largest value between neighbours)."
+        )
+        yield "held_spectra", "Spectra of held signals below their limits", caption, held
+    if vibrations is not None:
+        caption = "The amplitude that is left in a mode of this natural frequency, the largest over the damping ratios."
+        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
 
 
 def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:

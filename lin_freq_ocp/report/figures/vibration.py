@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Move, Moves, boxes_of
+from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Moves, boxes_of
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report.figures.style import (
     BAND,
     BOUND,
@@ -22,31 +27,48 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
 )
 from lin_freq_ocp.report.units import aligned
-from lin_freq_ocp.text.phrases import number, short_name, split_unit
+from lin_freq_ocp.text.phrases import number, split_unit
 
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is drawn, and over which its largest value is taken
 BESIDE = 1.5  # widths of the box that are drawn on each of its sides
 LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
 ABOVE = 3.0  # limits that fit into the picture
-LINES = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
+PANEL_HEIGHT = 1.15 * ROW_HEIGHT
+LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
 
-def vibration_figure(moves: Moves) -> Figure:
-    """Return the largest vibration over all damping ratios, at each natural frequency, one panel a control."""
+@dataclass(frozen=True, eq=False)
+class Ringing:
+    """A trajectory, the box of modes on its samples, and how its line looks."""
+
+    label: str
+    box: PlantBox
+    trajectory: Trajectory
+    color: str
+    line: LineStyleType
+    width: float
+
+    def vibration(self, frequencies: Array) -> Array:
+        """Return what it leaves at natural frequencies, the largest over the box's damping ratios."""
+        dampings = np.linspace(self.box.low[1], self.box.high[1], DAMPINGS)
+        modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
+        signal = self.box.map.signal(self.trajectory.x, self.trajectory.u)
+        return np.abs(self.box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
+
+
+def moves_figure(moves: Moves) -> Figure:
+    """Return the vibration that each move leaves, one panel a control."""
     boxes = boxes_of(moves.problem)
-    figure = new_figure(ROW_HEIGHT * 1.15 * len(boxes))
+    figure = new_figure(PANEL_HEIGHT * len(boxes))
     for k, box in enumerate(boxes):
-        _panel(figure.add_subplot(len(boxes), 1, k + 1), moves, k, box)
+        name = moves.problem.control_names[box.map.component]
+        vibration_panel(figure.add_subplot(len(boxes), 1, k + 1), name, ringing_of(moves, k))
     return figure
 
 
-def _panel(ax: Axes, moves: Moves, k: int, box: PlantBox) -> None:
-    low, high = float(box.low[0]), float(box.high[0])
-    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
-    frequencies = np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
-    ax.axvspan(low, high, color=BAND, linewidth=0, zorder=0)
-    ax.hlines(box.limit, low, high, color=BOUND, linewidth=2.0, label="limit", zorder=4)
-    shapers = iter(zip(COMPONENTS[1:], LINES * 2, strict=False))
+def ringing_of(moves: Moves, k: int) -> list[Ringing]:
+    """Return what the moves that were found leave of control k."""
+    shapers, found = iter(zip(COMPONENTS[1:], LINES * 2, strict=False)), list[Ringing]()
     for move in moves.all:
         if move.measured is None:
             continue
@@ -56,23 +78,34 @@ def _panel(ax: Axes, moves: Moves, k: int, box: PlantBox) -> None:
         else:
             (color, line), width = next(shapers), 1.5
         label = f"{move.name}: {move.samples} samples, {number(move.seconds, 3)} s"
-        ax.plot(frequencies, vibration(move, k, frequencies), color=color, linestyle=line, linewidth=width, label=label)
+        box = boxes_of(move.measured.problem)[k]
+        found.append(Ringing(label, box, move.measured.trajectory, color, line, width))
+    return found
+
+
+def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
+    """Draw the vibration over the natural frequency, and the limit within the box that all of them have."""
+    box = shown[-1].box
+    low, high = float(box.low[0]), float(box.high[0])
+    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
+    frequencies = np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
+    ax.axvspan(low, high, color=BAND, linewidth=0, zorder=0)
+    ax.hlines(box.limit, low, high, color=BOUND, linewidth=2.0, label="limit", zorder=4)
+    notes, inside = list[Note](), (frequencies >= low) & (frequencies <= high)
+    for one in shown:
+        values = one.vibration(frequencies)
+        if inside.any() and values[inside].min() > ABOVE * box.limit:
+            times = aligned(float(values[inside].max()) / box.limit, 3)
+            notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
+        ax.plot(frequencies, values, color=one.color, linestyle=one.line, linewidth=one.width, label=one.label)
     ax.set_xlim(frequencies[0], frequencies[-1])
     ax.set_ylim(0, ABOVE * box.limit)
-    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    name = moves.problem.control_names[box.map.component]
-    unit = split_unit(name)[1]
-    away = [move for move in moves.all if move.ratio is not None and move.ratio > ABOVE]
-    notes = [Note(f"{move.name} leaves the picture: {aligned(move.ratio, 3)} times the limit") for move in away]
+    legend_beside(ax)
+    short, unit = split_unit(name)
     y_label = "vibration" + (f" [{unit}]" if unit else "")
-    style_axes(ax, f"Residual vibration of {short_name(name)}", "natural frequency [Hz]", y_label, notes)
+    style_axes(ax, f"Residual vibration of {short}", "natural frequency [Hz]", y_label, notes)
 
 
-def vibration(move: Move, k: int, frequencies: Array) -> Array:
-    """Return the vibration that a move leaves at natural frequencies, the largest over the box's damping ratios."""
-    assert move.measured is not None
-    box, trajectory = boxes_of(move.measured.problem)[k], move.measured.trajectory
-    dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
-    modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
-    signal = box.map.signal(trajectory.x, trajectory.u)
-    return np.abs(box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
+def legend_beside(ax: Axes) -> None:
+    """Explain the lines of a panel on its right."""
+    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))
