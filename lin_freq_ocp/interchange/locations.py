@@ -32,11 +32,23 @@ def require_keys(location: str, table: object, required: Iterable[str] = (), opt
             raise ProblemError(joined(location, key), "nothing", "this key")
 
 
+OTHER_VERSION = "A later version of this package may have written it."
+
+
+def readable(given: object, schema: int) -> bool:
+    """Whether a version of a layout is this, or an earlier version: what was added since is optional."""
+    return type(given) is int and 1 <= given <= schema
+
+
 def require_schema(given: object, schema: int) -> None:
-    """Raise ProblemError unless a file has this version of its layout."""
-    if given != schema:
-        advice = "Another version of this package may have written it."
-        raise ProblemError("schema", brief(given), f"{schema}", advice)
+    """Raise ProblemError unless a file has this version of its layout, or an earlier version."""
+    if not readable(given, schema):
+        raise ProblemError("schema", brief(given), versions(schema), OTHER_VERSION)
+
+
+def versions(schema: int) -> str:
+    """Return the versions of a layout that are read, in words."""
+    return "1" if schema == 1 else f"a whole number from 1 to {schema}"
 
 
 def joined(location: str, key: str) -> str:

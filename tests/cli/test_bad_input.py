@@ -63,7 +63,7 @@ def files(tmp_path_factory):
         "syntax.toml": CART.replace("horizon = 20", "horizon 20"),
         "typo.toml": CART.replace("[control_set]\nlower", "[control_set]\nlowr"),
         "headless.toml": CART.replace("schema = 1\n", ""),
-        "future.toml": CART.replace("schema = 1", "schema = 2"),
+        "future.toml": CART.replace("schema = 1", "schema = 3"),
         "nan.toml": CART.replace("[1.0, 0.1]", "[1.0, nan]"),
         "escape.toml": CART.replace("[[1.0, 0.1], [0.0, 1.0]]", '{npz = "../outside.npz", key = "A"}'),
     }.items():
@@ -85,7 +85,7 @@ def files(tmp_path_factory):
         "short": {"u": good["u"][:-1]},
         "narrow": {"eta": good["eta"][:, :1]},
         "busy": {"rho_u": busy},
-        "future": {"schema": np.array(2)},
+        "future": {"schema": np.array(3)},
         "objects": {"u": np.array([[{}]], dtype=object)},
     }.items():
         changed = {key: value for key, value in (good | change).items() if value is not None}
@@ -214,7 +214,7 @@ BAD_FILES = {
     "no TOML": (("solve", "syntax.toml"), "syntax.toml: TOML syntax: got", "(at line 4, column 9)"),
     "wrong key": (("solve", "typo.toml"), "control_set.lowr: got an unknown key", "Did you mean 'lower'?"),
     "missing key": (("solve", "headless.toml"), "headless.toml: schema: got nothing; expected this key"),
-    "schema of the future": (("solve", "future.toml"), "future.toml: schema: got 2; expected 1"),
+    "schema of the future": (("solve", "future.toml"), "schema: got 3; expected a whole number from 1 to 2"),
     "nan in a matrix": (("solve", "nan.toml"), "nan.toml: dynamics.A[0][1]: got nan; expected a finite number"),
     "path that escapes": (("solve", "escape.toml"), "escape.toml: dynamics.A.npz: got '../outside.npz'"),
     "no such file to compare": (("compare", "missing.toml"), "missing.toml: got no such file"),

@@ -36,7 +36,7 @@ def test_arrays_of_a_saved_solution(saved):
         shapes = {name: file[name].shape for name in file.files}
         assert {file[name].dtype.kind for name in ("x", "u", "eta", "mu", "nu")} == {"f"}
         assert {file[name].dtype.kind for name in ("rho_u", "rho_x")} == {"c"}
-        assert (int(file["schema"]), float(file["eta_C"])) == (1, 1.0)
+        assert (int(file["schema"]), float(file["eta_C"])) == (2, 1.0)
         summary = parsed(str(file["summary"]))
     assert shapes == {
         "x": (241, 4),

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
+from helpers.schemas import MINIMUM_TIME, RESULT, faults
 
 MOVER = ("double_integrator", "--set", 'cutoff_hz="none"', "--set", "sampling_time=0.1")
 
@@ -16,6 +17,8 @@ def test_the_command_prints_one_object():
     status, out, err = run("minimum-time", *MOVER, "--horizons", "20", "60", "--json")
     found = parsed(out)
     assert (status, err) == (0, "")
+    assert faults(MINIMUM_TIME, found) == []
+    assert faults(RESULT, found["result"]) == []
     assert (found["horizon"], found["horizons"], found["monotone"], found["proven"]) == (37, [20, 60], True, True)
     assert found["verdicts"]["36"] == "infeasible"
     assert found["result"]["problem"]["horizon"] == 37

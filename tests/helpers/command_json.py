@@ -108,7 +108,7 @@ def require(value, kind, place="$"):
 
 def require_words(summary):
     """Assert what the words and numbers of a summary may be, beyond their types."""
-    assert summary["schema"] == 1
+    assert summary["schema"] == 2
     assert summary["version"] == lfo.__version__
     assert summary.get("status", "optimal") in ("optimal", "locally_optimal", *ERRORS)
     if "method" in summary:

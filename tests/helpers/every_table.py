@@ -5,7 +5,7 @@ from typing import Any
 
 # A problem with every table there is
 GOOD: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": "cart",
     "horizon": 8,
     "initial_state": [0.0, 0.0],

@@ -15,6 +15,7 @@ PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
 RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
 SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
 SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
+MINIMUM_TIME = json.loads((DOCS / "minimum_time.schema.json").read_text(encoding="utf-8"))
 
 
 def faults(schema: dict[str, Any], instance: Any) -> list[str]:

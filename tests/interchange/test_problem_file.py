@@ -239,7 +239,7 @@ BAD = {
     "endless digits": ("horizon = 8", f"horizon = {'9' * 5000}", "TOML syntax"),
     "deep nesting": ("horizon = 8", f"horizon = {'[' * 5000}", "TOML syntax"),
     "schema missing": ("schema = 1", "", "schema: got nothing"),
-    "schema of the future": ("schema = 1", "schema = 2", "schema: got 2; expected 1"),
+    "schema of the future": ("schema = 1", "schema = 3", "schema: got 3; expected a whole number from 1 to 2"),
     "horizon missing": ("horizon = 8", "", "horizon: got nothing"),
     "horizon in quotes": ("horizon = 8", 'horizon = "8"', "horizon: got '8'"),
     "horizon a table": ("horizon = 8", "horizon = {steps = 8}", "horizon: got {'steps': 8}"),

@@ -38,8 +38,16 @@ def test_a_solution_survives_the_round_trip(tmp_path):
     with np.load(tmp_path / "run", allow_pickle=False) as file:
         fields = "x u eta_C eta mu nu rho_u rho_x schema summary".split()
         assert sorted(file.files) == sorted([*fields, "stage/rate [N]", "stage/a/b.npy"])
-        assert int(file["schema"]) == 1
+        assert int(file["schema"]) == 2
         assert json.loads(str(file["summary"]))["status"] == "optimal"
+
+
+def test_a_file_of_the_first_version_is_read(tmp_path):
+    trajectory, multipliers = some_solution()
+    save_solution(tmp_path / "run.npz", trajectory, multipliers, {})
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as file:
+        np.savez(tmp_path / "old.npz", **{**file, "schema": np.array(1)})
+    assert load_solution(tmp_path / "old.npz").multipliers is not None
 
 
 def test_a_trajectory_alone_is_a_solution_file(tmp_path):
@@ -62,7 +70,7 @@ def test_a_trajectory_alone_is_a_solution_file(tmp_path):
         ({"x": np.zeros((6, 3))}, "run.npz: trajectory: got"),
         ({"x": np.full((7, 3), "a")}, "run.npz: x: got <U1"),
         ({"x": np.full((7, 3), np.nan)}, "run.npz: trajectory.x[0][0]: got nan"),
-        ({"schema": np.array(2)}, "run.npz: schema: got"),
+        ({"schema": np.array(3)}, "run.npz: schema: got"),
         ({"schema": np.array([1, 1])}, "run.npz: schema: got"),
         ({"mu": None}, "run.npz: mu: got nothing"),
         ({"eta_C": np.ones(2)}, "run.npz: eta_C: got float64 of shape (2,)"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.locations import FileTable, FileValue, located
+from lin_freq_ocp.interchange.locations import OTHER_VERSION, FileTable, FileValue, located, readable, versions
 from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.interchange.problem_file.dynamics import DYNAMICS, without_zeros
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
@@ -27,7 +27,7 @@ from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
-SCHEMA = 1  # version of the layout; a file with another version is refused
+SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
@@ -194,11 +194,7 @@ PROBLEM = Record(
     _problem,
     like=OptimalControlProblem,
     values=_fields,
-    schema=checked(
-        lambda given: type(given) is int and given == SCHEMA,
-        f"{SCHEMA}",
-        "Another version of this package may have written it.",
-    ),
+    schema=checked(lambda given: readable(given, SCHEMA), versions(SCHEMA), OTHER_VERSION),
     name=checked(lambda given: isinstance(given, str), "text in quotes"),
     dynamics=DYNAMICS,
     cost=COST,

@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.system.atomic import write_bytes
 
-SCHEMA = 1  # version of the layout of the .npz
+SCHEMA = 2  # version of the layout of the .npz; earlier ones are read
 # Fields of Multipliers that are one array, with the dimensions of each.
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
 WEIGHTS = "weights"  # field of Multipliers of piecewise-affine dynamics, an array of two dimensions

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
     from lin_freq_ocp.comparison.moves import Move
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
