@@ -21,6 +21,7 @@ from lin_freq_ocp.comparison.minimum_time.search import Search, searched, stated
 from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -89,14 +90,8 @@ class Moves:
 
 def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
     """Return the boxes of modes that controls must not leave ringing."""
-    found = list[PlantBox]()
-    for term in problem.terms:
-        match term.everywhere:
-            case PlantBox() as box if term.kind == TermKind.CONTROL_SPECTRUM:
-                found.append(box)
-            case _:
-                pass
-    return tuple(found)
+    terms = everywhere_of(problem, PlantBox)
+    return tuple(box for term, box in terms if term.kind == TermKind.CONTROL_SPECTRUM)
 
 
 def why_not_shaped(problem: OptimalControlProblem) -> str:

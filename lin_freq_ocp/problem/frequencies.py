@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_indices, entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
+from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.term import Term
+
+Kind = TypeVar("Kind", bound=Continuum)
 
 
 def at_frequencies(
@@ -26,6 +31,11 @@ def at_frequencies(
     controls = [_placed(one, problem.control_names, pending, relaxed) for one in entries_of(problem.control_spectrum)]
     outputs = [_outputs_placed(one, pending, relaxed) for one in entries_of(problem.output_spectrum)]
     return replace(problem, state_spectrum=states, control_spectrum=controls, output_spectrum=outputs)
+
+
+def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
+    """Return the terms whose infinitely many constraints are of a kind, and these."""
+    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
 
 
 def _placed(

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import Term
@@ -21,7 +22,7 @@ DECADES = 4  # below the largest value
 
 def held_figure(data: PlotData) -> Figure | None:
     """Return the spectra of held signals with a limit, images included; None without any."""
-    terms = [(term, one) for term in data.problem.terms if isinstance(one := term.everywhere, HeldFrequencies)]
+    terms = everywhere_of(data.problem, HeldFrequencies)
     if not terms:
         return None
     figure = new_figure(PANEL_HEIGHT * len(terms))
@@ -65,7 +66,7 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
 
 def vibrations_figure(data: PlotData) -> Figure | None:
     """Return what the trajectories leave ringing in boxes of modes; None without any."""
-    terms = [(term, one) for term in data.problem.terms if isinstance(one := term.everywhere, PlantBox)]
+    terms = everywhere_of(data.problem, PlantBox)
     if not terms:
         return None
     figure = new_figure(PANEL_HEIGHT * len(terms))

@@ -12,6 +12,7 @@ from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.peaks.masks import certified_peak
+from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.limits import Limits, limits_on
 
 GRID = 64  # points of CVXPY's masks for each sample
@@ -19,7 +20,7 @@ DENSE = 1024  # points for each sample at which an upper bound is feasible
 BRACKET = 1e-6  # of the cost, by which the bounds, from Clarabel, may be wrong
 ATTEMPTS = 8  # to lower the limit
 SEARCHED = 10  # peaks of a signal, the highest by parabolas
-KINDS = ("low pass", "high pass", "notch", "points", "state", "period", "state of a period")
+KINDS = ("low pass", "high pass", "notch", "points", "state", "period", "state of a period", "held", "held points")
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     free = lfo.solve(problem, throw=False).trajectory
     if free is None:
         return kind, problem
+    if kind.startswith("held"):
+        return kind, with_held_mask(problem, kind, rng)
     of_state = kind.startswith("state")
     signal = free.x[: problem.state_samples, 0] if of_state else free.u[:, 0]
     w0, level = rng.uniform(0.3, 2.0), 10.0 ** rng.uniform(-1.5, 0)
@@ -86,6 +89,22 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     return kind, replace(problem, **{"state_spectrum" if of_state else "control_spectrum": mask})
 
 
+def with_held_mask(
+    problem: lfo.OptimalControlProblem, kind: str, rng: np.random.Generator
+) -> lfo.OptimalControlProblem:
+    """Return the problem, whose samples are 1 s apart, with a limit on its first control as it is held."""
+    dynamics = lfo.LinearDynamics(problem.linear.A, problem.linear.B, sampling_time=1.0)
+    problem, first = replace(problem, dynamics=dynamics), rng.uniform(0.05, 1.5)
+    signal = lfo.solve(problem).trajectory.u[:, 0]
+    f = np.linspace(first, first + 1, 4001)
+    values = np.sinc(f) * (np.exp(-2j * np.pi * np.outer(f, np.arange(len(signal)))) @ signal)
+    limit = 10.0 ** rng.uniform(-1.5, 0) * float(np.abs(values).max())
+    points = [[first, limit], [first + 0.4, limit * rng.uniform(0.2, 2)], [first + 1.3, limit * rng.uniform(0.2, 2)]]
+    given, band = points if kind == "held points" else limit, lfo.low_pass(cutoff_hz=first)
+    mask = lfo.MagnitudeBound(given, band=band, component=0, every_frequency=True, hold=True)
+    return replace(problem, control_spectrum=mask)
+
+
 def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> tuple[str, float, np.ndarray]:
     """Return status, cost and masked signal of the model with ``share`` of the limit on a grid."""
     T, linear, cost = problem.horizon, problem.linear, problem.quadratic
@@ -98,32 +117,37 @@ def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> 
     if problem.control_set is not None:
         rows += [u <= problem.control_tube.upper[0], u >= problem.control_tube.lower[0]]
     signal = x[: T + (not period), 0] if kind.startswith("state") else u[:, 0]
-    limits = mask_of(problem)
-    w = frequencies(limits, GRID * signal.shape[0])
-    waves = np.outer(w, np.arange(signal.shape[0]))
-    values = cp.vstack([np.cos(waves) @ signal, -np.sin(waves) @ signal])
-    rows.append(cp.norm(values, axis=0) <= share * limits.at(w))
+    everywhere = mask_of(problem)
+    w = frequencies(everywhere.limits, GRID * signal.shape[0])
+    waves, factor = np.outer(w, np.arange(signal.shape[0])), factors(w, kind)[:, None]
+    values = cp.vstack([(factor * np.cos(waves)) @ signal, (-factor * np.sin(waves)) @ signal])
+    rows.append(cp.norm(values, axis=0) <= share * everywhere.limits.at(w))
     program = cp.Problem(cp.Minimize(J / 2), rows)
     program.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
     return program.status, float(program.value), np.zeros(0) if signal.value is None else np.asarray(signal.value)
 
 
-def mask_of(problem: lfo.OptimalControlProblem) -> Limits | None:
-    """Return the limits of the mask at every frequency; None without one."""
-    return next((one.everywhere.limits for one in problem.terms if one.everywhere is not None), None)
+def factors(w: np.ndarray, kind: str) -> np.ndarray:
+    """Return what the spectrum is multiplied by."""
+    return np.sinc(w / (2 * np.pi)) if kind.startswith("held") else np.ones(len(w))
 
 
-def frequencies(limits: object, points: int) -> np.ndarray:
-    """Return a grid of so many points on the circle within the intervals, with their ends."""
-    w = 2 * np.pi * np.arange(points // 2 + 1) / points
+def mask_of(problem: lfo.OptimalControlProblem) -> Frequencies | None:
+    """Return the mask at every frequency; None without one."""
+    return next((one.everywhere for one in problem.terms if one.everywhere is not None), None)
+
+
+def frequencies(limits: Limits, points: int) -> np.ndarray:
+    """Return a grid of so many points for 2 pi within the intervals, with their ends."""
+    w = 2 * np.pi * np.arange(int(points * limits.high.max() / (2 * np.pi)) + 1) / points
     return np.unique(np.concatenate([w[np.isfinite(limits.at(w))], limits.low, limits.high]))
 
 
 def check(seed: int) -> Findings:
     """Solve the problem of a seed, and bound its optimum."""
     kind, problem = case_of(seed)
-    limits = mask_of(problem)
-    if limits is None:
+    everywhere = mask_of(problem)
+    if everywhere is None:
         return Findings(seed, kind, "infeasible", np.nan, np.nan, np.nan, 0.0, "infeasible without a mask")
     result = lfo.solve(problem, throw=False)
     theirs, lower, _ = independent(problem, kind, 1.0)
@@ -132,8 +156,9 @@ def check(seed: int) -> Findings:
         status, value, signal = independent(problem, kind, share)
         if "optimal" not in status:
             break
-        w = frequencies(limits, DENSE * len(signal))
-        ratio = (np.abs(np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal) / limits.at(w)).max()
+        w = frequencies(everywhere.limits, DENSE * len(signal))
+        spectrum = factors(w, kind) * (np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal)
+        ratio = (np.abs(spectrum) / everywhere.limits.at(w)).max()
         if ratio <= 1:
             upper = value
             break
