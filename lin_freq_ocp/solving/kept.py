@@ -14,6 +14,8 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.modes.cover import CoverNode
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
+from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
 from lin_freq_ocp.methods.spectral.algorithm.together import Together
 from lin_freq_ocp.methods.spectral.model.row_form import RowForm
@@ -57,21 +59,23 @@ class SpectralForm:
 
     bins: SoftBins
     rows: RowForm
+    absorbed: AbsorbedCost | None
 
     @property
     def problem(self) -> OptimalControlProblem:
         """Return the problem that is solved."""
-        return self.rows.problem
+        return self.rows.problem if self.absorbed is None else self.absorbed.problem
 
     @property
     def changed(self) -> bool:
         """Whether that is not the given problem."""
-        return bool(self.bins.terms or self.rows.polyhedra)
+        return bool(self.bins.terms or self.rows.polyhedra or self.absorbed)
 
     def given(self, candidate: Candidate) -> Candidate:
         """Return a candidate of the problem that is solved as one of the given problem."""
         if not self.changed:
             return candidate
+        candidate = candidate if self.absorbed is None else self.absorbed.candidate(candidate)
         found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
         return replace(candidate, **{name: one and self._of_given(one) for name, one in found.items()})
 
@@ -81,8 +85,10 @@ class SpectralForm:
 
 def spectral_form(problem: OptimalControlProblem) -> SpectralForm:
     """Return a problem in the form that the Fourier-domain method takes."""
+    require_convex(problem)
     bins = soft_bins(problem)
-    return SpectralForm(bins, row_form(bins.problem))
+    rows = row_form(bins.problem)
+    return SpectralForm(bins, rows, absorbed_cost(rows.problem))
 
 
 class Kept:

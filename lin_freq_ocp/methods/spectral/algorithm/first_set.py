@@ -27,7 +27,7 @@ LARGEST_SHORTENING = 10  # largest ratio of the horizons
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
     """Return a guess of the active rows, or None; ``structures`` keeps those of the cheaper problems by horizon."""
-    if lti.horizon < GUESSED_HORIZON:
+    if lti.horizon < GUESSED_HORIZON or lti.response is not None:
         return None
     shorter = _shortened_horizon(lti)
     hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)

@@ -65,7 +65,7 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
         working, y, eta_C = ray.working, ray.multipliers, 0.0
         gradient, _ = forces(structure, lti, y, working)
     eta_hat = _adjoint_spectrum(structure, y, gradient)
-    band = lti.B.T @ eta_hat - gradient[n:]
+    band = _through_controls(lti, eta_hat) - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
     eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, working, y)
@@ -76,6 +76,11 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
     found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
     _set_ends(border, lti, outcome, found, on_bands)
     return found
+
+
+def _through_controls(lti: Lti, eta: ComplexArray) -> ComplexArray:
+    """Return B'eta at every bin, (m, bins)."""
+    return lti.B.T @ eta if lti.response is None else np.einsum("imk,ik->mk", lti.response.conj(), eta)
 
 
 def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:
@@ -162,7 +167,8 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
     energy = max(float(np.linalg.norm(y[n:])), tol.LEAST_SIZE)
     missed = max(_missed_values(lti, y, last), outcome.violation, 0.0)
     adjoint, terms, product = _adjoint(lti, outcome, found)
-    through_u = float(np.abs(lti.B).sum(0).max()) * terms
+    gains = np.abs(lti.B) if lti.response is None else np.abs(lti.response).max(2)
+    through_u = float(gains.sum(0).max()) * terms
     working = outcome.working
     slack = working.limits(lti) - working.values(y, last)
     missing = np.where(working.saturated(lti), np.maximum(slack, 0.0), np.abs(slack))
@@ -178,6 +184,10 @@ def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
 def _missed_steps(lti: Lti, y: Array, last: Array) -> float:
     """Return the largest residual of the dynamics, relative to the states."""
     n, T, largest, size = lti.state_dim, lti.horizon, 0.0, max(float(np.abs(last).max()), tol.LEAST_SIZE)
+    if lti.response is not None:
+        residual = fft.irfft(np.einsum("imk,mk->ik", lti.response, fft.rfft(y[n:])), T) - np.roll(y[:n], -1, axis=1)
+        residual += 0.0 if lti.offset is None else lti.offset
+        return float(np.abs(residual).max()) / max(size, float(np.abs(y[:n]).max()))
     dynamics = np.hstack([lti.A, lti.B])
     for start in range(0, T, BLOCK):
         stop = min(start + BLOCK, T)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
-from lin_freq_ocp.arrays import Array, Indices, Mask, assign
+from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
@@ -72,6 +72,7 @@ class Lti:
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
     prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
+    response: ComplexArray | None = None  # of x_{t+1} to the controls at every bin, (n, m, T//2 + 1), instead of A and B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
     @property
@@ -146,7 +147,9 @@ class Units:
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, dynamics = problem.quadratic, problem.linear
+    cost, response = problem.quadratic, problem.dynamics.response(problem.horizon)
+    if response is not None and not closes_on_the_circle(problem):
+        return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
     taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
     others = [term for term in problem.terms if term.kind not in taken and soft_set(problem, term) is None]
     if others:
@@ -155,7 +158,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
         return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
     if soft_sets(problem) is None:
         return "two bounds on the same side of a component, of which one is soft"
-    if dynamics.time_varying:
+    if response is None and problem.linear.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
         return "Q, R or S depends on time; the Fourier-domain method needs a constant stage Hessian"
@@ -184,7 +187,9 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
     known = given[: len(states)] > 0
-    x = _power_of_two(states if known.all() else _state_sizes(problem.linear.A, states, known))
+    recursion = problem.dynamics.response(problem.horizon) is None
+    balanced = recursion and not known.all()
+    x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
     u = _power_of_two(_control_sizes(problem.control_tube, controls))
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
@@ -245,11 +250,12 @@ def revised_units(units: Units, y: Array) -> Units | None:
 
 def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
-    n, T, cost, dynamics = problem.state_dim, problem.horizon, problem.quadratic, problem.linear
+    n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
+    A, B, d, response = _dynamics(problem)
     y = np.concatenate([x, u])
     linear = _linear_terms(problem)
-    offset = dynamics.offset.T if dynamics.offset.ndim == 2 else dynamics.offset[:, None]
+    offset = d.T if d.ndim == 2 else d[:, None]
     lower, upper = _bounds(problem, units)
     last_lower, last_upper = (side / x for side in problem.ends[1].bounds)
     prices = None
@@ -263,8 +269,8 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     start, end = (_point(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     return Lti(
-        A=dynamics.A * x / x[:, None],
-        B=dynamics.B * u / x[:, None],
+        A=A * x / x[:, None],
+        B=B * u / x[:, None],
         M=cost.stage_hessians()[0] * y * y[:, None] / units.cost,
         P=cost.P * x * x[:, None] / units.cost,
         F=np.vstack([np.eye(len(y)), _scaled_rows(problem, x, u) / units.rows[:, None]]),
@@ -283,7 +289,19 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         constant=_cost_at_zero(problem) / units.cost,
         prices=prices,
         periodic=periodic,
+        response=None if response is None else response * (u / x[:, None])[:, :, None],
     )
+
+
+def _dynamics(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
+    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
+    T = problem.horizon
+    found = problem.dynamics.response(T)
+    if found is None:
+        return problem.linear.A, problem.linear.B, problem.linear.offset, None
+    n, m = problem.state_dim, problem.control_dim
+    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
 
 
 def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:

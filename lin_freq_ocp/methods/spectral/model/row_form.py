@@ -52,7 +52,9 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    if problem.linear.time_varying or len(found) < len(sets) or soft_sets(problem) is not None:
+    recursion = problem.dynamics.response(problem.horizon) is None
+    others = len(found) < len(sets) or soft_sets(problem) is not None
+    if others or not recursion or problem.linear.time_varying:
         return RowForm(problem, problem, ())
     polyhedra = tuple(rows for rows, _ in found)
     try:

@@ -39,7 +39,7 @@ class SoftBins:
         Bins that are removed by a band of the given problem, too, keep theirs there.
         """
         rho = {
-            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, found.eta @ self.given.linear.B),
+            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, self.given.equations.pull_back(found.eta)[1]),
             TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
         }
         stage = dict(found.stage)

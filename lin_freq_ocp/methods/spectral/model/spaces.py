@@ -170,7 +170,7 @@ class BinSpaces:
         passed[:, self.near.k] = False
         N = np.zeros((n + m, m, len(self.z)), dtype=np.complex128)
         with np.errstate(all="ignore"):
-            B = lti.B[:, :, None].astype(np.complex128)
+            B = lti.B[:, :, None].astype(np.complex128) if lti.response is None else lti.response
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
