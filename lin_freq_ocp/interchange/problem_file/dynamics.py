@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from lin_freq_ocp.arrays import Array, positive_integer
+from lin_freq_ocp.arrays import Array, ComplexArray, positive_integer, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 
 FORMULA_KEYS = ("f", "region", "domain")
 
@@ -60,6 +61,46 @@ def _from_modes(
     known = _known(let, n, m)
     parsed = [_parsed(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
     return PiecewiseSmoothDynamics(parsed, n, m, **labels)
+
+
+def _response(
+    G_real: FileValue,
+    G_imag: FileValue,
+    offset_real: FileValue = None,
+    offset_imag: FileValue = None,
+    disturbance: FileValue = None,
+    mode: FileValue = "periodic",
+    **labels: FileValue,
+) -> FrequencyResponse:
+    G, offset = _complex("G", G_real, G_imag), None
+    if offset_real is not None or offset_imag is not None:
+        offset = _complex("offset", offset_real, offset_imag)
+    return FrequencyResponse(G, offset=offset, disturbance=disturbance, mode=mode, **labels)
+
+
+def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
+    """Return the complex array of two keys, both of which must be there with the same shape."""
+    parts = [real_array(f"dynamics.{field}_{part}", one) for part, one in (("real", real), ("imag", imaginary))]
+    if parts[0].shape != parts[1].shape:
+        raise ProblemError(
+            f"dynamics.{field}_imag", f"shape {parts[1].shape}", f"that of {field}_real, {parts[0].shape}"
+        )
+    return parts[0] + 1j * parts[1]
+
+
+def _response_values(dynamics: FrequencyResponse) -> FileTable:
+    known = dynamics.offset if dynamics.offset.any() else None
+    return {
+        "G_real": dynamics.G.real,
+        "G_imag": dynamics.G.imag,
+        "offset_real": None if known is None else known.real,
+        "offset_imag": None if known is None else known.imag,
+        "disturbance": dynamics.disturbance,
+        "mode": dynamics.mode,
+        "sampling_time": dynamics.sampling_time,
+        "state_names": dynamics.state_names,
+        "control_names": dynamics.control_names,
+    }
 
 
 def _labels(sampling_time: object = None, state_names: object = None, control_names: object = None) -> None:
@@ -130,7 +171,11 @@ SMOOTH_MODES = Record(
 )
 SMOOTH = Record(_from_formulas, like=_labels)
 
+RESPONSE = Record(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
+MEASURED = Record(FrequencyResponse.from_table, own="dynamics")
+
 RECORDS: dict[type, Record] = {
+    FrequencyResponse: RESPONSE,
     LinearDynamics: LINEAR,
     PiecewiseAffineDynamics: PIECEWISE_AFFINE,
     PiecewiseSmoothDynamics: SMOOTH_MODES,
@@ -140,6 +185,10 @@ RECORDS: dict[type, Record] = {
 def _read(location: str, given: FileValue) -> Dynamics:
     keys = given if isinstance(given, Mapping) else {}
     modes = keys.get("modes")
+    if "table" in keys:
+        return MEASURED.read(location, given)
+    if "G_real" in keys:
+        return RESPONSE.read(location, given)
     if "f" in keys:
         return SMOOTH.read(location, given)
     if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):

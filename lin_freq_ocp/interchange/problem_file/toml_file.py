@@ -21,6 +21,7 @@ from lin_freq_ocp.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
+from lin_freq_ocp.problem.dynamics.response.measured import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.system.atomic import write_bytes, writing
 
@@ -147,6 +148,8 @@ def _resolved(value: FileValue, folder: Path, field: str = "") -> FileValue:
     if isinstance(value, Mapping):
         if "npz" in value:
             return _referenced(field, value, folder)
+        if set(value) == {"csv"}:
+            return read_response(_inside(f"{field}.csv", value["csv"], folder))
         return {key: _resolved(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
         return [_resolved(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]

@@ -23,6 +23,7 @@ from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.model.dynamics import dynamics_of
 from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -72,7 +73,7 @@ class Lti:
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
     prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
-    response: ComplexArray | None = None  # of x_{t+1} to the controls at every bin, (n, m, T//2 + 1), instead of A and B
+    response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
     @property
@@ -252,7 +253,7 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    A, B, d, response = _dynamics(problem)
+    A, B, d, response = dynamics_of(problem)
     y = np.concatenate([x, u])
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
@@ -291,17 +292,6 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         periodic=periodic,
         response=None if response is None else response * (u / x[:, None])[:, :, None],
     )
-
-
-def _dynamics(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
-    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
-    T = problem.horizon
-    found = problem.dynamics.response(T)
-    if found is None:
-        return problem.linear.A, problem.linear.B, problem.linear.offset, None
-    n, m = problem.state_dim, problem.control_dim
-    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
 
 
 def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:

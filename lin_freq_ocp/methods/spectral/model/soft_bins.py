@@ -38,8 +38,9 @@ class SoftBins:
 
         Bins that are removed by a band of the given problem, too, keep theirs there.
         """
+        through_u = self.given.equations.pull_back(found.eta)[1]
         rho = {
-            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, self.given.equations.pull_back(found.eta)[1]),
+            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, through_u),
             TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
         }
         stage = dict(found.stage)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +20,7 @@ from lin_freq_ocp.arrays import Array, ComplexArray, assign, brief, real_array
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.response.first_output import NAME, FirstOutput
+from lin_freq_ocp.problem.dynamics.response.measured import read_response, response_at_bins
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.terms.ends_map import Link, Within
@@ -54,6 +57,15 @@ class FrequencyResponse(StateEquations):
     ------
     ProblemError
         If shapes do not match, entries are not finite, or the response is not real at 0 or N/2.
+
+    Methods
+    -------
+    from_table(table, samples, sampling_time)
+        Interpolate a table of frequency, real and imaginary part.
+    from_csv(path, samples, sampling_time)
+        The same of a CSV file.
+    from_frd(plant, samples)
+        Interpolate a frequency response of python-control.
 
     References
     ----------
@@ -107,6 +119,102 @@ class FrequencyResponse(StateEquations):
         labels = signal_labels(p, m, sampling_time, state_names, control_names)
         assign(self, G=response, offset=known, disturbance=signal, mode=mode, **labels)
 
+    @classmethod
+    def from_table(
+        cls,
+        table: ArrayLike,
+        samples: int,
+        sampling_time: float,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a table of one output and one control at the bins of a record.
+
+        Parameters
+        ----------
+        table : (k, 3)
+            Frequency in Hz, increasing, real part, imaginary part. Between frequencies, both parts are linear; at the
+            Nyquist frequency the real part counts, at 0 the response must be real.
+        samples : int
+            N, the samples of the record: the horizon, or twice the horizon if zero-padded.
+        sampling_time : float
+            Seconds per step.
+        outside : {"refuse", "zero"}
+            What happens to bins outside the table: an error that names them, or a response of 0.
+        disturbance, mode, state_names, control_names
+            As for the constructor.
+
+        Raises
+        ------
+        ProblemError
+            If the table has another shape, its frequencies do not increase, or do not cover the bins.
+
+        Examples
+        --------
+        >>> table = [[0.0, 1.0, 0.0], [0.5, 0.0, -1.0]]
+        >>> lfo.FrequencyResponse.from_table(table, samples=4, sampling_time=1.0).G[:, 0, 0]
+        array([1. +0.j , 0.5-0.5j, 0. +0.j ])
+        """
+        given = real_array("dynamics.table", table)
+        if given.ndim != 2 or given.shape[1] != 3:
+            expected = "(k, 3): frequency in Hz, real part, imaginary part"
+            raise ProblemError("dynamics.table", f"shape {given.shape}", expected)
+        found = given[:, 0], given[:, 1] + 1j * given[:, 2]
+        G = response_at_bins("dynamics.table", *found, samples, sampling_time, outside)
+        return cls(G, sampling_time, None, disturbance, mode, state_names, control_names)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        samples: int,
+        sampling_time: float,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a CSV file of frequency in Hz, real and imaginary part; see ``from_table``.
+
+        The first line may be a header, and lines that begin with # are left out.
+        """
+        table = read_response(Path(path))
+        further = disturbance, mode, state_names, control_names
+        return cls.from_table(table, samples, sampling_time, outside, *further)
+
+    @classmethod
+    def from_frd(
+        cls,
+        plant: object,
+        samples: int,
+        sampling_time: float | None = None,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a ``control.FrequencyResponseData`` at the bins of a record; see ``from_table``.
+
+        The sampling time is that of a discrete plant unless given; its signal names are taken unless others are given.
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(plant, control.FrequencyResponseData):
+            raise ProblemError("plant", type(plant).__name__, "a control.FrequencyResponseData", "See control.frd.")
+        step = plant.dt if sampling_time is None and isinstance(plant.dt, float) else sampling_time
+        if not step:
+            raise ProblemError("sampling_time", "nothing", "seconds per step", "The plant is continuous.")
+        values = np.moveaxis(np.asarray(plant.frdata, dtype=complex), -1, 0)
+        hertz = np.asarray(plant.omega, dtype=np.float64) / (2 * np.pi)
+        G = response_at_bins("plant", hertz, values, samples, float(step), outside)
+        outputs, inputs = state_names or plant.output_labels or None, control_names or plant.input_labels or None
+        return cls(G, float(step), None, disturbance, mode, outputs, inputs)
+
     @property
     def padded(self) -> bool:
         """Whether the record is followed by as many zeros."""
@@ -121,7 +229,9 @@ class FrequencyResponse(StateEquations):
         N = self.record(horizon)
         if len(self.G) != N // 2 + 1:
             expected = f"{N // 2 + 1} bins, 0 .. {N // 2} of a record of {N} samples at a horizon of {horizon}"
-            raise ProblemError("dynamics.G", f"{len(self.G)} bins", expected, "from_csv and from_frd interpolate.")
+            raise ProblemError(
+                "dynamics.G", f"{len(self.G)} bins", expected, "from_table, from_csv and from_frd interpolate."
+            )
         if N % 2 == 0:
             _require_real("dynamics.G", self.G, N // 2)
             _require_real("dynamics.offset", self.offset, N // 2)

@@ -1,0 +1,67 @@
+"""Wave energy by a frequency response: absorbed power within force limits, and a long record of irregular waves.
+
+python scripts/benchmark_wave_energy.py [samples]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.library.waveforms.wave_energy import coefficients_at
+
+PUBLISHED = {None: 140.007195, 2000.0: 98.11269, 1000.0: 58.75533}  # W; analytic, and computed independently
+STEP = 0.05  # s
+HEIGHT, PEAK = 0.1, 0.3  # significant wave height in m, peak frequency in Hz
+LIMITS = (np.inf, 7500.0, 6500.0, 6000.0)  # N
+
+
+def irregular(samples: int, force: float) -> lfo.OptimalControlProblem:
+    """Return the converter in irregular waves of a Pierson-Moskowitz spectrum with random phases."""
+    problem = lfo.library.wave_energy(force=force, record=samples * STEP, horizon=samples)
+    frequency = np.arange(samples // 2 + 1) / (samples * STEP)
+    known = coefficients_at(frequency, 45.0)
+    f = np.maximum(frequency, frequency[1])
+    density = 5 / 16 * HEIGHT**2 * PEAK**4 * f**-5 * np.exp(-1.25 * (PEAK / f) ** 4)
+    phase = np.exp(2j * np.pi * np.random.default_rng(0).random(len(f)))
+    amplitude = np.sqrt(2 * density / (samples * STEP)) * phase * np.where(known.valid, 1.0, 0.0)
+    offset = amplitude * known.excitation * known.admittance * samples / 2
+    dynamics = lfo.FrequencyResponse(known.admittance, STEP, offset)
+    return replace(problem, dynamics=dynamics)
+
+
+def measured(problem: lfo.OptimalControlProblem) -> tuple[float, float, int, float]:
+    """Return the power, the gap, the number of samples with a multiplier, and the CPU time of solver and judge."""
+    started = time.process_time()
+    result = lfo.solve(problem)
+    seconds = time.process_time() - started
+    certificate, multipliers = result.certificate, result.multipliers
+    assert certificate is not None
+    assert certificate.gap is not None
+    assert multipliers is not None
+    return -certificate.cost, certificate.gap, int((multipliers.nu != 0).sum()), seconds
+
+
+def main() -> None:
+    """Print the powers of the regular wave, and those of the long record."""
+    samples = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
+    measured(lfo.library.wave_energy())
+    print("| force limit | power [W] | independent | gap | CPU time |\n|---|---|---|---|---|")
+    for force, power in PUBLISHED.items():
+        found, gap, _, seconds = measured(lfo.library.wave_energy(force=force))
+        limit = "none" if force is None else f"{force:g} N"
+        print(f"| {limit} | {found:.6f} | {power} | {gap:.0e} | {1e3 * seconds:.0f} ms |")
+    print(f"\n{samples} samples of irregular waves:\n")
+    print("| force limit | active samples | power [W] | gap | method and judge |\n|---|---|---|---|---|")
+    for force in LIMITS:
+        found, gap, active, seconds = measured(irregular(samples, force))
+        limit = "none" if np.isinf(force) else f"{force:g} N"
+        print(f"| {limit} | {active} | {found:.6f} | {gap:.0e} | {seconds:.2f} s |")
+
+
+if __name__ == "__main__":
+    main()
