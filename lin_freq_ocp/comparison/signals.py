@@ -91,8 +91,17 @@ class Signal:
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
-        kind = TermKind.STATE_SPECTRUM if self.is_state else TermKind.CONTROL_SPECTRUM
-        return _mask_levels(self.problem, kind, *self._rows)
+        return _mask_levels(self.problem, self._kind, *self._rows)
+
+    @property
+    def limited_beyond_bins(self) -> bool:
+        """Whether it has a limit that is not about bins: on its held spectrum, or on what it leaves ringing."""
+        terms = [one for one in self.problem.terms if one.kind == self._kind and one.everywhere is not None]
+        return any(not len(one.map.nearest_bins) and one.map.component == self.index for one in terms)
+
+    @property
+    def _kind(self) -> TermKind:
+        return TermKind.STATE_SPECTRUM if self.is_state else TermKind.CONTROL_SPECTRUM
 
     def touching(self, trajectory: Trajectory) -> Line:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.terms.continua.held import HeldMap
+from lin_freq_ocp.problem.terms.continua.vibration import VibrationMap
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
 from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
@@ -73,7 +75,19 @@ def frequency_map(rng: np.random.Generator, T: int) -> FrequencyMap:
     return FrequencyMap(bins.C, bins.D, bins.window, at)
 
 
-MAPS = (stage_map, spectrum_map, together, sum_map, spectrogram_map, windows_together, frequency_map)
+def held_map(rng: np.random.Generator, T: int) -> HeldMap:
+    bins = spectrum_map(rng, T)
+    at = np.append(rng.uniform(0, 20, int(rng.integers(1, 6))), rng.choice([0.0, np.pi]))
+    return HeldMap(bins.C, bins.D, bins.window, at)
+
+
+def vibration_map(rng: np.random.Generator, T: int) -> VibrationMap:
+    bins, count = spectrum_map(rng, T), int(rng.integers(1, 6))
+    return VibrationMap(bins.C, bins.D, bins.window, rng.uniform([0.1, 0], [40, 0.9], (count, 2)), 0.01)
+
+
+MAPS = (stage_map, sum_map, spectrum_map, together, spectrogram_map, windows_together)
+MAPS += (frequency_map, held_map, vibration_map)
 
 
 def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -97,9 +111,19 @@ def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.concatenate([plain_spectrum(frame, y, s) for y, s in zip(cut, one.starts, strict=True)])
     y = plain_signal(one, x, u, len(one.window))
     if isinstance(one, FrequencyMap):
-        values = np.exp(-1j * np.outer(one.at, np.arange(len(y)))) @ (one.window * y)
+        values = plain_waves(one) @ (one.window * y)
         return np.column_stack([values.real, values.imag])
     return plain_spectrum(one, y)
+
+
+def plain_waves(one: FrequencyMap) -> np.ndarray:
+    t = np.arange(len(one.window))
+    if isinstance(one, VibrationMap):
+        root = np.sqrt(1 - one.at[:, 1] ** 2)
+        z = np.exp(2 * np.pi * one.at[:, 0] * (-one.at[:, 1] + 1j * root) * one.sampling_time)
+        return ((z - 1) / root)[:, None] * z[:, None] ** t[::-1]
+    waves = np.exp(-1j * np.outer(one.at, t))
+    return np.sinc(one.at / (2 * np.pi))[:, None] * waves if isinstance(one, HeldMap) else waves
 
 
 def plain_signal(one: SpectrumMap | FrequencyMap, x: np.ndarray, u: np.ndarray, samples: int) -> np.ndarray:

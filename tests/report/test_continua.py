@@ -64,6 +64,13 @@ def test_a_box_without_shapers_is_drawn_all_the_same():
     assert "Residual vibration over the natural frequency" in render(comparison, drawings)
 
 
+@pytest.mark.parametrize(("constraint", "words"), [(CALM, "; its limit is not about bins"), (None, "")])
+def test_the_panel_of_the_spectrum_says_that_there_is_no_band(constraint, words):
+    longer = replace(FREE, horizon=80, control_spectrum=constraint)
+    ax = lfo.solve(longer).plot().axes[1]
+    assert f"no stop band here{words}" in [one.get_text() for one in ax.texts]
+
+
 def test_without_any_nothing_is_drawn():
     data = comparison_data(lfo.compare(FREE, []))
     assert held_figure(data) is None

@@ -253,6 +253,7 @@ def _draw_touching(ax: Axes, trace: Trace, component: Signal, factor: float) -> 
 def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:
     """Say how far the stop band is from empty between its bins."""
     if not component.stop.any():
-        return Note("no stop band here")
+        limited = "; its limit is not about bins" if component.limited_beyond_bins else ""
+        return Note(f"no stop band here{limited}")
     named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
     return Note(f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}")
