@@ -31,6 +31,7 @@ from lin_freq_ocp.text.phrases import number
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST = 4  # times the shortest profile: longer profiles are not tried
+TRIED = 100  # profiles at most: of long moves, not every length is tried
 
 Solve = Callable[[OptimalControlProblem], Outcome]
 
@@ -139,7 +140,9 @@ def _shaped_move(
 ) -> Move:
     box = boxes_of(problem)[0]
     longer, description = len(impulses(name, box)) - 1, described(name, box)
-    for T in range(shortest, LONGEST * shortest):
+    step = -(-(LONGEST - 1) * shortest // TRIED)
+    description += "" if step == 1 else f"; profiles tried are {step} samples apart"
+    for T in range(shortest, LONGEST * shortest, step):
         profile = plan(T)
         if profile is None:
             continue

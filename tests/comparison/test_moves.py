@@ -78,6 +78,14 @@ def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
     assert "> 40" in [cell.text for cell in moves_rows(moves).groups[0].rows[0].cells]
 
 
+def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
+    monkeypatch.setattr(moves_of, "TRIED", 6)
+    (move,) = lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]).moves.shaped
+    assert (move.samples - 28) % 9 == 0
+    assert move.description.endswith("; profiles tried are 9 samples apart")
+    assert "tried" not in comparison.moves.shaped[0].description
+
+
 def test_where_shapers_do_not_apply():
     free = lfo.library.double_integrator(horizon=40, sampling_time=0.04, cutoff_hz=None)
     assert "no control" in why_not_shaped(free)
