@@ -6,6 +6,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
 
 __all__ = [
     "AffineMode",
@@ -14,6 +15,7 @@ __all__ = [
     "LinearDynamics",
     "PiecewiseAffineDynamics",
     "PiecewiseSmoothDynamics",
+    "PulseTrain",
     "SmoothMode",
     "SmoothPiece",
 ]

@@ -4,8 +4,10 @@ from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
 from lin_freq_ocp.solving.linear import Convex, Spectral, Structured
 from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.smooth import Nonsmooth
+from lin_freq_ocp.solving.switched.pulse_train import Angles
 
 __all__ = [
+    "Angles",
     "BranchAndBound",
     "Convex",
     "Enumeration",

@@ -15,11 +15,13 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.smooth import Nonsmooth
+from lin_freq_ocp.solving.switched.pulse_train import Angles
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,14 @@ FAMILIES: dict[type, Family] = {
             "branch_and_bound": Shorthand(BranchAndBound(), PARALLEL),
             "enumerate": Shorthand(Enumeration(), SEARCH),
             "miqp": Shorthand(MixedInteger(), {**SEARCH, **SOLVER}),
+        },
+    ),
+    PulseTrain: Family(
+        "pulse-train",
+        {
+            "auto": Shorthand(Angles(), GAPS),
+            "angles": Shorthand(Angles(), GAPS),
+            "nonsmooth": Shorthand(Nonsmooth(global_bound=False)),
         },
     ),
     PiecewiseSmoothDynamics: Family(
@@ -151,7 +161,8 @@ def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[
             raise UnsupportedError(f"{name}: got {value!r} beside {method!r}. {advice}")
         found = method
     if start is not None and not found.takes_start:
-        raise UnsupportedError(_unknown("start", start, found.shorthand, family))
+        name = method if isinstance(method, str) else found.shorthand
+        raise UnsupportedError(_unknown("start", start, name, family))
     return found
 
 

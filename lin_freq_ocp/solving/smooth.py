@@ -83,7 +83,7 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = time.perf_counter()
         best = search.best
-        found = None if best is None or not best.feasible else _polished(problem, best)
+        found = None if best is None or not best.feasible else polished(problem, best)
         found = found if request.start is None else _not_above(problem, request.start, found)
         status, message = _status(search, found)
         if self.global_bound:
@@ -118,7 +118,7 @@ class Nonsmooth:
         return found, status, message
 
 
-def _polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
+def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
     affine = problem.affine_at(local.trajectory)
     first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
@@ -139,15 +139,15 @@ def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | Non
     """Return the answer, or the start itself where that is a trajectory of less cost."""
     if start.trajectory is None:
         return found
-    certificate = judge(problem, start.trajectory, _none(problem))
+    certificate = judge(problem, start.trajectory, no_multipliers(problem))
     saved = found[2].cost - certificate.cost if found is not None and found[2].feasible else np.inf
     if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
         return found
-    certificate, multipliers = best_multipliers(problem, start.trajectory, _none(problem))
+    certificate, multipliers = best_multipliers(problem, start.trajectory, no_multipliers(problem))
     return start.trajectory, multipliers, certificate
 
 
-def _none(problem: OptimalControlProblem) -> Multipliers:
+def no_multipliers(problem: OptimalControlProblem) -> Multipliers:
     """Return multipliers of which only that of the cost is not zero."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
@@ -218,7 +218,7 @@ class _Bounding:
                 continue
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
-                better = _polished(self.search.problem, self.search.best)
+                better = polished(self.search.problem, self.search.best)
                 if better[2].pmp == "satisfied":
                     self.found = better
                     return True
@@ -234,7 +234,9 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
     try:
         deadline = time.perf_counter() + seconds
-        levels = value_bounds(problem, _none(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS)
+        levels = value_bounds(
+            problem, no_multipliers(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
+        )
         return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):
         return False

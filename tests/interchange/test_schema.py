@@ -431,10 +431,16 @@ def test_a_result_of_other_keys_is_invalid(solved, place, value):
     assert faults(RESULT, changed(printed(result_summary(solved)), place, value)) != []
 
 
+def test_levels_are_valid():
+    found = printed(result_summary(lfo.solve(lfo.library.pulse_pattern(samples=32))))
+    assert faults(RESULT, found) == []
+    assert np.shape(found["levels"]["duty_cycles"]) == (1, 32, 5)
+
+
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered", "moves"}
-    assert set(RESULT["properties"]) - compared == {"atoms", *result_summary(solved, with_trajectory=True)}
+    assert set(RESULT["properties"]) - compared == {*("atoms", "levels"), *result_summary(solved, with_trajectory=True)}
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", *ERRORS]
     for part, kind in (

@@ -16,6 +16,7 @@ PROBLEMS = {
     "linear": lfo.library.double_integrator(),
     "piecewise-affine": lfo.library.absolute_value(),
     "piecewise-smooth": lfo.library.norm_dynamics(),
+    "pulse-train": lfo.library.pulse_pattern(kind="opp"),
 }
 
 OPTIONS = {
@@ -39,6 +40,9 @@ TAKEN = {
     ("piecewise-affine", "miqp"): {"backend", "tolerance", "gap", "node_limit"},
     ("piecewise-smooth", "auto"): {"tolerance", "gap", "start", "global_bound"},
     ("piecewise-smooth", "nonsmooth"): {"start"},
+    ("pulse-train", "auto"): {"tolerance", "gap"},
+    ("pulse-train", "angles"): {"tolerance", "gap"},
+    ("pulse-train", "nonsmooth"): {"start"},
 }
 
 METHODS = sorted({method for _, method in TAKEN})
@@ -47,6 +51,7 @@ OBJECTS = {
     "spectral": lfo.solvers.Spectral(tolerance=1e-4),
     "structured": lfo.solvers.Structured(tolerance=1e-4),
     "convex": lfo.solvers.Convex(backend="osqp", tolerance=1e-4),
+    "angles": lfo.solvers.Angles(gap=1e-4),
     "branch_and_bound": lfo.solvers.BranchAndBound(gap=1e-4, node_limit=3),
     "enumerate": lfo.solvers.Enumeration(gap=1e-4, node_limit=3),
     "miqp": lfo.solvers.MixedInteger(backend="daqp", gap=1e-4, node_limit=3),

@@ -18,6 +18,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
 
 FORMULA_KEYS = ("f", "region", "domain")
 
@@ -174,8 +175,11 @@ SMOOTH = Record(_from_formulas, like=_labels)
 RESPONSE = Record(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
 MEASURED = Record(FrequencyResponse.from_table, own="dynamics")
 
+PULSE_TRAIN = Record(PulseTrain)
+
 RECORDS: dict[type, Record] = {
     FrequencyResponse: RESPONSE,
+    PulseTrain: PULSE_TRAIN,
     LinearDynamics: LINEAR,
     PiecewiseAffineDynamics: PIECEWISE_AFFINE,
     PiecewiseSmoothDynamics: SMOOTH_MODES,
@@ -191,6 +195,8 @@ def _read(location: str, given: FileValue) -> Dynamics:
         return RESPONSE.read(location, given)
     if "f" in keys:
         return SMOOTH.read(location, given)
+    if "orders" in keys:
+        return PULSE_TRAIN.read(location, given)
     if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):
         return SMOOTH_MODES.read(location, given)
     return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
@@ -202,5 +208,6 @@ def _write(location: str, value: Dynamics) -> FileTable:
     return record.write(location, value if record.holds(value) else value.standard_form)
 
 
-# Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, or with ``modes`` of either form.
+# Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, with ``modes`` of either form, or with
+# ``orders`` of a pulse train.
 DYNAMICS = Value(_read, _write)

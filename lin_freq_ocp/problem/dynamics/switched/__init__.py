@@ -1,0 +1,1 @@
+"""Dynamics whose control switches: between levels at every sample, and at free angles."""

@@ -1,0 +1,1 @@
+"""Methods for switched dynamics of their own kind."""
