@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.terms.term import Term, TermKind
@@ -62,7 +63,7 @@ def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
     if not len(shares):
         return None
     between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
-    rows = None if problem.dynamics.mode_names else level_rows(problem)
+    rows = level_rows(problem)
     return LevelUse(tuple(shares), between, None if rows is None else _rank(rows))
 
 
@@ -75,8 +76,12 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
     if not isinstance(given, ConvexSet) or not len(given.shares(problem.control_tube.lower)):
         return None
     inner = np.isfinite([bound[1:-1] for bound in (problem.state_tube.lower, problem.state_tube.upper)])
+    try:
+        _ = problem.linear
+    except UnsupportedError:  # known by a frequency response, or with modes
+        return None
     free = problem.quadratic.zero and 0 in problem.fixed_ends and not inner.any()
-    if not free or problem.dynamics.mode_names or not all(map(_linear, problem.terms)):
+    if not free or not all(map(_linear, problem.terms)):
         return None
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     end = problem.ends[1]
