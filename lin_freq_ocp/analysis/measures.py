@@ -73,7 +73,7 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
         stopband_peak=stopband_peak(u, problem.control_band),
         state_stopband_energy=stopband_energy(periods, problem.state_band),
         state_stopband_peak=stopband_peak(periods, problem.state_band),
-        amplification=amplification(problem.dynamics_along(trajectory), problem.horizon),
+        amplification=growth_along(problem, trajectory),
     )
 
 
@@ -111,7 +111,16 @@ def stopband_peak(signal: Array, stopped: Mask) -> float | None:
 
 def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t), shape (T, n): meaningful however unstable the dynamics are."""
-    return trajectory.x[1:] - problem.dynamics_along(trajectory).successors(trajectory.x, trajectory.u)
+    recursion = problem.dynamics.response(problem.horizon) is None
+    dynamics = problem.dynamics_along(trajectory) if recursion else problem.equations
+    return trajectory.x[1:] - dynamics.successors(trajectory.x, trajectory.u)
+
+
+def growth_along(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
+    """Return the amplification of the dynamics along a trajectory; 0 where no state follows from another."""
+    if problem.dynamics.response(problem.horizon) is not None:
+        return 0.0
+    return amplification(problem.dynamics_along(trajectory), problem.horizon)
 
 
 def amplification(dynamics: LinearDynamics, horizon: int) -> float:

@@ -145,10 +145,11 @@ class MeasuredTrajectory:
 def replayed(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
     """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
     stopped = ""
-    growth = measures.amplification(problem.dynamics_along(planned), problem.horizon)
+    growth = measures.growth_along(problem, planned)
+    follows = problem.dynamics.response(problem.horizon) is not None  # x_0, too, from the controls
     if measures.replay_is_meaningful(growth):
         try:
-            return MeasuredTrajectory(label, problem, simulate(problem, u, planned.x[0]), planned)
+            return MeasuredTrajectory(label, problem, simulate(problem, u, None if follows else planned.x[0]), planned)
         except NumericalError as error:
             if not problem.dynamics.mode_names:
                 raise

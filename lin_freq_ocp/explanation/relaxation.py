@@ -44,6 +44,8 @@ def least_cure(
         return _least_narrowing(problem, block, feasible)
     if block.kind == "term":
         return _least_rise(problem, block, feasible)
+    if problem.dynamics.response(problem.horizon) is not None:
+        return _least_widening(problem, block, feasible)
     result = solve_judged(_elastic(problem, block), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
         return None
@@ -81,7 +83,17 @@ def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible
     """Return the least amount by which the limits of a term must rise, by bisection: it need not be a row."""
     terms = [term for term in problem.terms if term.source == (block.family, block.index)]
     limit = max(float(np.max(term.penalty.sizes())) for term in terms)
-    unit = limit if limit > 0 else 1.0
+    most = _least_amount(problem, block, feasible, limit if limit > 0 else 1.0)
+    if most is None:
+        return None
+    if limit == 0:
+        return Cure(block.name, most, f"wider by {most:.6g}")
+    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
+    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
+
+
+def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasible, unit: float) -> float | None:
+    """Return the least amount by which a block must be relaxed, by bisection; None if no multiple of a unit does."""
     most = unit * FIRST_AMOUNT
     while not feasible(relaxed(problem, block, most)):
         most *= GROWTH
@@ -91,10 +103,23 @@ def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible
     while most - least > PRECISION * (unit + most):
         middle = (least + most) / 2
         least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
-    if limit == 0:
-        return Cure(block.name, most, f"wider by {most:.6g}")
-    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
-    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
+    return most
+
+
+def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
+    """Return the cure of bounds or rows where a frequency response takes no state delta; none of ends."""
+    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _unit(problem, block))
+    if amount is None:
+        return None
+    return Cure(block.name, amount, _description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0)))
+
+
+def _unit(problem: OptimalControlProblem, block: Block) -> float:
+    """Return the size of what a block bounds."""
+    x, u = stated_sizes(problem)
+    if block.kind == "row":
+        return float(_rows_of(problem, block).sizes(x, u)[..., block.index].max())
+    return float({"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index])
 
 
 def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
@@ -105,9 +130,7 @@ def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProb
         hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
     )
     elastic, (x, u) = extended(base, delta), stated_sizes(problem)
-    unit = {"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index]
-    if block.kind == "row":
-        unit = float(_rows_of(problem, block).sizes(x, u)[..., block.index].max())
+    unit = _unit(problem, block)
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(np.append(np.zeros_like(x), unit**-2)))
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _elastic_rows(problem, block)])
 

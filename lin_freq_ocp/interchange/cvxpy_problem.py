@@ -58,7 +58,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     import cvxpy as cp  # here, because it takes more than a second to import and only its users need it
 
     require_problem(problem)
-    _ = problem.linear  # which raises if there are modes
+    _ = problem.equations  # which raises if there are modes
     _require_convex(problem.quadratic)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
@@ -116,6 +116,13 @@ def _half_square(hessian: Array | sp.csc_array, v: cvxpy.Expression) -> cvxpy.Ex
 
 def _dynamics(problem: OptimalControlProblem, x: cvxpy.Variable, u: cvxpy.Variable) -> cvxpy.Constraint:
     """Return x_{t+1} - A_t x_t - B_t u_t = d_t: in this form its dual is eta, without a change of sign."""
+    response = problem.dynamics.response(problem.horizon)
+    if response is not None:
+        import cvxpy as cp
+
+        later = response.matrix[problem.state_dim :]
+        through_u = cp.reshape(later @ cp.vec(u, order="C"), (problem.horizon, problem.state_dim), order="C")
+        return (x[1:] - through_u == response.base[1:]).set_label("dynamics")
     dynamics = problem.linear
     offset = np.broadcast_to(dynamics.offset, (problem.horizon, problem.state_dim))
     return (x[1:] - _stage_products(dynamics.A, x[:-1]) - _stage_products(dynamics.B, u) == offset).set_label(

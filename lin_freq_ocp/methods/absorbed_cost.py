@@ -17,7 +17,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
-from lin_freq_ocp.arrays import with_columns
+from lin_freq_ocp.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.augmented import wider
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -25,6 +25,7 @@ from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyR
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
@@ -50,9 +51,26 @@ class AbsorbedCost:
 
     def _cut(self, given: Multipliers) -> Multipliers:
         """Return the multipliers without those of the further outputs."""
-        n, links = self.given.state_dim, {link.name for link in self.given.links}
-        stage = {name: one[:, :n] if name in links else one for name, one in given.stage.items()}
+        n = self.given.state_dim
+        stage = dict(given.stage)
+        for term in self.problem.terms:
+            if term.name in stage and stage[term.name].shape[1] > self._values[term.name]:
+                stage[term.name] = stage[term.name][:, self._own_values(term)]
         return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
+
+    @property
+    def _values(self) -> dict[str, int]:
+        """Return the number of values of each group of the given problem's terms."""
+        return {term.name: term.shape[1] for term in self.given.terms}
+
+    def _own_values(self, term: Term) -> Mask | slice:
+        """Return which values of a group of a term are of the given signals: further outputs have their own bounds."""
+        n, m = self.given.state_dim, self.given.control_dim
+        form = term.map.stage_form(self.problem.state_dim, m)
+        if form is None:
+            return slice(0, self._values[term.name])
+        matrix = form[0][0]
+        return np.asarray(matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1))
 
     def _moved(self, found: Multipliers, at: Trajectory) -> Multipliers:
         """Return multipliers whose gradients are those of the given cost at a trajectory."""

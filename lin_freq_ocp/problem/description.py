@@ -67,6 +67,8 @@ def _states(problem: ProblemData) -> list[Fact]:
             text = interval(float(box.lower[i]), float(box.upper[i]))
             free = "anywhere" if not given.members else f"as the {what} set says"
             words.append(f"{verb} {free if text == 'no bound' else text}")
+        if problem.dynamics.response(problem.horizon) is not None:
+            words = [word for word in words if not word.endswith(" anywhere")]
         facts.append((f"state: {name}", "; ".join(words)))
     return facts
 

@@ -78,8 +78,10 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
 
 def link_terms(problem: ProblemData) -> Iterator[Term]:
     """Yield the equations on both ends together."""
-    for one in problem.links:
-        yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, ("terminal_state", 0))
+    implied = problem.links[len(problem.terminal_state.links(problem.state_dim, problem.horizon)) :]
+    for one in (*problem.terminal_state.links(problem.state_dim, problem.horizon), *implied):
+        source = None if one in implied else ("terminal_state", 0)
+        yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, source)
 
 
 def missed_bounds(problem: ProblemData) -> Iterator[Term]:

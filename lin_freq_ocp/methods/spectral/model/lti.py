@@ -169,7 +169,8 @@ def refusal(problem: OptimalControlProblem) -> str | None:
     if bins > STATE_BAND_ROWS:
         return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
     if not any(part.any() for part in (cost.Q, cost.R)):
-        return "neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost"
+        other = "" if response is None else " (solve takes such a cost over a frequency response)"
+        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{other}"
     return None
 
 
