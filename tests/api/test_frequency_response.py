@@ -87,3 +87,11 @@ def test_what_needs_a_recursion_refuses_with_words(wave, padded):
         lfo.solve(padded, method="spectral")
     with pytest.raises(ProblemError, match="got levels with FrequencyResponse"):
         replace(padded, control_set=lfo.sets.FiniteSet([-1.0, 0.0, 1.0]))
+
+
+def test_other_references_are_those_of_the_given_cost(wave):
+    reference = 0.2 * np.cos(2 * np.pi * 6 * np.arange(101) / 100)[:, None]
+    found = lfo.Solver(wave).solve(references={"x_ref": reference})
+    changed = replace(wave, cost=replace(wave.quadratic, x_ref=reference))
+    assert found.cost == pytest.approx(lfo.solve(changed).cost, rel=1e-9)
+    assert abs(found.cost - lfo.solve(wave).cost) > 1.0

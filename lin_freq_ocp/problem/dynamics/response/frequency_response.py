@@ -73,8 +73,8 @@ class FrequencyResponse(StateEquations):
 
     Examples
     --------
-    >>> delay = lfo.FrequencyResponse(np.exp(-2j * np.pi * np.arange(5) / 8))  # y_t = u_{t-1} over a period of 8
-    >>> problem = lfo.OptimalControlProblem(delay, 8, lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=2.0))
+    >>> dynamics = lfo.FrequencyResponse([1.0, 0.5 - 0.5j, 0.0])  # a period of 4 samples
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=[2.0]))
     >>> round(float(lfo.solve(problem).trajectory.x[3, 0]), 9)
     1.0
     """
@@ -155,8 +155,8 @@ class FrequencyResponse(StateEquations):
         Examples
         --------
         >>> table = [[0.0, 1.0, 0.0], [0.5, 0.0, -1.0]]
-        >>> lfo.FrequencyResponse.from_table(table, samples=4, sampling_time=1.0).G[:, 0, 0]
-        array([1. +0.j , 0.5-0.5j, 0. +0.j ])
+        >>> lfo.FrequencyResponse.from_table(table, samples=4, sampling_time=1.0).G[:, 0, 0].tolist()
+        [(1+0j), (0.5-0.5j), 0j]
         """
         given = real_array("dynamics.table", table)
         if given.ndim != 2 or given.shape[1] != 3:
