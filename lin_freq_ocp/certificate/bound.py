@@ -158,7 +158,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     residual = extended(x)[1:] - extremal.problem.linear.successors(extended(x), extended(u))
     dynamics_term = float((extremal.multipliers.eta * residual).sum())
     frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = float(sum(priced.gap.sum() for priced in extremal.terms))
+    stage_term = float(sum(priced.gap.sum() + priced.beyond for priced in extremal.terms))
     summed = _sum_of_terms(extremal, *terms) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
     gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
     finite = bool(np.isfinite(certain))

@@ -245,7 +245,7 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
     holds, fits = LABELS[term.kind]
     subgradient = term_subgradient(fits, priced, level, least)
     if not term.hard:
-        return [subgradient]
+        return [subgradient if term.everywhere is None else _raised(subgradient, priced, term.everywhere)]
     if term.everywhere is not None:
         return [holds_everywhere(holds, priced, term.everywhere, least), subgradient]
     return [term_holds(holds, priced, least), subgradient]
@@ -258,9 +258,24 @@ def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, leas
     limit = float(everywhere.limit_at(np.array([[frequency, peak.damping] if plants else frequency]))[0])
     scale = max(limit, SCALE_FLOOR * float(_scales(priced.sizes, least).max()))
     name = f"holds {'for all plants' if plants else 'at every frequency'}: {priced.term.name}"
-    time = None if plants or frequency > np.pi else round(frequency * everywhere.map.samples / (2 * np.pi))
+    time = _bin_of(peak, everywhere)
     residual = max(peak.ratio - 1.0, 0.0) * limit
     return Condition(label, name, residual, scale, PEAK_TOLERANCE, time, peak=peak)
+
+
+def _bin_of(peak: Peak | None, everywhere: Continuum) -> int | None:
+    """Return the bin of the signal's DFT nearest to a peak; None of a vibration, and above Nyquist."""
+    if peak is None or peak.damping is not None or peak.frequency > np.pi:
+        return None
+    return round(peak.frequency * everywhere.map.samples / (2 * np.pi))
+
+
+def _raised(subgradient: Condition, priced: PricedTerm, everywhere: Continuum) -> Condition:
+    """N-... of a soft mask: the sum over its atoms, with the largest excess at all other frequencies."""
+    gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.beyond)
+    never = np.abs(priced.given - priced.weights) * priced.sizes
+    residual = float(gap + never.sum())
+    return replace(subgradient, residual=residual, time=_bin_of(priced.peak, everywhere), peak=priced.peak)
 
 
 def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
@@ -293,7 +308,8 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
 def _located(term: Term, condition: Condition) -> Condition:
     """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
     positions = term.map.positions
-    time = None if condition.time is None or len(positions) != term.shape[0] else int(positions[condition.time])
+    group = condition.time if 0 < len(positions) == term.shape[0] else None  # a mask may have no atoms
+    time = None if group is None else int(positions[group])
     return replace(condition, time=time, component=condition.component if term.kind == "stage rows" else None)
 
 

@@ -9,15 +9,18 @@ follows from it holds for them, too, and the bound for multipliers of any sign.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, extended
+from lin_freq_ocp.certificate.peaks.cells import Peak
+from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.terms.continuum import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -30,7 +33,8 @@ class PricedTerm:
     L(x, u) in extended precision and ``sizes`` the sums of the absolute values of its terms. ``gap`` is
     h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v; ``misfit`` is what the gap sees to
     second order only: how far the directions of lambda+ and v differ. ``signal`` are the windowed samples of a mask at
-    every frequency, else empty.
+    every frequency, else empty. Of a soft one, ``peak`` is the proven maximum, and ``beyond`` what the gap lacks: the
+    price of its excess, less that of the values.
     """
 
     term: Term
@@ -41,6 +45,8 @@ class PricedTerm:
     gap: Array
     misfit: Array
     signal: Array
+    peak: Peak | None = None
+    beyond: float = 0.0
 
     @property
     def gap_terms(self) -> Array:
@@ -131,8 +137,17 @@ def _priced_terms(problem: OptimalControlProblem, trajectory: Trajectory, multip
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
         misfit, everywhere = term.penalty.misfit(values, weights), term.everywhere
         signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
-        priced.append(PricedTerm(term, given, weights, values, sizes, gap, misfit, signal))
+        found = PricedTerm(term, given, weights, values, sizes, gap, misfit, signal)
+        soft = everywhere is not None and not term.hard
+        priced.append(_raised(found, everywhere, multipliers.eta_C) if everywhere is not None and soft else found)
     return priced
+
+
+def _raised(priced: PricedTerm, everywhere: Continuum, eta_C: float) -> PricedTerm:
+    """Return a soft term with its proven largest excess, whether its values have it or not."""
+    peak = proven_peak(everywhere, priced.signal)
+    price = everywhere.price * max(peak.ratio - 1.0, 0.0)
+    return replace(priced, peak=peak, beyond=eta_C * (price - float(priced.term.penalty.cost(priced.values).sum())))
 
 
 def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -15,6 +14,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.continuum import Frequencies
+from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 

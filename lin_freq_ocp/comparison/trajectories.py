@@ -9,7 +9,6 @@ import numpy as np
 
 from lin_freq_ocp.analysis import measures
 from lin_freq_ocp.analysis.measures import Measures, measure, stopband_peak
-from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.sizes import measured_modes
@@ -20,6 +19,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome

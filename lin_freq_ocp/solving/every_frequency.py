@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.analysis.peaks import peaks_above
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
@@ -65,7 +66,7 @@ def solve_at_every_frequency(
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(found, frequencies, np.inf))
             break
-        added, largest = _added(problem, found.trajectory)
+        added, largest = _added(problem, frequencies, found.trajectory)
         rounds.append(_Round(found, frequencies, largest))
         converged = largest <= EXCESS or (largest < SMALL and largest > LESS * excess)
         if converged or found.status == Status.LIMIT or found.interrupted:
@@ -77,14 +78,27 @@ def solve_at_every_frequency(
     return best.restated(problem, seconds, tolerance)
 
 
-def _added(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Frequencies, float]:
+def _added(
+    problem: OptimalControlProblem, frequencies: Frequencies, trajectory: Trajectory
+) -> tuple[Frequencies, float]:
     """Return the frequencies of peaks above their limit, by name of the term, and the largest excess."""
     added, largest = Frequencies(), 0.0
     for term in problem.terms:
         if term.everywhere is not None:
-            added[term.name], ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, 1.0 + EXCESS / 2)
-            largest = max(largest, float(ratios.max(initial=1.0)) - 1.0)
+            raised = _raised(term, frequencies[term.name], trajectory)
+            above = raised * (1.0 + EXCESS / 2)
+            added[term.name], ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, above)
+            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
     return added, largest
+
+
+def _raised(term: Term, frequencies: Array, trajectory: Trajectory) -> float:
+    """Return the factor by which a soft mask is paid to be exceeded at its frequencies; 1 of a hard one."""
+    if term.hard or term.everywhere is None:
+        return 1.0
+    values, limits = term.everywhere.map.placed(frequencies), term.everywhere.limit_at(frequencies)
+    size = np.linalg.norm(values.values(trajectory.x, trajectory.u), axis=1)
+    return float((size / limits).max(initial=1.0))
 
 
 def _next(

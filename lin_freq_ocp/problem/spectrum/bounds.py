@@ -171,7 +171,8 @@ class MagnitudeBound(SpectrumBound):
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
     penalty : float, optional
-        Makes it soft: penalty * excess of each bin is added to the cost.
+        Makes it soft: penalty * excess of each bin is added to the cost; with every_frequency, penalty times the
+        largest |V(w)| / limit - 1 over all frequencies, if that is above zero.
     window : str or (N,), optional
         Multiplies the signal first; a name is one of scipy.signal.get_window.
     oversampling : int
@@ -187,7 +188,7 @@ class MagnitudeBound(SpectrumBound):
         what holds whatever the signal is padded with. The limit is then one number above zero, points (frequency,
         limit) of shape (points, 2) in the unit of the band, linear between them, or a function of the frequency, which
         is sampled to 64 points of the band; in ``limit_db``, points are linear over the logarithm of the frequency,
-        sampled to 64 points from each to the next. Excludes bins, oversampling, between and penalty.
+        sampled to 64 points from each to the next. Excludes bins, oversampling and between.
     hold : bool
         With every_frequency: for the signal as the plant sees it, held for a sampling time h after each sample,
         |sinc(f h) V(2 pi f h)| <= limit, sinc(a) = sin(pi a) / (pi a), at every f of the band in Hz, images above
@@ -245,8 +246,8 @@ class MagnitudeBound(SpectrumBound):
             found = _limit(limit, limit_db, reference)
         assign(self, limit=found, between=between, every_frequency=every_frequency, hold=hold)
         self._set_domain(bins, band, component, penalty, window, oversampling)
-        if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between or penalty is not None):
-            got = "bins, oversampling, between or a penalty, with every_frequency=True"
+        if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between):
+            got = "bins, oversampling or between, with every_frequency=True"
             raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
         if hold and not (every_frequency and self.band.unit == "Hz"):
             got = "hold=True without every_frequency=True, or with a band that is not in Hz"
@@ -264,7 +265,7 @@ class MagnitudeBound(SpectrumBound):
         window, label = self.samples(signal.length, field), f"held {self.label}" if self.hold else self.label
         kind, of_signal = (HeldFrequencies, HeldMap) if self.hold else (Frequencies, FrequencyMap)
         for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
-            everywhere = kind(of_signal(C, D, window, np.zeros(0)), limits)
+            everywhere = kind(of_signal(C, D, window, np.zeros(0)), limits, price=float(weight_of(self.penalty)))
             given = everywhere.first_points() if self.frequencies is None else self.frequencies[i]
             values, balls = everywhere.at(given)
             required = None if self.relaxed else everywhere
@@ -280,7 +281,8 @@ class MagnitudeBound(SpectrumBound):
         of = component_words(self.component, names)
         if self.every_frequency:
             spectrum = "|sinc(f h) V|, as it is held," if self.hold else "|V(w)|"
-            return f"mask of {of}: {spectrum} {AT_MOST} {limit} at every frequency of {self.where}"
+            cost = price(self.penalty, "the largest excess over the limit, relative to it")
+            return f"mask of {of}: {spectrum} {AT_MOST} {limit} at every frequency of {self.where}{cost}"
         between = " and between its points" if self.between else ""
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 

@@ -3,13 +3,13 @@
 
 A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
 By Caratheodory's theorem, an optimum has multipliers at finitely many points only. A new parameter set is a subclass of
-``Continuum``, registered in ``analysis/peaks`` (its maxima) and in ``certificate/peaks/proven`` (their proof).
+``Continuum``, registered in ``peaks/search`` (its maxima) and in ``certificate/peaks/proven`` (their proof).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
+from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
 from lin_freq_ocp.problem.terms.limits import Limits
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
@@ -27,6 +28,7 @@ class Continuum(ABC):
     """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
 
     map: FrequencyMap  # at no point
+    price: float = field(default=np.inf, kw_only=True)  # of the largest |V|/l - 1, if that is above 0; inf: never is
 
     @abstractmethod
     def limit_at(self, points: Array) -> Array:
@@ -45,7 +47,10 @@ class Continuum(ABC):
         if points.shape[1:] != self.map.at.shape[1:]:
             expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
             raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
-        return self.map.placed(points), NormBall(2, self.limit_at(points), HARD)
+        limits = self.limit_at(points)
+        soft = np.isfinite(self.price)
+        ball = LargestExcess(limits, np.asarray(self.price)) if soft else NormBall(2, limits, HARD)
+        return self.map.placed(points), ball
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,27 +119,27 @@ class NormBall(Penalty):
         return *super().signature, self.order
 
     def excess(self, v: Array) -> Array:
-        return (_norm(v, self.order) - self.radius)[:, None]
+        return (norm_of(v, self.order) - self.radius)[:, None]
 
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        return _slope_of_norm(v, change, self.order, near)[:, None]
+        return slope_of_norm(v, change, self.order, near)[:, None]
 
     def recession(self, change: Array) -> Array:
-        return np.where(np.isfinite(self.radius), _norm(change, self.order), 0.0)[:, None]
+        return np.where(np.isfinite(self.radius), norm_of(change, self.order), 0.0)[:, None]
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
         largest = np.where(np.isfinite(self.radius), self._scaled(eta_C)[..., 0], 0.0)
-        size = _norm(multipliers, DUAL_ORDER[self.order])
+        size = norm_of(multipliers, DUAL_ORDER[self.order])
         shrink = np.where(size > largest, largest / np.where(size > 0, size, 1.0), 1.0)
         return multipliers * shrink[:, None]
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        size = _norm(multipliers, DUAL_ORDER[self.order])
+        size = norm_of(multipliers, DUAL_ORDER[self.order])
         support = np.where(size > 0, self.radius, 0.0) * size
         return (support - (multipliers * v).sum(1) + eta_C * self.cost(v))[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        return _across(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
+        return across(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
 
     def sizes(self) -> Array:
         return np.where(np.isfinite(self.radius), self.radius, 0.0)[..., None]
@@ -149,7 +149,7 @@ class NormBall(Penalty):
         return -radius, radius
 
     def limit_multipliers(self, multipliers: Array) -> Array:
-        return _norm(multipliers, DUAL_ORDER[self.order])[:, None]
+        return norm_of(multipliers, DUAL_ORDER[self.order])[:, None]
 
     def least_slacks(self, v: Array) -> Array:
         if self.hard:
@@ -235,24 +235,24 @@ class StandardCone(Penalty):
         return HARD
 
     def excess(self, v: Array) -> Array:
-        return (_norm(v[:, 1:], 2) - v[:, 0])[:, None]
+        return (norm_of(v[:, 1:], 2) - v[:, 0])[:, None]
 
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        return (_slope_of_norm(v[:, 1:], change[:, 1:], 2, near) - change[:, 0])[:, None]
+        return (slope_of_norm(v[:, 1:], change[:, 1:], 2, near) - change[:, 0])[:, None]
 
     def recession(self, change: Array) -> Array:
         return self.excess(change)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
         fitting = multipliers.copy()
-        fitting[:, 0] = np.minimum(fitting[:, 0], -_norm(fitting[:, 1:], 2))
+        fitting[:, 0] = np.minimum(fitting[:, 0], -norm_of(fitting[:, 1:], 2))
         return fitting
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
         return -(multipliers * v).sum(1)[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        return _across(v[:, 1:], multipliers[:, 1:])[:, None]
+        return across(v[:, 1:], multipliers[:, 1:])[:, None]
 
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
@@ -263,18 +263,19 @@ class StandardCone(Penalty):
         return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
 
 
-def _norm(v: Array, order: float) -> Array:
+def norm_of(v: Array, order: float) -> Array:
+    """Return |v| of every group, (groups,)."""
     if order == 2:
         return np.sqrt((v * v).sum(1))  # and not np.linalg.norm, which leaves extended precision
     return np.abs(v).sum(1) if order == 1 else np.abs(v).max(1)
 
 
-def _slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
+def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
     """Return the derivative of |v| along a change, per group; entries nearer than ``near`` to a kink count as on it."""
     if order == 2:
-        size = _norm(v, 2)
+        size = norm_of(v, 2)
         along = (v * change).sum(1) / np.where(size > 0, size, 1.0)
-        return np.where(size > near, along, _norm(change, 2))
+        return np.where(size > near, along, norm_of(change, 2))
     by_entry = np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
     if order == 1:
         return by_entry.sum(1)
@@ -282,7 +283,7 @@ def _slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
     return np.where(largest, by_entry, -np.inf).max(1)
 
 
-def _across(v: Array, multipliers: Array) -> Array:
+def across(v: Array, multipliers: Array) -> Array:
     """Return |v| |lambda - its part along v|, (groups,)."""
     square = (v * v).sum(1)
     along = (multipliers * v).sum(1) / np.where(square > 0, square, 1.0)

@@ -10,6 +10,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.continuum import Continuum
 from lin_freq_ocp.problem.terms.maps import AffineMap
+from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
 
@@ -74,8 +75,11 @@ class Term:
         return self.map.shape
 
     def cost(self, x: Array, u: Array) -> Array:
-        """Return what it adds to J, one number a group."""
-        return self.penalty.cost(self.map.values(x, u))
+        """Return what it adds to J, one number a group; if it is about infinitely many points, one at each maximum."""
+        if self.everywhere is None or self.hard:
+            return self.penalty.cost(self.map.values(x, u))
+        values, penalty = self.everywhere.at(peaks_above(self.everywhere, x, u, 1.0)[0])
+        return penalty.cost(values.values(x, u))
 
     def violation(self, x: Array, u: Array) -> Array:
         """Return by how much it is violated where it is hard, (groups, dim) or (groups, 1)."""

@@ -20,7 +20,18 @@ DENSE = 1024  # points for each sample at which an upper bound is feasible
 BRACKET = 1e-6  # of the cost, by which the bounds, from Clarabel, may be wrong
 ATTEMPTS = 8  # to lower the limit
 SEARCHED = 10  # peaks of a signal, the highest by parabolas
-KINDS = ("low pass", "high pass", "notch", "points", "state", "period", "state of a period", "held", "held points")
+KINDS = (
+    "low pass",
+    "high pass",
+    "notch",
+    "points",
+    "state",
+    "period",
+    "state of a period",
+    "held",
+    "held points",
+    "soft",
+)
 
 
 @dataclass(frozen=True)
@@ -85,7 +96,8 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     given = (
         [[w0, limit], [(w0 + np.pi) / 2, limit * rng.uniform(0.2, 2)], [np.pi, limit]] if kind == "points" else limit
     )
-    mask = lfo.MagnitudeBound(given, band=band, component=0, every_frequency=True)
+    price = 10.0 ** rng.uniform(-3, 1) * lfo.solve(problem).cost if kind == "soft" else None
+    mask = lfo.MagnitudeBound(given, band=band, component=0, every_frequency=True, penalty=price)
     return kind, replace(problem, **{"state_spectrum" if of_state else "control_spectrum": mask})
 
 
@@ -121,8 +133,9 @@ def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> 
     w = frequencies(everywhere.limits, GRID * signal.shape[0])
     waves, factor = np.outer(w, np.arange(signal.shape[0])), factors(w, kind)[:, None]
     values = cp.vstack([(factor * np.cos(waves)) @ signal, (-factor * np.sin(waves)) @ signal])
-    rows.append(cp.norm(values, axis=0) <= share * everywhere.limits.at(w))
-    program = cp.Problem(cp.Minimize(J / 2), rows)
+    raised = cp.Variable(nonneg=True)
+    rows.append(cp.norm(values, axis=0) <= share * everywhere.limits.at(w) * (1 + raised if kind == "soft" else 1))
+    program = cp.Problem(cp.Minimize(J / 2 + (everywhere.price * raised if kind == "soft" else 0)), rows)
     program.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
     return program.status, float(program.value), np.zeros(0) if signal.value is None else np.asarray(signal.value)
 
@@ -143,6 +156,13 @@ def frequencies(limits: Limits, points: int) -> np.ndarray:
     return np.unique(np.concatenate([w[np.isfinite(limits.at(w))], limits.low, limits.high]))
 
 
+def largest(signal: np.ndarray, everywhere: Frequencies, kind: str, points: int) -> float:
+    """Return the largest |V|/l on a grid of so many points for each sample."""
+    w = frequencies(everywhere.limits, points * len(signal))
+    spectrum = factors(w, kind) * (np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal)
+    return float((np.abs(spectrum) / everywhere.limits.at(w)).max())
+
+
 def check(seed: int) -> Findings:
     """Solve the problem of a seed, and bound its optimum."""
     kind, problem = case_of(seed)
@@ -156,14 +176,16 @@ def check(seed: int) -> Findings:
         status, value, signal = independent(problem, kind, share)
         if "optimal" not in status:
             break
-        w = frequencies(everywhere.limits, DENSE * len(signal))
-        spectrum = factors(w, kind) * (np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal)
-        ratio = (np.abs(spectrum) / everywhere.limits.at(w)).max()
+        ratio, there = (largest(signal, everywhere, kind, points) for points in (DENSE, GRID))
+        if kind == "soft":  # what the spectrum between the points of the grid costs
+            upper = value + everywhere.price * (max(ratio, 1.0) - max(there, 1.0))
+            break
         if ratio <= 1:
             upper = value
             break
         share /= ratio * (1 + 1e-7)
     excess = max((one.peak.ratio - 1 for one in conditions(result) if one.peak), default=np.nan)
+    excess = 0.0 if kind == "soft" and result.certificate and result.certificate.pmp == "satisfied" else excess
     cost = np.nan if result.cost is None else result.cost
     return Findings(seed, kind, str(result.status), cost, lower, upper, excess, theirs)
 

@@ -1,0 +1,1 @@
+"""Local maxima of spectra, and of vibrations over boxes of plants, relative to their limits."""
