@@ -171,8 +171,7 @@ class MagnitudeBound(SpectrumBound):
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
     penalty : float, optional
-        Makes it soft: penalty * excess of each bin is added to the cost; with every_frequency, penalty times the
-        largest |V(w)| / limit - 1 over all frequencies, if that is above zero.
+        Makes it soft: penalty * excess of each bin is added to the cost; with every_frequency, of max |V|/l - 1.
     window : str or (N,), optional
         Multiplies the signal first; a name is one of scipy.signal.get_window.
     oversampling : int
@@ -281,8 +280,8 @@ class MagnitudeBound(SpectrumBound):
         of = component_words(self.component, names)
         if self.every_frequency:
             spectrum = "|sinc(f h) V|, as it is held," if self.hold else "|V(w)|"
-            cost = price(self.penalty, "the largest excess over the limit, relative to it")
-            return f"mask of {of}: {spectrum} {AT_MOST} {limit} at every frequency of {self.where}{cost}"
+            where = f"at every frequency of {self.where}{price(self.penalty, 'largest excess relative to the limit')}"
+            return f"mask of {of}: {spectrum} {AT_MOST} {limit} {where}"
         between = " and between its points" if self.between else ""
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 
