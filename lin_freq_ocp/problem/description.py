@@ -42,7 +42,13 @@ def _cost(problem: ProblemData) -> list[Fact]:
     quadratic = problem.quadratic
     parts = [text for text in (quadratic.describe(), *(norm.describe() for norm in problem.cost.norms)) if text]
     if not parts:
-        return [("minimise", "nothing: any feasible point will do")]
+        paid = [
+            part.penalty
+            for one in entries_of(problem.control_set)
+            for part in one.parts(problem.control_dim)
+            if not part.penalty.hard
+        ]
+        return [("minimise", "the costs of the control set" if paid else "nothing: any feasible point will do")]
     where, data = list[Fact](), quadratic.describe_data()
     for at in range(0, len(data), 3):  # each up to some sixty characters
         where.append(("where", listed(data[at : at + 3])))

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.description import problem_facts
 
 LINEAR = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -100,3 +101,9 @@ def test_a_rate_limit_keeps_the_levels():
     given = lfo.rate_limited(problem(lfo.FiniteSet([0, 1, 2]), state_set=lfo.Box(-9, 9)), 1.0)
     assert len(given.dynamics.mode_names) == 3
     assert given.state_dim == 2
+
+
+def test_the_costs_of_levels_are_what_is_minimised():
+    facts = dict(problem_facts(lfo.library.pulse_pattern(samples=16)))
+    assert facts["minimise"] == "the costs of the control set"
+    assert "at the costs (0.25, 0.0625, 0, 0.0625, 0.25), switching within samples" in facts["control set"]
