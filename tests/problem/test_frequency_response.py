@@ -115,3 +115,9 @@ def test_methods_that_step_refuse_with_words():
     problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(5)), 8, lfo.QuadraticCost(R=1.0))
     with pytest.raises(UnsupportedError, match="structured"):
         lfo.solve(problem, method="structured")
+
+
+def test_a_record_whose_matrix_does_not_fit_is_refused():
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(200_001)), 400_000, lfo.QuadraticCost(R=1.0))
+    with pytest.raises(UnsupportedError, match="dense rows of a program"):
+        lfo.solve(problem, method="convex")

@@ -41,10 +41,12 @@ class DenseRows:
 
 
 def dense_rows(problem: OptimalControlProblem) -> DenseRows:
-    """Return the dense rows of stop bands, masks and energy bounds."""
+    """Return the dense rows of stop bands, masks, energy bounds, and of a frequency response."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     of_u, of_x = 2 * int(problem.control_stop.sum()), 2 * int(problem.state_stop.sum())
     count, entries = of_u + of_x, of_u * T + of_x * (T + 1)
+    if problem.dynamics.response(T) is not None:
+        count, entries = count + T * n, entries + T * n * T * m
     for term in problem.terms:
         rows, size = term.map.dense_size
         count, entries = count + rows, entries + size
