@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,13 @@ def test_published_intervals_hold_the_optimum_and_the_bound(modulation, switches
     assert lower <= np.sqrt(result.cost) <= upper
     assert lower <= np.sqrt(result.lower_bound) <= np.sqrt(result.cost)
     assert result.gap <= 1e-6
+
+
+def test_the_verdict_does_not_depend_on_the_unit_of_the_cost():
+    problem = lfo.library.pulse_pattern(kind="opp")
+    result = lfo.solve(replace(problem, cost=lfo.QuadraticCost(p=[0, 0, 0, 1e-9, 0, 0])))
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(1e-9 * lfo.solve(problem).cost, rel=1e-6)
 
 
 def test_three_angles():

@@ -35,9 +35,9 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-ROUNDING = 1e-12  # of every bound: some 10^3 roundings of terms of size 10 are below it
+ROUNDING = 1e-12  # of the sizes of J and b_k: what their terms add up to, so that some 10^3 roundings are below it
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
-STEEPEST = 1e6  # largest multiplier: beyond, the centre's derivatives are dependent, and the bound would be rounding
+STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +66,8 @@ class AngleBound:
         self._low, self._high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
         limits = problem.state_boxes.lower[0, LEVEL], problem.state_boxes.upper[0, LEVEL]
         d = problem.horizon - 1
+        self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
+        self._size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _within(one, limits)]
         middle = np.full((len(patterns), d), QUARTER / 2)
         self.boxes = self._bounded(
@@ -79,6 +81,11 @@ class AngleBound:
         cost, slope, _, _ = self._cost(s, c, np.zeros_like(c))
         values, slopes, _ = self._amplitudes(s, c, np.zeros_like(c))
         return float(cost[0]), slope[0], values[0], slopes[0]
+
+    @property
+    def size(self) -> float:
+        """Return what the terms of J add up to."""
+        return self._size
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -131,13 +138,13 @@ class AngleBound:
         cost, slope, most, least = self._cost(s, c, r)
         found = given.bound
         for active in (0, 1, len(self._orders)):
-            weights = _multipliers(slope, slopes[:, :active])
+            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self._size / self._amplitude)
             value = cost + (weights * values[:, :active]).sum(1)
             ends = np.maximum(weights * self._low[:active], weights * self._high[:active])
             steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
             own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
             bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
-            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING)
+            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self._size)
         return Boxes(s, c, r, found)
 
     def _possible(self, given: Boxes) -> Array:
@@ -145,7 +152,8 @@ class AngleBound:
         s, c, r = given.steps, given.centre, given.radius
         ordered = ((c - r)[:, :-1] <= (c + r)[:, 1:] + ROUNDING).all(axis=1)
         values, slopes, curvature = self._amplitudes(s, c, r)
-        reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2 + ROUNDING
+        reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
+        reach += ROUNDING * self._amplitude
         return ordered & ((values + reach >= self._low) & (values - reach <= self._high)).all(axis=1)
 
     def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
@@ -172,12 +180,12 @@ class AngleBound:
         return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
 
 
-def _multipliers(slope: Array, slopes: Array) -> Array:
+def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
     """Return lambda, (boxes, k), that makes slope + sum_k lambda_k slopes_k small; zero where it would be large."""
     if not slopes.shape[1]:
         return np.zeros((len(slope), 0))
     found = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes, rcond=1e-6), slope)
-    return np.where((np.abs(found) < STEEPEST).all(axis=1, keepdims=True), found, 0.0)
+    return np.where((np.abs(found) < largest).all(axis=1, keepdims=True), found, 0.0)
 
 
 def _within(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:

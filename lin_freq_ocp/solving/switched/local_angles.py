@@ -10,7 +10,7 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.certificate.global_bound.angles import AngleBound
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import QUARTER
 
-ACCURACY = 1e-15  # of the cost, which is of order 1e-3: steps end at rounding
+ACCURACY = 1e-15  # of the cost over what its terms add up to: steps end at rounding
 VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
 
 
@@ -28,7 +28,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
     found = minimize(
-        lambda a: bound.at(steps, a)[:2],
+        partial(_cost, bound, steps, bound.size),
         angles,
         jac=True,
         method="SLSQP",
@@ -40,6 +40,11 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     cost, _, values, _ = bound.at(steps, at)
     violation = float(np.maximum(low - values, values - high).max())
     return None if violation > VIOLATION else (at, cost)
+
+
+def _cost(bound: AngleBound, steps: Array, size: float, angles: Array) -> tuple[float, Array]:
+    cost, slope, _, _ = bound.at(steps, angles)
+    return cost / size, slope / size
 
 
 def _amplitudes(bound: AngleBound, steps: Array, rows: Indices, angles: Array) -> Array:
