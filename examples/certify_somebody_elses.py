@@ -1,4 +1,9 @@
-"""Certify a trajectory from another tool: here one that CVXPY found from a program written by hand."""
+"""
+Certify somebody else's trajectory
+==================================
+
+Certify a trajectory from another tool: here one that CVXPY found from a program written by hand.
+"""
 
 import cvxpy as cp
 import numpy as np

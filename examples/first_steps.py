@@ -1,4 +1,9 @@
-"""First steps: a cart from rest to rest, with bounded force and speed, and an actuator that follows up to 20 Hz."""
+"""
+First steps: a cart from rest to rest
+=====================================
+
+First steps: a cart from rest to rest, with bounded force and speed, and an actuator that follows up to 20 Hz.
+"""
 
 import control
 

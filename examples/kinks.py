@@ -1,4 +1,9 @@
-"""Dynamics with a kink, by formulas: what is optimal, what the maximum principle says there, and what is proven."""
+"""
+Dynamics with a kink
+====================
+
+Dynamics with a kink, by formulas: what is optimal, what the maximum principle says there, and what is proven.
+"""
 
 import numpy as np
 

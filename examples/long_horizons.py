@@ -1,4 +1,9 @@
-"""Long horizons and repeated solves: the Fourier-domain method by name, set up once for many initial states."""
+"""
+Long horizons and repeated solves
+=================================
+
+Long horizons and repeated solves: the Fourier-domain method by name, set up once for many initial states.
+"""
 
 import numpy as np
 

@@ -1,4 +1,9 @@
-"""A stop band holds at the bins of the DFT; a mask on a finer grid holds between them, too."""
+"""
+A mask between the bins
+=======================
+
+A stop band holds at the bins of the DFT; a mask on a finer grid holds between them, too.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,9 @@
-"""The shortest gradient pulse with given moments, and the proof that one sample less is not enough."""
+"""
+MRI: the shortest gradient pulse
+================================
+
+The shortest gradient pulse with given moments, and the proof that one sample less is not enough.
+"""
 
 import lin_freq_ocp as lfo
 

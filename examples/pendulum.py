@@ -1,4 +1,9 @@
-"""The paper's pendulum: what filtering the classical control does, and what the frequency constraint costs."""
+"""
+Filter or solve: the pendulum of the paper
+==========================================
+
+The paper's pendulum: what filtering the classical control does, and what the frequency constraint costs.
+"""
 
 import lin_freq_ocp as lfo
 

@@ -1,4 +1,9 @@
-"""The shortest move of a printer's axis that does not ring, beside input shapers of the same robustness."""
+"""
+3-D printing: a move that does not ring
+=======================================
+
+The shortest move of a printer's axis that does not ring, beside input shapers of the same robustness.
+"""
 
 import lin_freq_ocp as lfo
 

@@ -1,4 +1,9 @@
-"""Problem files: write a problem, change it, solve it, save the answer, and certify the saved answer."""
+"""
+Problem files
+=============
+
+Problem files: write a problem, change it, solve it, save the answer, and certify the saved answer.
+"""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,9 +1,11 @@
-"""A loop that leaves a resonance alone: a pendulum whose cart carries a mode at 12 Hz that no model of it has.
+"""
+Predictive control beside a resonance
+=====================================
+
+A loop that leaves a resonance alone: a pendulum whose cart carries a mode at 12 Hz that no model of it has.
 
 The plain controller excites the mode. A low pass behind it delays the control, and the loop suffers. With a bound on
 every window of half a second, of what was applied and what is planned together, the controller plans around the mode.
-
-    python examples/receding_horizon.py
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Several controls, each with an actuator of its own: different stop bands on the two forces of a chain of masses."""
+"""
+Several actuators, several bands
+================================
+
+Several controls, each with an actuator of its own: different stop bands on the two forces of a chain of masses.
+"""
 
 import lin_freq_ocp as lfo
 

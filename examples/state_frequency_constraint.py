@@ -1,4 +1,9 @@
-"""A constraint on a *state's* spectrum: move two masses joined by a spring without exciting the spring's frequency."""
+"""
+Vibration: a constraint on a state's spectrum
+=============================================
+
+A constraint on a *state's* spectrum: move two masses joined by a spring without exciting the spring's frequency.
+"""
 
 import numpy as np
 

@@ -1,4 +1,9 @@
-"""Dynamics with a measured table: a motor whose torque is a spline through points, on wheels that may slip."""
+"""
+A measured torque map
+=====================
+
+Dynamics with a measured table: a motor whose torque is a spline through points, on wheels that may slip.
+"""
 
 import numpy as np
 from scipy.interpolate import CubicSpline

@@ -1,4 +1,9 @@
-"""A pendulum that may lean on an elastic wall: two affine modes, a frequency limit, and a proof over all sequences."""
+"""
+Contact: a pendulum at an elastic wall
+======================================
+
+A pendulum that may lean on an elastic wall: two affine modes, a frequency limit, and a proof over all sequences.
+"""
 
 import numpy as np
 

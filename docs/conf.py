@@ -1,0 +1,86 @@
+"""The site: pages in Markdown, a gallery that runs the examples, and a reference made of the docstrings."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import version as installed
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from sphinx.application import Sphinx
+from sphinx_gallery.scrapers import figure_rst
+
+HERE = Path(__file__).parent
+project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
+release = version = installed("lin-freq-ocp")
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+    "sphinx_click",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "gallery/*.ipynb"]
+html_theme, html_title = "furo", f"lin_freq_ocp {release}"
+html_static_path, html_css_files = ["_static"], ["site.css"]
+html_show_sphinx = False
+myst_enable_extensions, myst_heading_anchors = ["dollarmath", "colon_fence"], 3
+nb_execution_mode, nb_execution_raise_on_error, nb_execution_timeout = "force", True, 120
+numpydoc_show_class_members = False
+autosummary_generate, autodoc_typehints = True, "none"
+suppress_warnings = ["config.cache"]  # functions in this file are no values that a cache could hold
+
+
+def figures_of_an_example(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
+    """Save every Figure that an example holds for the first time, and return the text that shows them."""
+    shown = variables["example_globals"].setdefault("_shown", [])
+    paths = list[str]()
+    for figure in _figures(variables["example_globals"]):
+        if not any(figure is one for one in shown):
+            shown.append(figure)
+            paths.append(next(variables["image_path_iterator"]))
+            figure.savefig(paths[-1], dpi=110)
+    return figure_rst(paths, settings["src_dir"])
+
+
+def _figures(names: dict[str, object]) -> Iterator[Figure]:
+    return (value for name, value in list(names.items()) if isinstance(value, Figure) and not name.startswith("_"))
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "image_scrapers": (figures_of_an_example,),
+    "within_subsection_order": "ExampleTitleSortKey",
+    "capture_repr": (),
+    "download_all_examples": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+    "copyfile_regex": r".*\.(csv|toml)$",
+}
+
+
+def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Escape what docstrings mean literally: |x| is an absolute value, and * a product."""
+    for i, line in enumerate(lines):
+        if not line.lstrip().startswith((">>>", "...")):
+            parts = re.split(r"(``.*?``)", line)
+            lines[i] = "".join(
+                part if part.startswith("``") else re.sub(r"(?<!\\)([|*`])", r"\\\1", part) for part in parts
+            )
+
+
+def setup(app: Sphinx) -> None:
+    """Write the pages of the reference and what the first page shows, and read docstrings as plain text."""
+    for script in ("reference.py", "first_page.py"):
+        subprocess.run([sys.executable, str(HERE / script)], check=True)
+    app.connect("autodoc-process-docstring", plain_text, priority=400)

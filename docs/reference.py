@@ -1,0 +1,37 @@
+"""The pages of the reference: one for each namespace, made of the names that the package gives out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import lin_freq_ocp as lfo
+
+
+def write(folder: Path) -> None:
+    """Write index.rst and a page for every namespace; a page that would not change is left alone."""
+    folder.mkdir(exist_ok=True)
+    everyday = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
+    pages = {"everyday": ("Names of everyday use", "lin_freq_ocp", everyday)}
+    for space in lfo.NAMESPACES:
+        names = list(lfo.library.PROBLEMS) if space == "library" else getattr(lfo, space).__all__
+        pages[space] = f"lin_freq_ocp.{space}", f"lin_freq_ocp.{space}", names
+    for page, (title, module, names) in pages.items():
+        _write(folder / f"{page}.rst", title, module, names)
+    listing = "\n".join(f"   {page}" for page in pages)
+    text = f"Python\n======\n\nEvery example below is run by the tests.\n\n.. toctree::\n   :maxdepth: 1\n\n{listing}\n"
+    _keep(folder / "index.rst", text)
+
+
+def _write(path: Path, title: str, module: str, names: list[str]) -> None:
+    listing = "\n".join(f"   {name}" for name in names)
+    body = f".. currentmodule:: {module}\n\n.. autosummary::\n   :toctree: names\n   :nosignatures:\n\n{listing}\n"
+    _keep(path, f"{title}\n{'=' * len(title)}\n\n{body}")
+
+
+def _keep(path: Path, text: str) -> None:
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(Path(__file__).parent / "api")
