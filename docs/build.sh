@@ -9,5 +9,6 @@ if ! "$python" -c 'import sphinx, sphinx_gallery, lin_freq_ocp' 2>/dev/null; the
   echo "docs/build.sh: $python lacks the extra \"docs\"; run: pip install -e '.[docs]'" >&2
   exit 2
 fi
+rm -rf api
 "$python" -m sphinx --fail-on-warning --keep-going -q -b html . _build/html
 echo "docs/_build/html/index.html"

@@ -10,6 +10,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
@@ -32,7 +33,8 @@ html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False
 myst_enable_extensions, myst_heading_anchors = ["dollarmath", "colon_fence"], 3
 nb_execution_mode, nb_execution_raise_on_error, nb_execution_timeout = "force", True, 120
-numpydoc_show_class_members = False
+numpydoc_show_class_members, numpydoc_class_members_toctree = False, False
+templates_path = ["_templates"]
 autosummary_generate, autodoc_typehints = True, "none"
 suppress_warnings = ["config.cache"]  # functions in this file are no values that a cache could hold
 
@@ -83,4 +85,5 @@ def setup(app: Sphinx) -> None:
     """Write the pages of the reference and what the first page shows, and read docstrings as plain text."""
     for script in ("reference.py", "first_page.py"):
         subprocess.run([sys.executable, str(HERE / script)], check=True)
+    app.add_lexer("mermaid", TextLexer)
     app.connect("autodoc-process-docstring", plain_text, priority=400)

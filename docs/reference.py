@@ -12,8 +12,11 @@ def write(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     everyday = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
     pages = {"everyday": ("Names of everyday use", "lin_freq_ocp", everyday)}
+    seen = set(everyday)
     for space in lfo.NAMESPACES:
-        names = list(lfo.library.PROBLEMS) if space == "library" else getattr(lfo, space).__all__
+        given = list(lfo.library.PROBLEMS) if space == "library" else getattr(lfo, space).__all__
+        names = [name for name in given if name not in seen]  # a name is described once, where it is met first
+        seen.update(names)
         pages[space] = f"lin_freq_ocp.{space}", f"lin_freq_ocp.{space}", names
     for page, (title, module, names) in pages.items():
         _write(folder / f"{page}.rst", title, module, names)

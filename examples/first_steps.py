@@ -26,3 +26,4 @@ problem = lfo.OptimalControlProblem(
 result = lfo.solve(problem)
 print(result)
 print("last states:", result.trajectory.x[-3:].round(6).tolist())
+figure = result.plot()

@@ -30,3 +30,4 @@ print("inflow", np.round(result.control[:, 0], 4), "level", np.round(result.traj
 print("modes ", " ".join(problem.dynamics.mode_names[i] for i in result.sequence))
 print(f"maximum principle {certificate.pmp}, worst condition {certificate.worst.relative:.0e}; {certificate.borders}")
 print(f"cost {result.cost:.6f}, no trajectory below {result.lower_bound}")
+figure = result.plot()

@@ -34,3 +34,4 @@ for name, result in (("classical", classical), ("bins only", lfo.solve(bins_only
         f"{name:10} cost {certificate.cost:10.2f}   peak in the band {peak(result.trajectory.u):.4g} N   "
         f"{certificate.pmp}, gap {certificate.gap:.0e}"
     )
+figure = lfo.solve(masked).plot()

@@ -17,3 +17,4 @@ for filtered in comparison.filtered:
 extra = comparison.constrained.cost / comparison.classical.cost - 1
 print(f"constrained  {comparison.constrained_measures.max_control:.3f} N, meets the end, costs {extra:.1%} more")
 print(f"proven: {comparison.constrained.certificate.pmp}, gap {comparison.constrained.gap:.1e}")
+figure = comparison.plot()

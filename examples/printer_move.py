@@ -12,4 +12,4 @@ for move in comparison.moves.all:
     print(f"{move.name:9} {move}")
 shortest = comparison.moves.ours.samples
 print(f"{shortest - 1} samples are {'proven' if comparison.moves.proof else 'not known'} to be too few")
-# comparison.save("report") draws the vibration that each leaves over the natural frequency.
+figure = comparison.plot()  # the vibration that each leaves over the natural frequency

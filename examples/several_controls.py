@@ -13,3 +13,4 @@ for j, name in enumerate(problem.control_names):
     removed = problem.control_stop[:, j].sum()
     print(f"{name}: {removed} bins removed, largest value {abs(result.control[:, j]).max():.3f}")
 print(result)
+figure = result.plot()

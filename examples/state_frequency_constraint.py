@@ -19,3 +19,4 @@ for name, one in (("without", free), ("with", result)):
     print(f"{name:8} the constraint: cost {one.cost:.4f}, largest removed bin {deflection[stopped].max():.2e}")
 print(f"price of the dearest bin: {np.abs(result.multipliers.rho_x).max():.4f} per unit of its DFT")
 print(f"maximum principle: {result.certificate.pmp}; global gap {result.gap:.1e}")
+figure = result.plot()

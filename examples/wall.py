@@ -41,3 +41,4 @@ comparison = lfo.compare(problem)  # the optimum without the limit, filtered and
 for filtered in comparison.filtered:
     measures = filtered.replay.measures
     print(f"{filtered.name:15} cost {measures.cost:.4f}, energy left in the band {measures.stopband_energy:.2g}")
+figure = comparison.plot()

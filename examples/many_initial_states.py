@@ -1,0 +1,23 @@
+"""
+A hundred initial states at once
+================================
+
+What does not depend on the start is set up once; every answer is judged.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import lin_freq_ocp as lfo
+
+problem = lfo.library.pendulum()
+start = problem.initial_state.lower
+starts = start + np.random.default_rng(0).uniform(-1, 1, (100, 4)) * [0.01, 0.01, 0.02, 0.02]
+solutions = lfo.solve_many(problem, starts)
+feasible = np.isfinite(solutions.costs)
+print(f"{feasible.sum()} of {len(starts)} feasible, the others proven infeasible; all proven: {solutions.proven}")
+
+figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
+axes.plot(problem.times[:-1], solutions.controls[feasible, :, 0].T, linewidth=0.5)
+axes.set_xlabel("time [s]")
+axes.set_ylabel(problem.control_names[0])

@@ -1,0 +1,12 @@
+"""
+A smooth map: swinging a pendulum up
+====================================
+
+A torque too small to lift it at once. Newton's method on the maximum principle finds a local optimum, and says so.
+"""
+
+import lin_freq_ocp as lfo
+
+result = lfo.solve(lfo.library.pendulum_swing_up(), global_bound=False)
+print(f"{result.status}: cost {result.cost:.6f}; {result.certificate.pmp}")
+figure = result.plot()
