@@ -36,7 +36,8 @@ nb_execution_mode, nb_execution_raise_on_error, nb_execution_timeout = "force", 
 numpydoc_show_class_members, numpydoc_class_members_toctree = False, False
 templates_path = ["_templates"]
 autosummary_generate, autodoc_typehints = True, "none"
-suppress_warnings = ["config.cache"]  # functions in this file are no values that a cache could hold
+# Functions in this file are no values that a cache could hold; attributes of several classes share names.
+suppress_warnings = ["config.cache", "ref.python"]
 
 
 def figures_of_an_example(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
