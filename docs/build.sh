@@ -11,4 +11,5 @@ if ! "$python" -c 'import sphinx, sphinx_gallery, lin_freq_ocp' 2>/dev/null; the
 fi
 rm -rf api
 "$python" -m sphinx --fail-on-warning --keep-going -q -b html . _build/html
+"$python" check_links.py _build/html
 echo "docs/_build/html/index.html"

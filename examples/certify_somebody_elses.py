@@ -6,6 +6,7 @@ Certify a trajectory from another tool: here one that CVXPY found from a program
 """
 
 import cvxpy as cp
+import matplotlib.pyplot as plt
 import numpy as np
 
 import lin_freq_ocp as lfo
@@ -36,3 +37,8 @@ certificate = lfo.certify(problem, nudged)
 print(f"after a nudge of 0.01 at t = 100: {certificate.pmp}")
 for condition in certificate.failed:
     print(f"  {condition.label:6}{condition.name}: {condition.relative:.1e} at t = {condition.time}")
+
+figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
+axes.step(problem.times[:-1], np.column_stack([u.value[:, 0], nudged[:, 0]]), where="post", label=["CVXPY", "nudged"])
+axes.set(xlabel="time [s]", ylabel=problem.control_names[0])
+axes.legend()

@@ -13,6 +13,7 @@ problem = lfo.library.pendulum(horizon=10_000)
 result = lfo.solve(problem)  # method="auto" takes it for time-invariant dynamics
 print(f"{problem.horizon} steps by method {result.method}: J = {result.cost:.6f}, gap {result.gap:.1e}")
 
+figure = result.plot()
 problem = lfo.library.pendulum()
 solver = lfo.SpectralSolver(problem)  # everything that does not depend on ends, references and bounds
 nominal = solver.solve()

@@ -75,8 +75,8 @@ def row(name: str, states: np.ndarray, controls: np.ndarray, vibration: float) -
     return f"{name:28}{angle:10.3f} deg{vibration:12.3f} N{np.abs(controls).max():12.3f} N"
 
 
-def main() -> None:
-    """Run the three loops with the same disturbance."""
+def main() -> lfo.results.ClosedLoop:
+    """Run the three loops with the same disturbance, and return the last."""
     base = problem()
     noise = np.random.default_rng(SEED).normal(scale=[0, 0, 1e-3, 3e-3], size=(STEPS, 4))
     quiet = lfo.MagnitudeBound(LIMIT, band=lfo.spectrum.notch(centre_hz=RESONANCE_HZ, width_hz=7), window="hann")
@@ -94,7 +94,8 @@ def main() -> None:
     print(row("with bounded windows", loop.states, loop.controls, plant.vibration))
     softened = sum(source == "softened problem" for source in loop.sources)
     print(f"{softened} of {STEPS} steps softened; median step {1e3 * np.median(loop.solve_seconds):.3g} ms")
+    return loop
 
 
 if __name__ == "__main__":
-    main()
+    figure = main().plot()
