@@ -118,7 +118,7 @@ def _evaluate(
     stage_gaps[:-1] -= minimum.sum(1)
     dynamics_term = -float((slope_x * residual).sum()) - 0.5 * float((lost * times_vectors(Q, lost)).sum())
     frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = float(sum(priced.gap.sum() for priced in extremal.terms))
+    stage_term = float(sum(priced.gap.sum() + priced.beyond for priced in extremal.terms))
     summed = float((extremal.in_x_terms * np.abs(x)).sum() + (extremal.in_u_terms * np.abs(u)).sum())
     summed += float((np.abs(normal) * (np.abs(x) + np.abs(limits))).sum())
     summed += float(sum(priced.gap_terms.sum() for priced in extremal.terms))

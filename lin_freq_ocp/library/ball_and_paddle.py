@@ -162,8 +162,11 @@ def _of_accelerations(given: Constraints) -> Constraints:
     """Return stop bands on every component as such on both accelerations: the choice of a law has no spectrum."""
     bands = list[FrequencyConstraint]()
     for one in entries_of(given):
-        everywhere = isinstance(one, Band) and one.component is None
-        bands += [replace(one, component=i) for i in range(CONTROLS)] if everywhere else [one]
+        match one:
+            case Band(component=None):
+                bands += [replace(one, component=i) for i in range(CONTROLS)]
+            case _:
+                bands.append(one)
     return bands
 
 

@@ -115,6 +115,21 @@ def test_the_bound_holds_from_other_trajectories(solved):
         assert judge(solved.problem, Trajectory(x, u), solved.multipliers).lower_bound <= solved.cost + 1e-12
 
 
+def test_atoms_far_from_the_peak_of_a_soft_mask_prove_nothing():
+    """Their values have no excess, the trajectory has: what its cost has beyond them is no part of the bound."""
+    free = replace(wave_problem("periodic"), state_set=None, control_set=lfo.Box(-2, 2), control_spectrum=None)
+    free = replace(free, cost=lfo.QuadraticCost(Q=1.0, R=0.1, x_ref=1.0))
+    mask = lfo.MagnitudeBound(1.0, band=lfo.low_pass(0.6), every_frequency=True, penalty=0.1)
+    problem, name = replace(free, control_spectrum=mask), "mask on u_0"
+    worse, best = lfo.solve(free), lfo.solve(problem)
+    stage = {**worse.multipliers.stage, name: np.zeros((1, 2))}
+    given = replace(worse.multipliers, stage=stage, frequencies={name: np.array([np.pi])})
+    certificate = judge(problem, worse.trajectory, given)
+    assert certificate.cost > best.cost + 0.05
+    assert certificate.lower_bound <= best.cost
+    assert not certificate.globally_optimal
+
+
 def test_power_is_not_bounded_by_zero():
     certificate = lfo.solve(replace(wave_problem("periodic"), cost=lfo.QuadraticCost(S=[[1.0]]))).certificate
     assert certificate.globally_optimal

@@ -33,9 +33,8 @@ def test_every_problem_is_described_and_bounded(name):
 
 
 def test_linear_problems_come_first():
-    assert [*library.LINEAR, *library.WAVEFORMS, *library.PIECEWISE_AFFINE, *library.PIECEWISE_SMOOTH] == list(
-        library.PROBLEMS
-    )
+    hybrid = [*library.PIECEWISE_AFFINE, *library.PIECEWISE_SMOOTH]
+    assert [*library.LINEAR, *library.WAVEFORMS, *library.MEASURED, *hybrid] == list(library.PROBLEMS)
     for builder in library.LINEAR.values():
         assert isinstance(builder().dynamics, lfo.LinearDynamics)
 

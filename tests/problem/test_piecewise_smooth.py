@@ -136,7 +136,7 @@ def test_other_kinds_of_dynamics_are_asked_for_in_words():
         problem.with_modes([0, 0])
     with pytest.raises(lfo.errors.UnsupportedError, match="LinearDynamics; expected PiecewiseSmooth"):
         _ = library.pendulum(horizon=10).smooth_pieces
-    with pytest.raises(lfo.errors.UnsupportedError, match="'spectral', which is for linear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'spectral', which is for linear and frequency-resp"):
         lfo.solve(problem, method="spectral")
-    with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for piecewise-smooth dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for pulse-train and piecewise-s"):
         lfo.solve(library.pendulum(horizon=10), method="nonsmooth")

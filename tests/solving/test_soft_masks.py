@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.mode_tree import ModeNode
+from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.errors import ProblemError
 
 MASK = lfo.MagnitudeBound
@@ -187,3 +189,19 @@ def test_files_words_and_the_report(tmp_path, cheap):
 def test_bad_prices_name_the_field(price):
     with pytest.raises(ProblemError, match=r"MagnitudeBound\.penalty"):
         problem(price)
+
+
+def test_a_tree_with_atoms_far_from_the_peak_of_the_centre_proves_nothing_more():
+    """The reference of the controls exceeds the mask by 7, its spectrum at 1 rad/sample does not."""
+    T, step = 8, lfo.PiecewiseAffineDynamics([lfo.AffineMode([[1.0]], [[1.0]])])
+    cost = lfo.QuadraticCost(R=1.0, u_ref=np.where(np.arange(T) % 2, 1.0, -1.0)[:, None])
+    mask = MASK(1.0, band=lfo.low_pass(0.6), every_frequency=True, penalty=1.0)
+    bounds = lfo.Box(-3, 3), lfo.Box(-20, 20)
+    result = lfo.solve(lfo.OptimalControlProblem(step, T, cost, *bounds, initial_state=[0], control_spectrum=mask))
+    assert result.cost == pytest.approx(result.tree_bound.value) == pytest.approx(3.0625)
+    nodes, name = list[ModeNode](), "mask on u_0"
+    for node in result.tree.nodes:
+        given = node.proof.multipliers
+        given = replace(given, stage={**given.stage, name: np.zeros((1, 2))}, frequencies={name: np.array([1.0])})
+        nodes.append(replace(node, proof=replace(node.proof, multipliers=given)))
+    assert tree_bound(result.problem, replace(result.tree, nodes=nodes)).value <= result.cost

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,7 +82,9 @@ class SwitchedDynamics(Dynamics):
 def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, SetOrSets]:
     """Return the dynamics and the convex control set of a problem: a set of finitely many points becomes modes."""
     if not isinstance(control_set, ConvexSet):
-        several = () if control_set is None or isinstance(control_set, str) else control_set
+        several = (
+            control_set if isinstance(control_set, Iterable) else ()
+        )  # what is no sequence is refused with the sets
         if any(isinstance(one, ConvexSet) and _finite(one, dynamics) for one in several):
             raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
         return dynamics, control_set
