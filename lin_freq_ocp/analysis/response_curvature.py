@@ -48,15 +48,6 @@ class BinCurvature:
         """Return the bins at which it is not positive semidefinite."""
         return np.flatnonzero(self.smallest < 0)
 
-    def diagonal(self) -> Array:
-        """Return c >= 0, (m,), with sum_t c'(b_t)^2 at most the quadratic form, for all b that the bands allow."""
-        m = self.hessians.shape[1]
-        sizes = np.abs(np.diagonal(self.within, axis1=1, axis2=2)).max(0)
-        root = np.sqrt(np.where(sizes > 0, sizes, 1.0))
-        relative = self.within / (root[:, None] * root) + np.eye(m) * ~self.passed[:, None, :]
-        error = CONVEXITY_TOLERANCE * m
-        return max(float(np.linalg.eigvalsh(relative)[:, 0].min()) - error, 0.0) * sizes
-
 
 def bin_curvature(problem: OptimalControlProblem, response: Response) -> BinCurvature | None:
     """Return the curvature per bin; None if Q, R or S depends on time."""

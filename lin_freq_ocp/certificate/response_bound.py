@@ -4,13 +4,15 @@ With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h
 
     l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
 
-is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is
-(analysis/response_curvature.py). So D = l(u_0) + min over U of its tangent and of the curvature that all bins have.
-eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the controls exactly.
+is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is (``control_curvature``;
+derived in analysis/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
+the curvature that all bins have. eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the
+controls exactly.
 
 At a trajectory whose states differ from x(u_0) by r, l is taken at these states, with <slope in x, r> and what the
 curvature can lose by r: 1/2 <|Q| |r|, |r|> + <|r|, |Q| |Y du| + |S| |du|> where the stage Hessian is not positive
-semidefinite by itself.
+semidefinite by itself. u_0 is then what the bands let pass of the controls: du must not leave the space where l is
+convex.
 """
 
 from __future__ import annotations
@@ -18,25 +20,26 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import fft
 
-from lin_freq_ocp.analysis.response_curvature import bin_curvature, require_convex_bins
 from lin_freq_ocp.arrays import Array, extended, times_vectors
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     Bound,
     box_minimum,
     cost_is_never_negative,
+    diagonal_curvature,
     lower_bound,
     ray_bound,
     unit_rounding,
 )
-from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.reach import Pair
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
@@ -48,6 +51,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     curvature = control_curvature(problem, response)
     if curvature is None:
         return None
+    extremal = _passed(extremal)
     cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
     tube = problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, "rigorous", "the stated bounds")
@@ -76,13 +80,34 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:
-    """Return the curvature that the cost has at least in each control, (m,); None if it is not convex."""
-    try:
-        require_convex_bins(problem, response)
-    except UnsupportedError:
+    """Return the curvature that the cost has at least in each control, (m,); None if it is not convex.
+
+    By the judge itself, from H_k = G^*Q G + G^*S + S'G + R: c >= 0 with diag(c) <= H_k on the controls that use bin k.
+    """
+    cost, adjoint, m = problem.quadratic, np.swapaxes(response.G, 1, 2).conj(), problem.control_dim
+    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
+        return np.zeros(m) if cost.nonconvexity() is None else None
+    if diagonal_curvature(cost.P) is None or (not response.closed and diagonal_curvature(cost.Q) is None):
         return None
-    found = bin_curvature(problem, response)
-    return np.zeros(problem.control_dim) if found is None else found.diagonal()
+    half = adjoint @ (cost.S + cost.Q @ response.G / 2 if response.closed else cost.S) + cost.R / 2
+    passed = ~problem.control_stop if response.closed else np.ones((len(half), m), dtype=bool)
+    hessians = (half + np.swapaxes(half, 1, 2).conj()) * (passed[:, :, None] & passed[:, None, :])
+    sizes = np.abs(np.diagonal(hessians, axis1=1, axis2=2)).max(0)
+    root, error = np.sqrt(np.where(sizes > 0, sizes, 1.0)), EIGENVALUE_ERROR * m
+    relative = hessians / (root[:, None] * root) + np.eye(m) * ~passed[:, None, :]
+    smallest = float(np.linalg.eigvalsh(relative)[:, 0].min()) - error
+    return None if smallest < -2 * error else max(smallest, 0.0) * sizes
+
+
+def _passed(extremal: Extremal) -> Extremal:
+    """Return the extremal at controls without what the bands remove, where the cost may be convex only there."""
+    problem, trajectory = extremal.problem, extremal.trajectory
+    if problem.quadratic.nonconvexity() is None or not problem.control_stop.any():
+        return extremal
+    spectrum = fft.rfft(trajectory.u, axis=0)
+    spectrum[problem.control_stop] = 0.0
+    u = fft.irfft(spectrum, n=problem.horizon, axis=0)
+    return extremal_at(problem, Trajectory(trajectory.x, u), extremal.multipliers)
 
 
 def _cut(problem: OptimalControlProblem, largest: Array) -> Pair:
@@ -140,4 +165,6 @@ def _normals(problem: OptimalControlProblem, mu: Array) -> Pair:
 
 def _gain(response: Response, weights: Array) -> Array:
     """Return a bound on ``pull_back`` of all weights (T+1, p) of these magnitudes, (m,)."""
-    return np.abs(response.G).max(0).T @ np.linalg.norm(weights.astype(np.float64), axis=0)
+    folded = weights.astype(np.float64)
+    folded[0] += folded[-1]  # of one period, x_T repeats x_0
+    return np.abs(response.G).max(0).T @ np.linalg.norm(folded, axis=0)

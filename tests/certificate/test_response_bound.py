@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.analysis.response_curvature import BinCurvature
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -128,6 +129,33 @@ def test_atoms_far_from_the_peak_of_a_soft_mask_prove_nothing():
     assert certificate.cost > best.cost + 0.05
     assert certificate.lower_bound <= best.cost
     assert not certificate.globally_optimal
+
+
+def test_what_bands_remove_is_no_part_of_the_bound():
+    """Bin 3, where the cost is not convex, is stopped; controls that have it, and a multiplier that hides it."""
+    G = np.ones(9)
+    G[3] = -4.0
+    power = lfo.QuadraticCost(S=[[1.0]], q=[0.2])
+    stop = lfo.stop_band(bins=[3])
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(G), T, power, lfo.Box(-1, 1), control_spectrum=stop)
+    best = lfo.solve(problem)
+    u = best.trajectory.u + 0.3 * np.cos(2 * np.pi * 3 * np.arange(T) / T)[:, None]
+    there = Trajectory(problem.dynamics.response(T).states(u), u)
+    bounds = []
+    for size in np.linspace(-4, 4, 33):
+        rho = best.multipliers.rho_u.copy()
+        rho[3] += size * 0.3
+        bounds.append(judge(problem, there, replace(best.multipliers, rho_u=rho)).lower_bound)
+    assert max(bounds) <= best.cost
+
+
+def test_convexity_is_judged_by_the_judge(monkeypatch):
+    """The method takes a cost for convex that is not: its stationary point is not called optimal."""
+    problem = replace(wave_problem("periodic"), state_set=None)
+    problem = replace(problem, dynamics=replace(problem.dynamics, G=-problem.dynamics.G))
+    monkeypatch.setattr(BinCurvature, "failing", np.zeros(0, dtype=int))
+    result = lfo.solve(problem, throw=False)
+    assert not result.certificate.globally_optimal
 
 
 def test_power_is_not_bounded_by_zero():
