@@ -27,7 +27,7 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
 html_theme, html_title = "furo", f"lin_freq_ocp {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False

@@ -18,7 +18,7 @@ problem = lfo.library.pendulum()
 solver = lfo.SpectralSolver(problem)  # everything that does not depend on ends, references and bounds
 nominal = solver.solve()
 for moved in ([0.002, 0, 0, 0], [0, 0.004, 0, 0], [0, 0, 0.02, 0]):
-    start = problem.initial_state.lower + np.array(moved)
+    start = problem.initial_box.lower + np.array(moved)
     solution = solver.solve(initial_state=start, warm_start=nominal)
     u = solution.trajectory.u
     print(f"from {start}: {solution.status} in {solution.rounds} rounds, largest control {np.abs(u).max():.3f} N")

@@ -11,7 +11,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 
 problem = lfo.library.pendulum()
-start = problem.initial_state.lower
+start = problem.initial_box.lower
 starts = start + np.random.default_rng(0).uniform(-1, 1, (100, 4)) * [0.01, 0.01, 0.02, 0.02]
 solutions = lfo.solve_many(problem, starts)
 feasible = np.isfinite(solutions.costs)
