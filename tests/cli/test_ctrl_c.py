@@ -1,5 +1,6 @@
 """Ctrl-C at any moment of the command line, sent to all its processes as a terminal does: 130, and not a word."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from lin_freq_ocp.system import starting
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 
+ROOM = 1 << 20  # bytes of a pipe that nobody reads while workers start: import times fill the usual 65 kB
 SWEEP = ("sweep", "pendulum", "--grid", "cutoff=0.5:3:400", "--workers", "2")
 
 
@@ -26,6 +28,7 @@ def interrupted(arguments, ready, delay=0.0):
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **streams, text=True, start_new_session=True) as process:
         try:
+            fcntl.fcntl(process.stderr, fcntl.F_SETPIPE_SZ, ROOM)
             ready(process)
             time.sleep(delay)
             os.killpg(process.pid, signal.SIGINT)
