@@ -29,7 +29,7 @@ TERMS = ("terms", "sets", "costs", "spectrum")
 """Folders of problem/ whose classes are terms of a problem."""
 
 LIMITS = {
-    "lines": 54_000,
+    "lines": 60_000,
     "files in a folder": 12,
     "lines of a file": 400,
     "lines of a function": 50,
@@ -37,7 +37,7 @@ LIMITS = {
     "isinstance on dynamics": 3,
     "isinstance on terms": 6,
     "Any": 27,
-    "names in __all__": 52,
+    "names in __all__": 53,
 }
 
 

@@ -177,7 +177,7 @@ BAD_OPTIONS = {
     "unknown method": (
         ("solve", "pendulum", "--method", "magic"),
         "method: got 'magic'; expected 'auto', 'spectral', 'structured', 'convex', 'branch_and_bound', 'enumerate', "
-        "'miqp' or 'nonsmooth'.",
+        "'miqp', 'angles' or 'nonsmooth'.",
     ),
     "backend of a method without": (
         ("solve", "pendulum", "--method", "spectral", "--backend", "osqp"),

@@ -324,7 +324,7 @@ def test_parts_on_two_processes(monkeypatch):
 
 def test_what_is_refused(monkeypatch):
     hybrid, linear = library.buck_affine(horizon=4), library.double_integrator(horizon=4)
-    with pytest.raises(lfo.errors.UnsupportedError, match="'convex', which is for linear dynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="'convex', which is for linear and frequency-resp"):
         lfo.solve(hybrid, method="convex")
     with pytest.raises(lfo.errors.UnsupportedError, match="which is for piecewise-affine dynamics"):
         lfo.solve(linear, method="branch_and_bound")
