@@ -39,6 +39,27 @@ def test_cost_and_amplitudes_are_those_of_the_fourier_series():
         assert slopes[:, i] == pytest.approx((near[0][2] - near[1][2]) / 2e-6, abs=1e-8)
 
 
+@pytest.mark.parametrize("third", [(-np.inf, 0.02), (-0.02, np.inf), (-np.inf, np.inf)])
+def test_amplitudes_may_have_no_limit(third):
+    """No box is lost: the trains with fewer switches, and both limits, are no cheaper than the bound."""
+    given = pattern(16)
+    end = [
+        np.append(part[:-1], last)
+        for part, last in zip((given.terminal_state.lower, given.terminal_state.upper), third, strict=True)
+    ]
+    states = [
+        np.append(part[:-1], sign * np.inf)
+        for part, sign in zip((given.state_set.lower, given.state_set.upper), (-1, 1), strict=True)
+    ]
+    problem = replace(given, terminal_state=lfo.Box(*end), state_set=lfo.Box(*states))
+    bound = AngleBound(problem, problem.dynamics)
+    for _ in range(8):
+        bound.halve(np.inf)
+    assert bound.value <= lfo.solve(pattern(8)).cost
+    trajectory = lfo.solve(replace(pattern(8), terminal_state=lfo.Box(*end), state_set=lfo.Box(*states))).trajectory
+    assert pattern(8).value(trajectory.x, trajectory.u) <= lfo.solve(pattern(8)).cost + 1e-9
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     rng, bound = np.random.default_rng(seed), loose(12)

@@ -71,7 +71,7 @@ class AngleBound:
         patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _within(one, limits)]
         middle = np.full((len(patterns), d), QUARTER / 2)
         self.boxes = self._bounded(
-            Boxes(np.array(patterns).reshape(-1, d), middle, middle.copy(), np.full(len(patterns), -np.inf))
+            Boxes(np.array(patterns).reshape(len(patterns), d), middle, middle.copy(), np.full(len(patterns), -np.inf))
         )
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
@@ -140,7 +140,8 @@ class AngleBound:
         for active in (0, 1, len(self._orders)):
             weights = _multipliers(slope, slopes[:, :active], STEEPEST * self._size / self._amplitude)
             value = cost + (weights * values[:, :active]).sum(1)
-            ends = np.maximum(weights * self._low[:active], weights * self._high[:active])
+            limits = np.where(weights > 0, self._high[:active], self._low[:active])
+            ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
             steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
             own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
             bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
@@ -202,6 +203,7 @@ def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
     price[ENERGY] = cost.p[ENERGY]
     linear = not (cost.Q.any() or cost.R.any() or cost.S.any() or cost.P.any() or cost.q.any() or cost.r.any())
     named = {
+        "a horizon of 1": problem.horizon > 1,
         "a cost other than that of the energy at the end": linear and (cost.p == price).all() and price[ENERGY] > 0,
         "terms beyond boxes": not problem.terms and not problem.control_stop.any() and not problem.state_stop.any(),
         "another start than theta = 0 at level 0 with known energy": _is(start.lower, start.upper, ANGLE, 0.0)

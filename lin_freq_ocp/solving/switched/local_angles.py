@@ -21,7 +21,8 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     low, high = bound.bounds
     order = np.diff(np.eye(len(angles)), axis=0)
     constraints: list[LinearConstraint | NonlinearConstraint] = []
-    for rows in (np.flatnonzero(low == high), np.flatnonzero(low < high)):
+    limited = np.isfinite(low) | np.isfinite(high)
+    for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
         if len(rows):
             amplitudes, slopes = partial(_amplitudes, bound, steps, rows), partial(_slopes, bound, steps, rows)
             constraints.append(NonlinearConstraint(amplitudes, low[rows], high[rows], jac=slopes))
@@ -38,7 +39,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     )
     at = np.clip(np.maximum.accumulate(found.x), 0.0, QUARTER)
     cost, _, values, _ = bound.at(steps, at)
-    violation = float(np.maximum(low - values, values - high).max())
+    violation = float(np.maximum(low - values, values - high).max(initial=0.0))
     return None if violation > VIOLATION else (at, cost)
 
 
