@@ -28,6 +28,7 @@ KINDS = (
     "state",
     "period",
     "state of a period",
+    "response over a period",
     "held",
     "held points",
     "soft",
@@ -80,6 +81,8 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
         reference = rng.standard_normal((problem.horizon + 1, problem.state_dim))
         cost = replace(problem.quadratic, x_ref=reference)
         problem = replace(problem, cost=cost, initial_state=None, terminal_state=lfo.Periodic())
+    if kind.startswith("response"):
+        problem = replace(problem, dynamics=response_of(problem), terminal_state=None)
     free = lfo.solve(problem, throw=False).trajectory
     if free is None:
         return kind, problem
@@ -101,6 +104,13 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     return kind, replace(problem, **{"state_spectrum" if of_state else "control_spectrum": mask})
 
 
+def response_of(problem: lfo.OptimalControlProblem) -> lfo.FrequencyResponse:
+    """Return the linear dynamics of a problem as a table of responses of its states: (z_k I - A)^{-1} B."""
+    n, z = problem.state_dim, np.exp(2j * np.pi * np.arange(problem.horizon // 2 + 1) / problem.horizon)
+    B = np.broadcast_to(problem.linear.B, (len(z), *problem.linear.B.shape)).astype(complex)
+    return lfo.FrequencyResponse(np.linalg.solve(z[:, None, None] * np.eye(n) - problem.linear.A, B), 1.0)
+
+
 def with_held_mask(
     problem: lfo.OptimalControlProblem, kind: str, rng: np.random.Generator
 ) -> lfo.OptimalControlProblem:
@@ -117,9 +127,11 @@ def with_held_mask(
     return replace(problem, control_spectrum=mask)
 
 
-def independent(problem: lfo.OptimalControlProblem, kind: str, share: float) -> tuple[str, float, np.ndarray]:
+def independent(
+    problem: lfo.OptimalControlProblem, linear: lfo.LinearDynamics, kind: str, share: float
+) -> tuple[str, float, np.ndarray]:
     """Return status, cost and masked signal of the model with ``share`` of the limit on a grid."""
-    T, linear, cost = problem.horizon, problem.linear, problem.quadratic
+    T, cost = problem.horizon, problem.quadratic
     x, u = cp.Variable((T + 1, problem.state_dim)), cp.Variable((T, problem.control_dim))
     a, period = x - np.broadcast_to(cost.x_ref, x.shape), "period" in kind
     J = sum(cp.quad_form(a[t], cost.Q) + cp.quad_form(u[t], cost.R) for t in range(T)) + cp.quad_form(a[T], cost.P)
@@ -169,11 +181,11 @@ def check(seed: int) -> Findings:
     everywhere = mask_of(problem)
     if everywhere is None:
         return Findings(seed, kind, "infeasible", np.nan, np.nan, np.nan, 0.0, "infeasible without a mask")
-    result = lfo.solve(problem, throw=False)
-    theirs, lower, _ = independent(problem, kind, 1.0)
+    result, linear = lfo.solve(problem, throw=False), problem_of(seed).linear
+    theirs, lower, _ = independent(problem, linear, kind, 1.0)
     share, upper = 1.0, np.inf
     for _ in range(ATTEMPTS):
-        status, value, signal = independent(problem, kind, share)
+        status, value, signal = independent(problem, linear, kind, share)
         if "optimal" not in status:
             break
         ratio, there = (largest(signal, everywhere, kind, points) for points in (DENSE, GRID))
