@@ -85,10 +85,11 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     By the judge itself, from H_k = G^*Q G + G^*S + S'G + R: c >= 0 with diag(c) <= H_k on the controls that use bin k.
     """
     cost, adjoint, m = problem.quadratic, np.swapaxes(response.G, 1, 2).conj(), problem.control_dim
+    least = np.zeros(m) if cost.nonconvexity() is None else None  # of a cost that is convex at each time
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
-        return np.zeros(m) if cost.nonconvexity() is None else None
+        return least
     if diagonal_curvature(cost.P) is None or (not response.closed and diagonal_curvature(cost.Q) is None):
-        return None
+        return least
     half = adjoint @ (cost.S + cost.Q @ response.G / 2 if response.closed else cost.S) + cost.R / 2
     passed = ~problem.control_stop if response.closed else np.ones((len(half), m), dtype=bool)
     hessians = (half + np.swapaxes(half, 1, 2).conj()) * (passed[:, :, None] & passed[:, None, :])
@@ -96,7 +97,7 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     root, error = np.sqrt(np.where(sizes > 0, sizes, 1.0)), EIGENVALUE_ERROR * m
     relative = hessians / (root[:, None] * root) + np.eye(m) * ~passed[:, None, :]
     smallest = float(np.linalg.eigvalsh(relative)[:, 0].min()) - error
-    return None if smallest < -2 * error else max(smallest, 0.0) * sizes
+    return least if smallest < -2 * error else max(smallest, 0.0) * sizes
 
 
 def _passed(extremal: Extremal) -> Extremal:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.response_curvature import BinCurvature
+from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -171,6 +171,15 @@ def test_without_bounds_the_curvature_of_all_bins_bounds_the_cost():
     certificate = lfo.solve(problem).certificate
     assert certificate.bound.kind == "rigorous"
     assert certificate.globally_optimal
+
+
+def test_a_cost_that_is_convex_at_each_time_is_bounded():
+    """Zero-padded, the states' part is left out of the curvature of bins, which is then below zero at some."""
+    G = np.fft.rfft(np.random.default_rng(0).standard_normal(10))
+    cost = lfo.QuadraticCost(Q=2.0, S=[[1.3]], R=1.0, x_ref=1.0)
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(G, mode="zero-padded"), 5, cost, lfo.Box(-1, 1))
+    assert bin_curvature(problem, problem.dynamics.response(5)).smallest.min() < -0.1
+    assert lfo.solve(problem).certificate.globally_optimal
 
 
 def test_a_cost_that_is_not_convex_has_no_bound():
