@@ -1,4 +1,4 @@
-"""The command line: lin-freq-ocp list, show, solve, compare, sweep, minimum-time, certify, rerun, init.
+"""The command line: lin-freq-ocp list, show, solve, compare, sweep, minimum-time, explore, certify, rerun, init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -37,8 +37,9 @@ COMMANDS = {
     "compare": "compare",
     "sweep": "sweep",
     "minimum-time": "minimum_time",
+    "explore": "explore",
     "certify": "certify",
-    "rerun": "rerun",
+    "rerun": "certify",
     "init": "start",
 }
 

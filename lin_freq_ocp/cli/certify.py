@@ -1,12 +1,23 @@
-"""The command lin-freq-ocp certify: the maximum principle for any trajectory."""
+"""The commands lin-freq-ocp certify and rerun: the maximum principle for any trajectory, and a dumped run again."""
 
 from __future__ import annotations
 
 import click
 import numpy as np
 
+from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.cli.console import certificate_status, print_certificate, print_json, progress, say
+from lin_freq_ocp.cli.console import (
+    NOT_PROVEN,
+    certificate_status,
+    error_status,
+    exit_status,
+    print_certificate,
+    print_json,
+    print_lines,
+    progress,
+    say,
+)
 from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build
 from lin_freq_ocp.errors import UnsupportedError
@@ -38,6 +49,23 @@ def certify_command(
         print_certificate(description, certificate)
         _print_multipliers(description, trajectory, certificate)
     return certificate_status(certificate)
+
+
+@click.command("rerun")
+@click.argument("file", metavar="FILE.zip")
+@json_option
+def rerun_command(file: str, as_json: bool) -> int:
+    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    run = load_run(file)
+    with progress(f"solving {run.problem.name or file}"):
+        comparison = rerun(run)
+    if as_json:
+        print_json(rerun_summary(comparison))
+    else:
+        print_lines(str(comparison))
+    if comparison.error is not None:
+        return error_status(comparison.error)
+    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
 
 
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:

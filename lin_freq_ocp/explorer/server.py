@@ -1,0 +1,170 @@
+"""The live page over HTTP, for the browser on this machine alone.
+
+It listens on the loopback address; every path begins with a random token, and the Host header must be its own, so that
+neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are made one
+after another; a request that a newer one of the same page has overtaken is not solved.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.explorer.page import page
+from lin_freq_ocp.explorer.session import Session
+from lin_freq_ocp.explorer.view import Data
+
+LOOPBACK = "127.0.0.1"
+MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
+TOKEN_BYTES = 16
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
+
+
+class Overtaken(Exception):  # noqa: N818  (no error: nobody waits for the answer any more)
+    """A newer request of the same page has come."""
+
+
+class ExploreServer(ThreadingHTTPServer):
+    """A live page; ``url`` is its address, token included."""
+
+    daemon_threads = True
+    block_on_close = False
+    allow_reuse_address = False
+
+    def __init__(self, session: Session, port: int = 0):
+        try:
+            super().__init__((LOOPBACK, port), Handler)
+        except OSError as error:
+            advice = "Without --port, a free one is taken."
+            raise ProblemError(
+                "--port", f"{port}, which cannot be used ({error.strerror})", "a free port", advice
+            ) from None
+        self.session, self.token = session, secrets.token_urlsafe(TOKEN_BYTES)
+        self.page = page(session).encode()
+        self._solving = threading.Lock()
+        self._newest = dict[str, int]()
+
+    @property
+    def hosts(self) -> tuple[str, str]:
+        """Return the Host headers of its own page."""
+        return f"{LOOPBACK}:{self.server_port}", f"localhost:{self.server_port}"
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page."""
+        return f"http://{self.hosts[0]}/{self.token}/"
+
+    def answer(self, what: str, request: dict[str, object]) -> Data:
+        """Return the answer to a request; raise Overtaken if a newer one of its page has come."""
+        client, order = str(request.get("page")), request.get("order")
+        if not isinstance(order, int):
+            raise ProblemError("order", repr(order), "a whole number, larger with every move of a slider")
+        self._newest[client] = max(order, self._newest.get(client, order))
+
+        def wanted() -> bool:
+            return self._newest[client] == order
+
+        with self._solving:
+            if not wanted():
+                raise Overtaken
+            if what == "cure":
+                return self.session.cure(request.get("values"), request.get("slider"), wanted)
+            return {"answer": self.session.answer, "beside": self.session.beside}[what](request.get("values"))
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+    server_version, sys_version = "lin-freq-ocp", ""
+
+    @property
+    def _live(self) -> ExploreServer:
+        assert isinstance(self.server, ExploreServer)
+        return self.server
+
+    def do_GET(self) -> None:
+        """Answer with the page, and nothing else."""
+        path = self._own_path()
+        if path == "":
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._live.page)
+        elif path is not None:
+            self._refuse(HTTPStatus.NOT_FOUND, "There is only the page.")
+
+    def do_POST(self) -> None:
+        """Answer a question of the page."""
+        path = self._own_path()
+        if path is None:
+            return
+        if path not in ("answer", "beside", "cure"):
+            self._refuse(HTTPStatus.NOT_FOUND, "expected answer, beside or cure")
+            return
+        try:
+            self._send_json(HTTPStatus.OK, self._live.answer(path, self._request()))
+        except Overtaken:
+            self._send_json(HTTPStatus.OK, {"overtaken": True})
+        except LinFreqOCPError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        except (BrokenPipeError, ConnectionResetError):  # the page has been closed
+            self.close_connection = True
+        except Exception as error:
+            self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"a fault of lin-freq-ocp: {type(error).__name__}: {error}")
+
+    def _own_path(self) -> str | None:
+        """Return what follows the token in the path; refuse, and return None, if host or token are wrong."""
+        token, slash, rest = self.path.removeprefix("/").partition("/")
+        origin = self.headers.get("Origin")
+        own = self.headers.get("Host") in self._live.hosts
+        if not own or origin not in (None, *(f"http://{host}" for host in self._live.hosts)):
+            self._refuse(HTTPStatus.FORBIDDEN, "not the page's own host")
+        elif not secrets.compare_digest(token.encode(), self._live.token.encode()) or not slash:
+            self._refuse(HTTPStatus.FORBIDDEN, "the address needs its token: open the one that lin-freq-ocp prints")
+        else:
+            return rest
+        return None
+
+    def _request(self) -> dict[str, object]:
+        """Return the object that was sent."""
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit() or int(length) > MOST_BYTES:
+            self.close_connection = True  # what was sent is not read
+            raise ProblemError("Content-Length", repr(length), f"at most {MOST_BYTES} bytes")
+        content = self.rfile.read(int(length))
+        try:
+            request = json.loads(content)
+        except (ValueError, RecursionError) as error:
+            raise ProblemError("request", "no JSON", f"one JSON object ({error})") from None
+        if not isinstance(request, dict):
+            raise ProblemError("request", type(request).__name__, "one JSON object")
+        return request
+
+    def _refuse(self, status: HTTPStatus, why: str) -> None:
+        self.close_connection = True  # what was sent may not have been read
+        self._send_json(status, {"error": why})
+
+    def _send_json(self, status: HTTPStatus, answer: Data) -> None:
+        self._send(status, "application/json", json.dumps(answer, allow_nan=False, separators=(",", ":")).encode())
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing of requests."""
