@@ -128,15 +128,16 @@ def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, np.ndarr
 
 def _cutoff(problem: OptimalControlProblem) -> Iterator[Slider]:
     """Yield the cut-off of the one low pass on the controls, or of none."""
-    entries = list(entries_of(problem.control_spectrum))
-    if len(entries) > 1 or any(not isinstance(one, Band) or one.kind != "low_pass" for one in entries):
-        return
     step, T = problem.sampling_time, problem.horizon
     nyquist, unit = (pi, "rad/sample") if step is None else (0.5 / step, "Hz")
     notch = max(2 * nyquist / T, nyquist / CUTOFF_NOTCHES)
-    value = nyquist
-    for band in entries:
-        value = band.edges[1] * (1.0 if step is None or band.unit == "Hz" else 1 / (2 * pi * step))
+    match entries_of(problem.control_spectrum):
+        case []:
+            value = nyquist
+        case [Band(kind="low_pass") as band]:
+            value = band.edges[1] * (1.0 if step is None or band.unit == "Hz" else 1 / (2 * pi * step))
+        case _:
+            return
     low, high = value - floor(value / notch - 1) * notch, value + ceil((nyquist - value) / notch) * notch
     if low < high:
         yield Slider(CUTOFF, "frequency", "cut-off of the controls", unit, low, high, notch, value, high)

@@ -256,10 +256,13 @@ function timePanel(frame, signal, i, shownOnes) {
   const words = sizes.length ? `from ${shown(Math.min(...sizes))} to ${shown(Math.max(...sizes))}` : "no solution";
   const limits = `bounds ${shown(signal.lower[0])} and ${shown(signal.upper[0])}`;
   return {
-    title: signal.name, wide: !signal.state, x: [0, end], y, curves, xLabel: frame.time.label,
+    title: signal.name, wide: alone(frame) && !signal.state, x: [0, end], y, curves, xLabel: frame.time.label,
     words: `${signal.name} over time: ${words}; ${limits}; shown: ${listed(ones.map((one) => one.name))}`,
   };
 }
+
+/* A single control has panels over the whole width. */
+const alone = (frame) => frame.signals.filter((signal) => !signal.state).length === 1;
 
 /* A control is held between two times. */
 function stairs(points, step) {
@@ -278,7 +281,7 @@ function spectrumPanel(frame, spectrum, i, shownOnes) {
   const last = ((ones[0] ? ones[0].spectra[i].length : 2) - 1) * spectrum.step;
   const right = ones.length ? last : Math.max(...spectrum.stopped.flat(), spectrum.step);
   return {
-    title: `spectrum |DFT| of ${spectrum.name}`, wide: true, log: true, stopped: spectrum.stopped, x: [0, right], y: [low, high], curves,
+    title: `spectrum |DFT| of ${spectrum.name}`, wide: alone(frame), log: true, stopped: spectrum.stopped, x: [0, right], y: [low, high], curves,
     xLabel: frame.frequency.label,
     words: `magnitude of the spectrum of ${spectrum.name}, logarithmic; ${bands.length ? `stopped or limited: ${listed(bands)}` : "no stopped band"}; shown: ${listed(ones.map((one) => one.name))}`,
   };
