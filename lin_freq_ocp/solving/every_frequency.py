@@ -17,7 +17,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
+from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.frequencies import at_frequencies
@@ -157,9 +157,13 @@ class _Round:
         certificate = judge(problem, found.trajectory, multipliers)
         old = found.certificate
         certificate = replace(certificate, bound=old.bound, borders=old.borders, descent=old.descent)
-        if found.status == Status.OPTIMAL and not certificate.feasible:
+        if found.status not in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
+            return replace(outcome, certificate=certificate)
+        proven = max(old.gap or 0.0, 0.0) + GAP_TOLERANCE if found.status == Status.OPTIMAL else -np.inf
+        status = certificate.status_within(proven)
+        if status != found.status:
             message = f"at the frequencies of {plural(len(self.frequencies), 'mask')} only"
-            return replace(outcome, certificate=certificate, status=Status.NUMERICAL_ERROR, message=message)
+            return replace(outcome, certificate=certificate, status=status, message=message)
         return replace(outcome, certificate=certificate)
 
     def _placed_tree(self) -> ModeTree | None:

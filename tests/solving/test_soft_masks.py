@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.solving import every_frequency
 
 MASK = lfo.MagnitudeBound
 NAME = "mask on acceleration [m/s^2]"
@@ -205,3 +206,22 @@ def test_a_tree_with_atoms_far_from_the_peak_of_the_centre_proves_nothing_more()
         given = replace(given, stage={**given.stage, name: np.zeros((1, 2))}, frequencies={name: np.array([1.0])})
         nodes.append(replace(node, proof=replace(node.proof, multipliers=given)))
     assert tree_bound(result.problem, replace(result.tree, nodes=nodes)).value <= result.cost
+
+
+def test_modes_at_some_frequencies_are_not_called_optimal(monkeypatch):
+    """A soft mask is never violated: what the cost lacks at other frequencies is seen in the gap."""
+    T, step = 8, lfo.PiecewiseAffineDynamics([lfo.AffineMode([[1.0]], [[1.0]])])
+    cost = lfo.QuadraticCost(R=1.0, u_ref=np.random.default_rng(0).standard_normal((T, 1)))
+    mask = MASK(0.5, band=lfo.low_pass(0.6), every_frequency=True, penalty=1.0)
+    bounds = lfo.Box(-3, 3), lfo.Box(-20, 20)
+    given = lfo.OptimalControlProblem(step, T, cost, *bounds, initial_state=[0], control_spectrum=mask)
+    assert lfo.solve(given).status == "optimal"
+    monkeypatch.setattr(every_frequency, "ROUNDS", 1)
+    result = lfo.solve(given, throw=False)
+    assert result.gap > 1e-4
+    assert result.status == "numerical_error"
+
+
+def test_peaks_of_equal_height_do_not_widen_what_gaps_are_relative_to(cheap):
+    """Which of them is the largest changes with rounding, the cost does not."""
+    assert cheap.certificate.cost_scale < 2 * cheap.cost

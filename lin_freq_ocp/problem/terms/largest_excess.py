@@ -45,8 +45,8 @@ class LargestExcess(Penalty):
         return (norm_of(change, 2) / self.limit)[:, None]
 
     def cost(self, v: Array) -> Array:
-        """Return h(v), with the group of the largest excess; of the others nothing, (groups,)."""
-        return self._of_largest(v, self.weight * self._raised(v))
+        """Return h(v), of all groups together, (1,): which of them has the largest excess is a matter of rounding."""
+        return np.array([self.weight * self._raised(v)])
 
     def slope(self, v: Array, change: Array, near: float) -> float:
         excess = self.excess(v)

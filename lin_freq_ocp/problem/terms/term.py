@@ -75,7 +75,7 @@ class Term:
         return self.map.shape
 
     def cost(self, x: Array, u: Array) -> Array:
-        """Return what it adds to J, one number a group; if it is about infinitely many points, one at each maximum."""
+        """Return what it adds to J, one number a group, or one of all groups together."""
         if self.everywhere is None or self.hard:
             return self.penalty.cost(self.map.values(x, u))
         values, penalty = self.everywhere.at(peaks_above(self.everywhere, x, u, 1.0)[0])
