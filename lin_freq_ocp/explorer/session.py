@@ -91,7 +91,7 @@ class Session:
         classical = self.outcome(values, classical=True)
         plan = classical.trajectory
         if not classical.status.solved or plan is None:
-            return {"finding": f"without the frequency constraint: {classical.status}", "trajectories": []}
+            return {"finding": f"no classical solution, {classical.status}", "trajectories": []}
         entries = ()
         if can_be_filtered(problem):
             control = filtered(PREFERRED_FILTER, problem, plan.u)

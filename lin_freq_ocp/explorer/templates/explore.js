@@ -147,12 +147,12 @@ function showBeside(found) {
   drawAll();
 }
 
-function addCure(changes, words) {
+function addCure(changes, words, from = values()) {
   const button = document.createElement("button");
   button.type = "button";
   button.textContent = words || Object.entries(changes).map(([key, value]) => {
     const slider = sliders.get(key);
-    return `${slider.label}: ${spoken(slider, slider.value)} → ${spoken(slider, value)}`;
+    return `${slider.label}: ${spoken(slider, from[key])} → ${spoken(slider, value)}`;
   }).join(", ");
   button.addEventListener("click", () => setAll(changes));
   byId("cures").append(button);
@@ -198,7 +198,7 @@ function show(point) {
     const away = (other) => Math.abs(other.values[slider.key] - point.values[slider.key]);
     if (alone.length) {
       const closest = alone.reduce((best, other) => (away(other) < away(best) ? other : best));
-      addCure({ [slider.key]: closest.values[slider.key] });
+      addCure({ [slider.key]: closest.values[slider.key] }, undefined, point.values);
     }
   }
 }
@@ -274,7 +274,7 @@ function spectrumPanel(frame, spectrum, i, shownOnes) {
   const log = (value) => (value === null ? null : value > 0 ? Math.log10(value) : -30);
   const all = ones.map((one) => one.spectra[i].map(log));
   const peak = Math.max(...all.flat(), ...spectrum.limits.flatMap((limit) => limit.values.map(log)), -29);
-  const high = Math.ceil(peak + 0.1), low = Math.max(high - DECADES, -30);
+  const high = peak > -29 ? Math.ceil(peak + 0.1) : 0, low = Math.max(high - DECADES, -30);
   const curves = spectrum.limits.map((limit) => ({ kind: "limit", points: limit.at.map((x, k) => [x, log(limit.values[k])]) }));
   ones.forEach((one, k) => curves.push({ kind: one.name, points: all[k].map((value, bin) => [bin * spectrum.step, value]) }));
   const bands = spectrum.stopped.map(([from, to]) => `${shown(from)} to ${shown(to)}`);
