@@ -11,7 +11,9 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.certificate.modes.bound import tree_bound
+from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
 from lin_freq_ocp.solving import every_frequency
 
 MASK = lfo.MagnitudeBound
@@ -222,6 +224,16 @@ def test_modes_at_some_frequencies_are_not_called_optimal(monkeypatch):
     assert result.status == "numerical_error"
 
 
-def test_peaks_of_equal_height_do_not_widen_what_gaps_are_relative_to(cheap):
-    """Which of them is the largest changes with rounding, the cost does not."""
-    assert cheap.certificate.cost_scale < 2 * cheap.cost
+def test_what_gaps_are_relative_to_does_not_count_peaks():
+    """An impulse has the same |V| at all frequencies: how many maxima it has, and which is the largest, is rounding."""
+    u = np.zeros((8, 1))
+    u[0] = 2.0
+    plant, mask = (
+        lfo.LinearDynamics([[1.0]], [[1.0]]),
+        MASK(1.0, band=lfo.low_pass(0.6), every_frequency=True, penalty=1),
+    )
+    given = lfo.OptimalControlProblem(plant, 8, lfo.QuadraticCost(R=1.0), initial_state=[0], control_spectrum=mask)
+    assert cost_scale(given, lfo.simulate(given, u)) == pytest.approx(3.0)
+    largest = LargestExcess(np.ones(2), np.asarray(1.0))
+    costs = [largest.cost(np.array([[2.0 + by, 0.0], [2.0 - by, 0.0]])) for by in (-1e-12, 1e-12)]
+    assert np.abs(costs[1] - costs[0]).sum() < 1e-11
