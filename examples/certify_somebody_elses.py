@@ -12,17 +12,17 @@ import numpy as np
 import lin_freq_ocp as lfo
 
 problem = lfo.library.double_integrator()
-A, B, T = problem.dynamics.A, problem.dynamics.B, problem.horizon
+A, B, T = problem.linear.A, problem.linear.B, problem.horizon
 
 x, u = cp.Variable((T + 1, 2)), cp.Variable((T, 1))
 removed = np.flatnonzero(problem.control_stop[:, 0])
 angle = 2 * np.pi * np.outer(removed, np.arange(T)) / T
 constraints = [
     x[1:] == x[:-1] @ A.T + u @ B.T,
-    x[0] == problem.initial_state.value,
-    x[T] == problem.terminal_state.value,
-    cp.abs(x[:, 1]) <= problem.state_set.upper[1],
-    cp.abs(u) <= problem.control_set.upper,
+    x[0] == problem.initial_box.lower,
+    x[T] == problem.terminal_box.lower,
+    cp.abs(x[:, 1]) <= problem.state_boxes.upper[0, 1],
+    cp.abs(u) <= problem.control_tube.upper,
     np.cos(angle) @ u == 0,
     np.sin(angle[removed < T / 2]) @ u == 0,
 ]

@@ -56,13 +56,13 @@ class Plant:
 
 def filtered_loop(base: lfo.OptimalControlProblem, plant: Plant, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return states and controls of the plain controller with a Butterworth low pass behind it."""
-    numerator, denominator = butter(2, CUTOFF_HZ, fs=1 / base.sampling_time)
+    numerator, denominator = np.asarray(butter(2, CUTOFF_HZ, fs=1 / base.sampling_time))
     memory, x = np.zeros((2, 1)), base.initial_box.lower
     controller, states, controls, applied = lfo.RecedingHorizon(base), [x], [], None
     for k in range(STEPS):
         planned = controller.step(x, applied=applied)
-        applied, memory = lfilter(numerator, denominator, planned[None], axis=0, zi=memory)
-        applied = applied[0]
+        filtered = lfilter(numerator, denominator, planned[None], axis=0, zi=memory)
+        applied, memory = filtered[0][0], filtered[1]
         x = plant(x, applied) + noise[k]
         states.append(x)
         controls.append(applied)
