@@ -27,10 +27,11 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_extra", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
 html_theme, html_title = "furo", f"lin_freq_ocp {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False
+html_extra_path = ["_extra"]  # the live page with a solved sweep, by first_page.py
 myst_enable_extensions, myst_heading_anchors = ["dollarmath", "colon_fence"], 3
 nb_execution_mode, nb_execution_raise_on_error, nb_execution_timeout = "force", True, 120
 numpydoc_show_class_members, numpydoc_class_members_toctree = False, False

@@ -1,4 +1,4 @@
-"""What the first page shows of an infeasible problem: the output of the command that stands above it."""
+"""What the first page shows: a live page with a solved sweep inside, and what is said of an infeasible problem."""
 
 from __future__ import annotations
 
@@ -14,4 +14,8 @@ if __name__ == "__main__":
         raise SystemExit(f"{' '.join(COMMAND)}: expected exit status 1, infeasible; got {done.returncode}")
     lines = [line for line in done.stdout.splitlines() if not line.startswith("time ")]
     text = "\n".join(["$ lin-freq-ocp " + " ".join(COMMAND), *lines])
-    (Path(__file__).parent / "_conflict.txt").write_text(text + "\n", encoding="utf-8")
+    here = Path(__file__).parent
+    (here / "_conflict.txt").write_text(text + "\n", encoding="utf-8")
+    (here / "_extra").mkdir(exist_ok=True)
+    page = ("explore", "pendulum", "--static", str(here / "_extra" / "explore_pendulum.html"))
+    subprocess.run([sys.executable, "-m", "lin_freq_ocp", *page], check=True, stdout=subprocess.DEVNULL)
