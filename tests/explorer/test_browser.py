@@ -1,13 +1,12 @@
 """The live page and the static page in a real browser: sliders, keys, cures, colours, widths, and what is requested."""
 
-import json
 import threading
 import time
 
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.browsers import chromium
+from helpers.browsers import chromium, complaints, requested
 from lin_freq_ocp.explorer.page import static_page
 from lin_freq_ocp.explorer.server import ExploreServer
 from lin_freq_ocp.explorer.session import Session
@@ -83,15 +82,6 @@ def dragged(browser, name, pixels):
     thumb = round(((value - low) / (high - low) - 0.5) * (slider.size["width"] - 16))
     chain = ActionChains(browser).move_to_element_with_offset(slider, thumb, 0).click_and_hold()
     chain.move_by_offset(pixels, 0).release().perform()
-
-
-def complaints(browser):
-    return [entry["message"] for entry in browser.get_log("browser")]
-
-
-def requested(browser):
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    return {event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"}
 
 
 def drawn(browser, kind):

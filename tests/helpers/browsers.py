@@ -1,5 +1,6 @@
 """Chromium of the machine, without a window, for tests of pages; skips where it is absent."""
 
+import json
 import shutil
 from contextlib import contextmanager
 
@@ -31,3 +32,14 @@ def chromium(width=1280, height=900):
         yield browser
     finally:
         browser.quit()
+
+
+def complaints(browser):
+    """Return the messages of the console since they were last asked for."""
+    return [entry["message"] for entry in browser.get_log("browser")]
+
+
+def requested(browser):
+    """Return the addresses that were requested since they were last asked for."""
+    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    return {event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"}
