@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.text.phrases import plural
 
 AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
-INDEPENDENT = 1e-10  # singular value, relative to the largest, from which rows are independent: rounding is far below
+INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class LevelUse:
         text = f"{self.fractional} of {plural(samples, 'sample')} between levels"
         if self.rows is None:
             return text
-        return f"{text}; no more than {self.rows} are needed: a cost of each sample alone, {self.rows} linear rows"
+        why = f"a cost of each sample alone, {plural(self.rows, 'linear row')}"
+        return f"{text}; no more than {self.rows} are needed: {why}"
 
 
 def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
@@ -64,7 +65,7 @@ def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
         return None
     between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
     rows = level_rows(problem)
-    return LevelUse(tuple(shares), between, None if rows is None else _rank(rows))
+    return LevelUse(tuple(shares), between, None if rows is None else _rank(_of_spans(rows, _spans(given, u))))
 
 
 def level_rows(problem: OptimalControlProblem) -> Array | None:
@@ -105,13 +106,14 @@ def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
     rows, given = level_rows(problem), problem.control_set
     if rows is None or not isinstance(given, ConvexSet):
         return None
-    nearest, lower, upper, between = (part.ravel() for part in _neighbours(given, u))
-    R = rows.reshape(len(rows), -1)
-    found = np.where(between, u.ravel(), nearest)
-    free = np.flatnonzero(between)
-    if len(free) <= _rank(rows):
+    spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
+    R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
+    nearest, lower, upper = ((part / spans).ravel() for part in levels)
+    found = np.where(between.ravel(), at, nearest)
+    if len(free) <= _rank(R):
         return None
-    found[free] += np.linalg.lstsq(R[:, free], R @ (u.ravel() - found), rcond=None)[0]
+    if len(R):
+        found[free] += np.linalg.lstsq(R[:, free], R @ (at - found), rcond=None)[0]
     while len(free):
         z = _null(R[:, free])
         if z is None:
@@ -121,7 +123,21 @@ def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
         found[free] += room[first] * z
         found[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
         free = np.delete(free, first)
-    return found.reshape(u.shape)
+    return found.reshape(u.shape) * spans
+
+
+def _spans(given: ConvexSet, u: Array) -> Array:
+    """Return the unit of each component, (m,): the distance of its outermost levels."""
+    return np.array([np.ptp(values) for values in given.levels_of(u.shape[1])])
+
+
+def _of_spans(rows: Array, spans: Array) -> Array:
+    """Return rows on controls over their spans, (rows, T m), each of size 1 or zero: their units say nothing."""
+    given = (rows * spans).reshape(len(rows), rows.shape[1] * rows.shape[2])
+    largest = np.abs(given).max(axis=1, keepdims=True, initial=0.0)
+    given = given / np.where(largest > 0, largest, 1.0)
+    size = np.linalg.norm(given, axis=1, keepdims=True)
+    return given / np.where(size > 0, size, 1.0)
 
 
 def _linear(term: Term) -> bool:
@@ -173,5 +189,5 @@ def _null(R: Array) -> Array | None:
     return directions[rank] if rank < R.shape[1] else None
 
 
-def _rank(rows: Array) -> int:
-    return int(np.linalg.matrix_rank(rows.reshape(len(rows), -1), rtol=INDEPENDENT)) if len(rows) else 0
+def _rank(R: Array) -> int:
+    return int(np.linalg.matrix_rank(R, rtol=INDEPENDENT)) if len(R) else 0

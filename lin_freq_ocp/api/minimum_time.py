@@ -10,14 +10,7 @@ from typing import final
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
-from lin_freq_ocp.comparison.minimum_time.search import (
-    Search,
-    Verdict,
-    checked_horizons,
-    require_source,
-    searched,
-    stated,
-)
+from lin_freq_ocp.comparison.minimum_time.search import Search, checked_horizons, require_source, searched, stated
 from lin_freq_ocp.comparison.sweep.grid import Source
 from lin_freq_ocp.errors import InfeasibleError
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -40,8 +33,9 @@ class MinimumTime:
     result : Result or None
         The optimum of the problem's cost at that horizon. Without a horizon: what was found at the largest one solved.
     ray : Multipliers or None
-        The verified proof of infeasibility at one step less; without a horizon, that of the largest one of the range.
-        None if one step less is outside of the range, or not proven (``proof`` says which).
+        The verified ray of infeasibility at one step less; without a horizon, that of the largest one of the range.
+        None if one step less is outside of the range, or there is none. ``proof`` says whether it is a proof: a
+        numerical ray excludes trajectories of practical size alone.
     monotone : bool
         Whether feasibility at one horizon is proven to imply it at all longer ones.
     reason : str
@@ -53,7 +47,7 @@ class MinimumTime:
     horizons : (int, int)
         The range.
     verdicts : dict
-        Of each horizon that was solved: "feasible", "infeasible" (proven by a ray) or "undecided".
+        Of each horizon that was solved: "feasible", "infeasible" (by a verified ray) or "undecided".
     rays : dict
         The ray of each horizon that is "infeasible".
     interrupted : bool
@@ -189,13 +183,13 @@ def _result(search: Search, failing: list[str]) -> MinimumTime:
 
 def _unproven(search: Search, last: int, monotone: bool) -> list[int]:
     """Return the horizons up to the last that are not proven infeasible."""
-    infeasible = search.of(Verdict.INFEASIBLE)
-    first = max(infeasible, default=search.low - 1) + 1 if monotone else search.low
-    return [T for T in range(first, last + 1) if T not in search.rays]
+    proven = search.proven
+    first = max(proven, default=search.low - 1) + 1 if monotone else search.low
+    return [T for T in range(first, last + 1) if T not in proven]
 
 
 def _proof(search: Search, last: int, unproven: list[int], monotone: bool) -> str:
-    proven = sorted(search.rays)
+    proven = search.proven
     found = [] if search.horizon is None else [f"{search.horizon} is feasible"]
     if search.horizon == search.low:
         found.append("shorter horizons were not asked for")
@@ -204,8 +198,11 @@ def _proof(search: Search, last: int, unproven: list[int], monotone: bool) -> st
     elif proven:
         each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
         found.append(f"{each} proven infeasible by a ray of its own")
+    if search.practical:
+        each = _ranges(sorted(search.practical))
+        found.append(f"a numerical ray excludes every trajectory of practical size at {each}")
     if unproven:
-        found.append(f"nothing is proven of {_ranges(unproven)}")
+        found.append(f"nothing {'more ' if search.practical else ''}is proven of {_ranges(unproven)}")
     return "; ".join(found)
 
 

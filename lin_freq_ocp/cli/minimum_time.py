@@ -1,7 +1,8 @@
 """The command lin-freq-ocp minimum-time: the least horizon at which a problem is feasible.
 
 Exit status: 0 a horizon is feasible and all shorter ones of the range are proven infeasible; 1 none of the range is
-feasible, which is proven; 2 bad input; 3 some horizon is undecided; 130 interrupted, and what is decided is printed.
+feasible, which is proven; 2 bad input; 3 nothing is proven of some horizon; 130 interrupted, and what is decided is
+printed.
 """
 
 from __future__ import annotations

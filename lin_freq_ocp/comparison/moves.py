@@ -120,7 +120,7 @@ def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence
         _of_search(UNSHAPED, "without the bound on the vibration", before, problem),
         tuple(_shaped_move(name, problem, plan, shortest) for name in names),
         _of_search(OURS, "with the bound in the problem", ours, problem),
-        ours.horizon is not None and (ours.horizon == 1 or ours.horizon - 1 in ours.rays),
+        ours.horizon is not None and (ours.horizon == 1 or ours.horizon - 1 in ours.proven),
     )
 
 

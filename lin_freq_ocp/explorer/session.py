@@ -33,7 +33,7 @@ from lin_freq_ocp.report.findings import finding
 from lin_freq_ocp.report.proof import verdict
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.text.phrases import number
 
 SOLVE_SECONDS = 10.0  # for one answer
@@ -162,6 +162,7 @@ def answer_data(outcome: Outcome) -> Data:
     return {
         "status": outcome.status,
         "message": outcome.message,
+        "practical": outcome.message == ONLY_PRACTICAL,
         "cost": outcome.cost,
         "words": {
             "cost": number(outcome.cost, 6),

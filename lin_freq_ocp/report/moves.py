@@ -45,7 +45,8 @@ def moves_sentence(moves: Moves) -> str:
         own = f"{ours.samples} samples are enough" + (
             f", and {ours.samples - 1} are proven not to be" if moves.proof and ours.samples > 1 else ""
         )
-    return f"input shapers of the same robustness need {listed(known + unknown)} samples; {own}"
+    found = listed(known + unknown)
+    return f"with the profiles tried, input shapers of the same robustness need {found} samples; {own}"
 
 
 def moves_caption(moves: Moves) -> str:
@@ -54,7 +55,8 @@ def moves_caption(moves: Moves) -> str:
     return (
         "The amplitude that each move leaves ringing in a mode of this natural frequency, the largest over the damping "
         "ratios of the box; within the shaded frequencies it must not exceed the limit. Every move but the unshaped "
-        f"is the shortest of its kind that keeps all constraints, '{OURS}' that of the problem. Impulses: {impulses}."
+        f"is the shortest found of its kind that keeps all constraints, '{OURS}' that of the problem. Impulses: "
+        f"{impulses}."
     )
 
 

@@ -16,13 +16,11 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.status import Status
 
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
 LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
-
-ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 
 
 def judged(

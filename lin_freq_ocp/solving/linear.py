@@ -20,10 +20,10 @@ from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.judging import ONLY_PRACTICAL, judged
+from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.status import Status
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it

@@ -17,6 +17,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.status import Status
 
+ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
+
 
 @dataclass(frozen=True)
 class Cure:

@@ -258,3 +258,20 @@ def test_problems_that_cannot_be_stated_at_another_horizon_are_refused():
         lfo.minimum_time(lambda horizon: integrator(6), horizons=(3, 9))
     with pytest.raises(lfo.errors.ProblemError, match="an OptimalControlProblem"):
         lfo.minimum_time(7, horizons=(3, 9))
+
+
+def test_a_numerical_ray_is_no_proof():
+    """Without bounds on the control, a mask at every frequency excludes trajectories of practical size alone."""
+    h = 0.1
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]], sampling_time=h)
+    mask = lfo.MagnitudeBound(3.0, band=lfo.low_pass(cutoff_hz=0.4), every_frequency=True)
+    cost = lfo.QuadraticCost(R=1.0)
+    free = lfo.OptimalControlProblem(dynamics, 30, cost, None, None, [0, 0], [1, 0], control_spectrum=mask)
+    found = lfo.minimum_time(free, (28, 29))
+    assert (found.horizon, found.proven, list(found.rays)) == (29, False, [28])
+    assert found.proof.endswith(
+        "a numerical ray excludes every trajectory of practical size at 28; nothing more is proven of 28"
+    )
+    bounded = lfo.minimum_time(replace(free, control_set=lfo.Box(-9, 9)), (28, 29))
+    assert (bounded.horizon, bounded.proven) == (29, True)
+    assert "28 is proven infeasible by a ray" in bounded.proof

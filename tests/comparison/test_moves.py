@@ -86,6 +86,14 @@ def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
     assert "tried" not in comparison.moves.shaped[0].description
 
 
+def test_a_numerical_ray_is_no_proof():
+    printer = lfo.library.printer_move()
+    moves = lfo.compare(replace(printer, control_set=None, state_set=None), ["ZV"]).moves
+    assert moves.ours.measured is not None
+    assert not moves.proof
+    assert "proven" not in moves_sentence(moves)
+
+
 def test_where_shapers_do_not_apply():
     free = lfo.library.double_integrator(horizon=40, sampling_time=0.04, cutoff_hz=None)
     assert "no control" in why_not_shaped(free)

@@ -11,7 +11,7 @@ from lin_freq_ocp.comparison.sweep.grid import Source, problem_at, require_param
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.status import Status
 
 
@@ -32,6 +32,7 @@ class Search:
     verdicts: dict[int, Verdict] = field(default_factory=dict)
     rays: dict[int, Multipliers] = field(default_factory=dict)
     best: Outcome | None = None  # at the least horizon that is feasible
+    practical: set[int] = field(default_factory=set)  # of those in ``rays``, where the ray is numerical: no proof
     last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
     interrupted: bool = False
 
@@ -43,6 +44,11 @@ class Search:
     def of(self, verdict: Verdict) -> list[int]:
         """Return the horizons with a verdict, in increasing order."""
         return sorted(T for T, given in self.verdicts.items() if given == verdict)
+
+    @property
+    def proven(self) -> list[int]:
+        """Return the horizons that are infeasible by a rigorous ray, in increasing order."""
+        return sorted(self.rays.keys() - self.practical)
 
     def keep(self, horizon: int, outcome: Outcome) -> Verdict:
         """Keep what a solve says about a horizon."""
@@ -56,6 +62,7 @@ class Search:
             self.last = outcome
         if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
             self.rays[horizon] = outcome.ray
+            self.practical |= {horizon} if outcome.message == ONLY_PRACTICAL else set()
         return verdict
 
 
