@@ -79,11 +79,13 @@ async function solve() {
   let asked = -1;
   while (asked !== order) {
     asked = order;
+    const given = values();
     try {
       const found = await ask("answer");
-      if (found !== null) showAnswer(found);
+      if (found !== null) showAnswer(found, asked, given);
     } catch (error) {
-      showAnswer({ status: "error", message: live && error instanceof TypeError ? "lin-freq-ocp explore has ended." : error.message });
+      const message = live && error instanceof TypeError ? "lin-freq-ocp explore has ended." : error.message;
+      showAnswer({ status: "error", message }, asked, given);
     }
   }
   waiting = false;
@@ -112,7 +114,7 @@ async function afterwards(asked) {
   }
 }
 
-function showAnswer(found) {
+function showAnswer(found, asked = order, given = values()) {
   answer = found;
   const [kind, words] = BADGES[found.practical ? "infeasible_claimed" : found.status] || ["", found.status];
   const badge = byId("badge"), text = found.words || {};
@@ -130,10 +132,10 @@ function showAnswer(found) {
   if (infeasible) {
     byId("why").textContent = `No trajectory${found.practical ? " of practical size" : ""} satisfies all of these together: ${listed(found.conflict)}.`;
     if (solved !== null) addCure(solved, "Back to the last solution");
-  } else if (found.trajectory) solved = values();
+  } else if (found.trajectory) solved = given;
   drawAll();
   byId("controls").dataset.drawn = performance.now();
-  byId("controls").dataset.order = order;
+  byId("controls").dataset.order = asked;
 }
 
 function showBeside(found) {
