@@ -60,9 +60,9 @@ class LevelUse:
 def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
     """Return how controls (T, m) use the levels of a problem; None without levels."""
     given = problem.control_set
-    shares = given.shares(u) if isinstance(given, ConvexSet) else ()
-    if not len(shares):
+    if not isinstance(given, ConvexSet) or not len(given.levels_of(u.shape[1])):
         return None
+    shares = given.shares(u)
     between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
     rows = level_rows(problem)
     return LevelUse(tuple(shares), between, None if rows is None else _rank(_of_spans(rows, _spans(given, u))))

@@ -148,8 +148,8 @@ class Outcome:
 
     @property
     def dual(self) -> bool:
-        """Whether there is a proof: a lower bound on the cost, or a verified ray of infeasibility or descent."""
-        infeasible = self.status == Status.INFEASIBLE
+        """Whether there is a proof: a lower bound on the cost, or a rigorous ray of infeasibility or one of descent."""
+        infeasible = self.status == Status.INFEASIBLE and self.message != ONLY_PRACTICAL
         return infeasible or self.direction is not None or self.lower_bound is not None
 
     @property
