@@ -107,3 +107,10 @@ def test_the_costs_of_levels_are_what_is_minimised():
     facts = dict(problem_facts(lfo.library.pulse_pattern(samples=16)))
     assert facts["minimise"] == "the costs of the control set"
     assert "at the costs (0.25, 0.0625, 0, 0.0625, 0.25), switching within samples" in facts["control set"]
+
+
+def test_levels_cannot_be_soft():
+    """The price of a soft set would take the place of the levels' costs."""
+    for duty_cycles in (False, True):
+        with pytest.raises(ProblemError, match=r"Soft: got FiniteSet.*expected a Box"):
+            lfo.sets.Soft(lfo.FiniteSet([-1, 0, 1], [1, 0, 1], duty_cycles), 2.0)

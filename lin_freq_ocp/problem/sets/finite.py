@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from math import prod
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,6 +121,8 @@ class FiniteSet(ConvexSet):
     >>> round(lfo.solve(problem).cost, 9)
     2.0
     """
+
+    may_be_soft: ClassVar[bool] = False  # its costs are prices already
 
     given: tuple[Levels, ...]  # of each component, or one for all
     single: bool  # whether one sequence was given, for all components
