@@ -26,7 +26,7 @@ SAYS = {
     "rendezvous": "solved by method structured",
     "inverter": "8 of 128 samples between levels; no more than 8 are needed",
     "wave_energy": "force  1000 N: mean power 58.75533 W",
-    "stepping_stones": "cost 0.774167, no trajectory below 0.774167",
+    "stepping_stones": "cost 0.774167, no trajectory below 0.77416",
     "price_of_bandwidth": "cutoff",
     "infeasible": "with 5.54 N instead of 5 N",
     "many_initial_states": "all proven: True",
