@@ -1,0 +1,72 @@
+"""Lines of a proof: JSON objects whose real numbers are hexadecimal strings, exact to the last bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array
+
+CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
+
+Value = str | bool | int | float | Array | list[int] | list[str] | list[list[int]]
+
+
+class Text(str):
+    """A value that is JSON already."""
+
+
+def line(**fields: Value) -> str:
+    """Return a line of the file: names and integers as they are, real numbers in hexadecimal."""
+    return "{" + ", ".join(f'"{name}": {encoded(value)}' for name, value in fields.items()) + "}\n"
+
+
+def encoded(value: Value) -> str:
+    """Return a value as JSON; arrays and floats are real numbers."""
+    if isinstance(value, Text):
+        return value
+    if isinstance(value, np.ndarray):
+        if value.ndim > 1:
+            return "[" + ", ".join(map(encoded, value)) + "]"
+        return vector(value) if value.ndim else encoded(float(value))
+    return f'"{value.hex()}"' if isinstance(value, float) else json.dumps(value)
+
+
+def vector(values: Array) -> str:
+    """Return real numbers (k,) as a list; infinities are "inf" and "-inf"."""
+    return '["' + '", "'.join(map(float.hex, values.tolist())) + '"]' if len(values) else "[]"
+
+
+def rows(values: Array) -> Iterator[Text]:
+    """Yield each row of real numbers (k, size) as a list."""
+    size = values.shape[1]
+    step = max(CHUNK // max(size, 1), 1)
+    for begin in range(0, len(values), step):
+        part = values[begin : begin + step]
+        numbers = list(map(float.hex, part.ravel().tolist()))
+        for k in range(len(part)):
+            yield Text('["' + '", "'.join(numbers[k * size : (k + 1) * size]) + '"]' if size else "[]")
+
+
+def exact(mantissa: int, exponent: int) -> str:
+    """Return mantissa * 2^exponent as the text of a real number."""
+    return f"{'-' if mantissa < 0 else ''}0x{abs(mantissa):x}p{exponent:+d}"
+
+
+def symmetric(matrix: Array) -> Array | Text:
+    """Return a matrix that differs from its transpose by rounding as (H + H') / 2, exactly."""
+    if np.array_equal(matrix, matrix.T):
+        return matrix
+    found = [
+        [_mean(a, b) for a, b in zip(*pair, strict=True)]
+        for pair in zip(matrix.tolist(), matrix.T.tolist(), strict=True)
+    ]
+    return Text(json.dumps(found))
+
+
+def _mean(a: float, b: float) -> str:
+    mean = (Fraction(a) + Fraction(b)) / 2
+    return exact(mean.numerator, 1 - mean.denominator.bit_length())

@@ -1,0 +1,138 @@
+"""The section PROBLEM of a proof says what the problem says, to the last bit."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.proof.lines import exact, symmetric, vector
+from lin_freq_ocp.proof.statement import problem_lines
+
+
+def stated(problem):
+    return [json.loads(text) for text in problem_lines(problem)]
+
+
+def numbers(texts):
+    return np.array([numbers(one) if isinstance(one, list) else float.fromhex(one) for one in texts])
+
+
+def lines_with(lines, key, value=None):
+    return [one for one in lines if key in one and value in (None, one[key])]
+
+
+def test_numbers_are_exact():
+    values = np.array([0.1, -0.0, 5e-324, 1.7976931348623157e308, np.inf, -np.inf])
+    assert np.array_equal(numbers(json.loads(vector(values))), values)
+    assert float.fromhex(exact(-5, -3)) == -0.625
+
+
+def test_dynamics_costs_and_bounds_are_those_of_the_problem():
+    problem = lfo.library.pendulum()
+    lines = stated(problem)
+    assert (lines[0]["horizon"], lines[0]["states"]) == (240, list(problem.state_names))
+    (mode,) = lines_with(lines, "mode")
+    assert np.array_equal(numbers(mode["A"]), problem.linear.A)
+    assert np.array_equal(numbers(mode["B"]), problem.linear.B)
+    (cost,) = lines_with(lines, "cost", "stage")
+    assert np.array_equal(numbers(cost["hessian"]), problem.quadratic.stage_hessians()[0])
+    bounds = lines_with(lines, "bounds", "x")
+    assert [one["from"] for one in bounds] == [0, 1, 240]
+    for one in bounds:
+        assert np.array_equal(numbers(one["upper"]), problem.state_tube.upper[one["from"]])
+    (stop,) = lines_with(lines, "stop")
+    removed = [k for first, last in stop["bins"] for k in range(first, last + 1)]
+    assert removed == np.flatnonzero(problem.control_stop[:, 0]).tolist()
+
+
+def test_what_changes_in_time_stands_where_it_changes():
+    T = 6
+    Q = np.ones((T, 1, 1))
+    Q[4:] = 2.0
+    x_ref = np.zeros((T + 1, 1))
+    x_ref[2:] = 3.0
+    cost = lfo.QuadraticCost(Q=Q, R=1.0, x_ref=x_ref, q=[0.5], P=4.0)
+    offset = np.zeros((T, 1))
+    offset[3] = 1.0
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]], offset), T, cost, initial_state=[0.0])
+    lines = stated(problem)
+    stages = lines_with(lines, "cost", "stage")
+    assert [one["from"] for one in stages] == [0, 2, 4]
+    assert "hessian" not in stages[1]
+    assert numbers(stages[1]["center"])[0] == 3.0
+    assert "center" not in stages[2]
+    assert numbers(stages[2]["hessian"])[0, 0] == 2.0
+    assert [one["from"] for one in lines_with(lines, "mode")] == [0, 3, 4]
+    (end,) = lines_with(lines, "cost", "end")
+    assert numbers(end["hessian"])[0, 0] == 4.0
+    assert numbers(end["center"])[0] == 3.0
+
+
+def test_modes_have_the_rows_of_their_regions():
+    problem = lfo.library.switched_rotation()
+    lines = stated(problem)
+    modes = lines_with(lines, "mode")
+    assert lines[0]["modes"] == list(problem.dynamics.mode_names)
+    assert [one["mode"] for one in modes] == [0, 1]
+    for one, mode in zip(modes, problem.piecewise.modes, strict=True):
+        assert np.array_equal(numbers(one["A"]), mode.linear.A)
+        assert np.array_equal(numbers(one["h"]), mode.region.e)
+
+
+def test_rows_of_terms_are_those_of_their_maps():
+    rows = lfo.StageRows(C=[[1.0, 0.25]], D=[[-2.0]], e=[0.5], penalty=3.0)
+    cost = lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(x=[1.0, 0.0], x_ref=[0.5, 0.0])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]]), 5, cost, stage_rows=rows
+    )
+    lines = stated(problem)
+    first = next(i for i, one in enumerate(lines) if one.get("name") == "stage rows" and "term" in one)
+    assert lines[first]["function"] == "halfspaces"
+    group = lines[first + 3]
+    assert group["group"] == 2
+    (value,) = group["values"]
+    assert [(t, i, float.fromhex(c)) for t, i, c in value["x"]] == [(2, 0, 1.0), (2, 1, 0.25)]
+    assert [(t, i, float.fromhex(c)) for t, i, c in value["u"]] == [(2, 0, -2.0)]
+    assert numbers(group["limit"]) == [0.5]
+    assert numbers(group["weight"]) == [3.0]
+    norm = next(one for one in lines if one.get("function") == "ball 1")
+    assert norm["name"] == "L1 cost of states"
+    assert float.fromhex(lines[lines.index(norm) + 1]["values"][0]["constant"]) == -0.5
+
+
+def test_masks_have_their_bins_and_limits():
+    bound = lfo.spectrum.MagnitudeBound(0.25, bins=[3, 4], penalty=2.0, window=np.arange(1.0, 9.0))
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 8, lfo.QuadraticCost(R=1.0), control_spectrum=bound
+    )
+    lines = stated(problem)
+    (term,) = lines_with(lines, "term")
+    assert term["function"] == "ball 2"
+    groups = lines_with(lines, "group")
+    assert [one["values"][0]["frequency"] for one in groups] == [[3, 8], [4, 8]]
+    assert float.fromhex(groups[0]["limit"]) == 0.25
+    assert float.fromhex(groups[0]["weight"]) == 2.0
+    assert np.array_equal(numbers(groups[0]["values"][0]["window"]), np.arange(1.0, 9.0))
+    assert numbers(groups[0]["values"][0]["output"]).tolist() == [0.0, 1.0]
+
+
+def test_what_the_format_does_not_hold_is_refused_by_its_field():
+    problem = lfo.library.norm_dynamics()
+    with pytest.raises(lfo.errors.UnsupportedError, match="dynamics: got"):
+        stated(problem)
+
+
+def test_a_term_that_the_format_does_not_hold_is_refused_by_its_field():
+    with pytest.raises(lfo.errors.UnsupportedError, match="control_spectrum: got 'residual vibration"):
+        stated(lfo.library.printer_move())
+
+
+def test_a_hessian_that_is_symmetric_up_to_rounding_is_symmetrised_exactly():
+    a, b = 0.1, np.nextafter(0.1, 1.0)
+    (first, second), (third, _) = json.loads(symmetric(np.array([[1.0, a], [b, 1.0]])))
+    assert second == third
+    assert Fraction(*float.fromhex(first).as_integer_ratio()) == 1
+    mantissa, exponent = second[2:].split("p")
+    assert int(mantissa, 16) * Fraction(2) ** int(exponent) == (Fraction(a) + Fraction(b)) / 2
