@@ -9,13 +9,16 @@ from itertools import product
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from lin_freq_ocp.explorer.frequencies import CUTOFF
 from lin_freq_ocp.explorer.session import Session
-from lin_freq_ocp.explorer.sliders import CUTOFF, Slider
+from lin_freq_ocp.explorer.slider import Slider
+from lin_freq_ocp.explorer.sliders import FOLDED, GROUPS
 from lin_freq_ocp.explorer.view import Data
 from lin_freq_ocp.problem.description import problem_facts
 
-# Points of a solved sweep along each slider, the own value among them: all pairs of the first two, the others alone.
+# Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
 PAIRED, ALONE = 7, 5
+PAIR = "frequency", "bounds"  # groups of which the first sliders are moved together
 
 
 def page(session: Session) -> str:
@@ -35,7 +38,8 @@ def static_page(session: Session, progress: Callable[[int, int], object] = lambd
 
 def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
     """Return the values at the points of a sweep: of the sliders that are moved."""
-    paired = [slider for slider in sliders if slider.group in ("frequency", "bounds")][:2]
+    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
+    paired = [one for first in firsts for one in first]
     moved = [dict(pair) for pair in product(*([(one.key, v) for v in _along(one, PAIRED)] for one in paired))]
     moved += [{one.key: value} for one in sliders if one not in paired for value in _along(one, ALONE)]
     own = {one.key: one.value for one in sliders}
@@ -60,6 +64,8 @@ def _rendered(session: Session, solved: list[Data] | None) -> str:
             facts=problem_facts(session.problem),
             cutoff=any(slider.key == CUTOFF for slider in session.sliders),
             live=solved is None,
+            groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
+            folded=[(key, GROUPS[key]) for key in FOLDED],
             version=version("lin-freq-ocp"),
             data=data,
         )

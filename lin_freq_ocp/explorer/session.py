@@ -1,6 +1,6 @@
 """The answers of a live page: a problem at the values of its sliders, solved again and again and judged.
 
-What only the bounds and ends of a problem change is kept between solves (``comparison.many.repeated``).
+What bounds and ends of a problem do not change is kept between solves (``comparison.many.repeated``).
 """
 
 from __future__ import annotations
@@ -15,18 +15,11 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequ
 from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.comparison.trajectories import replayed
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, UnsupportedError
-from lin_freq_ocp.explorer.sliders import (
-    CUTOFF,
-    HORIZON,
-    Rebuild,
-    Values,
-    bounds_at,
-    changed,
-    checked,
-    ends_at,
-    problem_at,
-    sliders_of,
-)
+from lin_freq_ocp.explorer.ends import ends_at
+from lin_freq_ocp.explorer.frequencies import GROUP as FREQUENCY
+from lin_freq_ocp.explorer.limits import sets_at
+from lin_freq_ocp.explorer.slider import Values
+from lin_freq_ocp.explorer.sliders import KEPT, Rebuild, changed, checked, problem_at, sliders_of
 from lin_freq_ocp.explorer.view import Data, drawn, frame
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.findings import finding
@@ -133,24 +126,23 @@ class Session:
         """Return how the problem at these values ends, with or without its frequency constraints."""
         moved = changed(self.sliders, values)
         if classical:
-            moved.pop(CUTOFF, None)
+            moved = self._of_groups(moved, lambda group: group != FREQUENCY)
         return self._outcomes.get((classical, *moved.items()), lambda: self._solved(moved, classical))
 
+    def _of_groups(self, moved: Values, wanted: Callable[[str], bool]) -> dict[str, float]:
+        """Return the moved values of some groups of sliders."""
+        groups = {slider.key: slider.group for slider in self.sliders}
+        return {key: value for key, value in moved.items() if wanted(groups[key])}
+
     def _solved(self, moved: dict[str, float], classical: bool) -> Outcome:
-        structure = {key: moved[key] for key in (HORIZON, CUTOFF) if key in moved}
+        structure = self._of_groups(moved, lambda group: group not in KEPT)
         repeated = self._repeated.get((classical, *structure.items()), lambda: self._prepared(structure, classical))
-        problem = repeated.problem
-        bounds, ends = bounds_at(problem, moved), ends_at(problem, moved)
-        change = Change(
-            ends.get("initial_state"),
-            ends.get("terminal_state"),
-            None,
-            None if bounds is None else {"control_set": bounds},
-        )
+        sets, ends = sets_at(repeated.problem, moved), ends_at(repeated.problem, moved)
+        change = Change(ends.get("initial_state"), ends.get("terminal_state"), bounds=sets or None)
         return repeated.solve(change, SOLVE_SECONDS)
 
     def _prepared(self, structure: dict[str, float], classical: bool) -> Repeated:
-        problem = problem_at(self.problem, self.rebuild, self.sliders, structure)
+        problem = problem_at(self.problem, self.rebuild, structure)
         if classical:
             problem = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
         return Repeated(problem)

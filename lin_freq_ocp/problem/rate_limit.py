@@ -13,6 +13,7 @@ from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.text.phrases import split_unit
 
 NAME = "rate limit"  # of the added rows
 
@@ -58,7 +59,7 @@ def rate_limited(
     before = (
         np.full((2, k), [[-np.inf], [np.inf]]) if previous is None else np.tile(_previous(previous, m)[limited], (2, 1))
     )
-    names = [f"{problem.control_names[j]} before" for j in limited]
+    names = [_before(problem.control_names[j]) for j in limited]
     added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
     remembering = extended(problem, added)
     of_x = np.zeros((k, problem.state_dim))
@@ -69,6 +70,11 @@ def rate_limited(
         name=NAME,
     )
     return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+
+
+def _before(name: str) -> str:
+    label, unit = split_unit(name)
+    return f"{label} before [{unit}]" if unit else f"{label} before"
 
 
 def _limits(limit: Bound, m: int) -> Array:

@@ -2,6 +2,8 @@
 
 import threading
 import time
+from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
@@ -18,14 +20,21 @@ def new_session():
     return Session(lfo.library.double_integrator(), lambda horizon: lfo.library.double_integrator(horizon=horizon))
 
 
-@pytest.fixture(scope="module")
-def address():
-    with ExploreServer(new_session()) as server:
+@contextmanager
+def served(session):
+    """Yield the address of a live page."""
+    with ExploreServer(session) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         yield server.url
         server.shutdown()
         thread.join()
+
+
+@pytest.fixture(scope="module")
+def address():
+    with served(new_session()) as url:
+        yield url
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +179,73 @@ def test_a_narrow_dark_screen_shows_all_without_scrolling_sideways(page, request
         dark = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
         assert light == "rgb(255, 255, 255)"
         assert dark == "rgb(20, 24, 29)"
+
+
+def limited_move():
+    """Return a move with a notch, a mask, a rate limit and a bound on the speed."""
+    dynamics = lfo.LinearDynamics(
+        [[1.0, 0.1], [0.0, 1.0]],
+        [[0.005], [0.1]],
+        state_names=["position [m]", "speed [m/s]"],
+        control_names=["force [N]"],
+        sampling_time=0.1,
+    )
+    spectrum = [
+        lfo.spectrum.notch(centre_hz=1.5, width_hz=0.6),
+        lfo.MagnitudeBound(0.3, band=lfo.low_pass(cutoff_hz=1.0)),
+    ]
+    problem = lfo.OptimalControlProblem(
+        dynamics,
+        40,
+        lfo.QuadraticCost(R=0.1),
+        control_set=lfo.Box(-2, 2),
+        state_set=lfo.Box([None, -0.4], [None, 0.4]),
+        initial_state=[1, 0],
+        terminal_state=[0, 0],
+        control_spectrum=spectrum,
+    )
+    return lfo.rate_limited(problem, 0.5, previous=0)
+
+
+def test_masks_notches_rates_and_bounds_of_states_can_be_moved(browser):
+    with served(Session(limited_move())) as url:
+        first = opened(browser, url)
+        assert first["status"] == "optimal, proven"
+        assert "no single low pass" in part(browser, "cutoff").text
+        browser.find_element("css selector", "#states summary").click()
+        for key, notches in {
+            "level.control_spectrum.1": -8,
+            "edge.control_spectrum.0.0": -2,
+            "edge.control_spectrum.0.1": 4,
+            "rows.0": -20,
+            "state_bound.1": -3,
+        }.items():
+            slider = part(browser, key)
+            assert slider.is_displayed()
+            browser.execute_script("arguments[0].focus()", slider)
+            there = settled(browser, partial(slider.send_keys, keys(notches)))
+            assert there["status"] == "optimal, proven"
+            assert float(there["cost"]) > float(first["cost"]) * (1 + 1e-4), key
+            assert settled(browser, browser.find_element("id", "reset").click) == first
+        assert part(browser, "level.control_spectrum.1").get_attribute("aria-valuetext") == "0 dB"
+        assert complaints(browser) == []
+
+
+def test_an_infeasible_bound_of_a_state_is_cured_by_a_button(browser):
+    with served(Session(limited_move())) as url:
+        opened(browser, url)
+        browser.find_element("css selector", "#states summary").click()
+        slider = part(browser, "state_bound.1")
+        assert settled(browser, lambda: slider.send_keys(keys(-15)))["status"] == "infeasible, proven"
+        assert "speed" in part(browser, "conflict").text
+        until(browser, "document.getElementById('cures').textContent.includes('speed')")
+        button = next(
+            one for one in part(browser, "cures").find_elements("tag name", "button") if "|speed|" in one.text
+        )
+        assert settled(browser, button.click)["status"] == "optimal, proven"
+
+
+def keys(notches):
+    from selenium.webdriver import Keys
+
+    return (Keys.ARROW_LEFT if notches < 0 else Keys.ARROW_RIGHT) * abs(notches)

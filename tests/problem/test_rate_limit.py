@@ -84,7 +84,7 @@ def test_the_optimum_is_that_of_a_program_written_by_hand(name, method):
 
 def test_further_states_are_the_controls_before_and_the_others_as_they_were():
     limited = lfo.rate_limited(problem_of(), [None, 0.2])
-    assert limited.state_names == ("x_0", "x_1", "x_2", "torque [N m] before")
+    assert limited.state_names == ("x_0", "x_1", "x_2", "torque before [N m]")
     result = lfo.solve(limited)
     x, u = result.trajectory.x, result.control
     np.testing.assert_allclose(x[1:, N], u[:, 1], atol=1e-12)

@@ -16,7 +16,7 @@ let order = 0, answer = null, beside = null, solved = null, waiting = false;
 
 function spoken(slider, value) {
   if (slider.key === "cutoff" && value >= slider.high) return "none";
-  const decimals = Math.max(0, -Math.floor(Math.log10(slider.step)) + (slider.key === "cutoff" ? 1 : 0));
+  const decimals = Math.max(0, -Math.floor(Math.log10(slider.step)) + (slider.group === "frequency" ? 1 : 0));
   return `${Number(value.toFixed(Math.min(decimals, 12)))} ${slider.unit}`.trim();
 }
 

@@ -17,13 +17,13 @@ function shown(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
-/* Round values between two limits, about so many. */
+/* Round values between two limits, about so many, and no fewer than three. */
 function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((size) => size >= rough * 0.999);
   const found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
-  return found;
+  return found.length < 3 && high > low ? ticks(low, high, 2 * count) : found;
 }
 
 function decades(low, high) {

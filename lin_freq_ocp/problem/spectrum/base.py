@@ -39,6 +39,7 @@ class Signal:
 class FrequencyConstraint(ABC):
     """A constraint, or a price, on the spectrum of a signal."""
 
+    label: ClassVar[str] = "frequency constraint"  # in words
     component: int | str | None = None  # index or name; None: all
     on_outputs: ClassVar[bool] = True  # whether it may constrain linear outputs
     remembers: ClassVar[bool] = False  # whether it depends on samples of the past
@@ -58,6 +59,10 @@ class FrequencyConstraint(ABC):
     def widened(self, amount: float) -> FrequencyConstraint:
         """Return it with a limit that is higher by an amount, if it has one."""
         return self
+
+    def scaled(self, factor: float) -> FrequencyConstraint | None:
+        """Return it with its limits on magnitudes times a factor; None if it has none above zero."""
+        return None
 
     def behind(self, past: Array, measured: int) -> FrequencyConstraint:
         """Return it after samples (k, components) of its signal, if it depends on them.

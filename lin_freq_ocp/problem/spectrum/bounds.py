@@ -20,7 +20,14 @@ from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer,
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.spectrum.every_frequency import Limit, held_limits_of, level, limits_of
+from lin_freq_ocp.problem.spectrum.every_frequency import (
+    Limit,
+    held_limits_of,
+    level,
+    limit_of_bins,
+    limits_of,
+    require_one_limit,
+)
 from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies, HeldMap
 from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
@@ -88,6 +95,13 @@ class SpectrumBound(FrequencyConstraint, ABC):
     @abstractmethod
     def widened(self, amount: float) -> SpectrumBound:
         """Return it with a higher limit."""
+
+    @abstractmethod
+    def scaled(self, factor: float) -> SpectrumBound | None: ...
+
+    def within(self, band: Band) -> Self:
+        """Return it with the bins that another band would remove."""
+        return self._with(band=band)
 
     @property
     @abstractmethod
@@ -242,7 +256,7 @@ class MagnitudeBound(SpectrumBound):
         if every_frequency:
             found = level("MagnitudeBound.limit", limit, limit_db, reference, band)
         else:
-            found = _limit(limit, limit_db, reference)
+            found = limit_of_bins(limit, limit_db, reference)
         assign(self, limit=found, between=between, every_frequency=every_frequency, hold=hold)
         self._set_domain(bins, band, component, penalty, window, oversampling)
         if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between):
@@ -302,6 +316,11 @@ class MagnitudeBound(SpectrumBound):
         higher = np.array([0.0, amount]) if self.limit.ndim == 2 else amount
         return self._with(limit=self.limit + higher)
 
+    def scaled(self, factor: float) -> MagnitudeBound | None:
+        values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
+        scales = np.array([1.0, factor]) if self.limit.ndim == 2 else factor
+        return self._with(limit=self.limit * scales) if values.any() else None
+
     @property
     def factor(self) -> float:
         return float(np.cos(np.pi / (2 * self.oversampling))) if self.between else 1.0
@@ -359,35 +378,15 @@ class EnergyBound(SpectrumBound):
     def widened(self, amount: float) -> EnergyBound:
         return self._with(limit=(np.sqrt(self.limit) + amount) ** 2)
 
+    def scaled(self, factor: float) -> EnergyBound | None:
+        return self._with(limit=self.limit * factor**2) if self.limit else None
+
     def limits(self, count: int, field: str) -> Array:
         return np.asarray(self.factor * np.sqrt(self.limit))
 
     @property
     def factor(self) -> float:
         return float(np.sqrt(self.oversampling))
-
-
-def require_one_limit(limit: object, limit_db: object, reference: float | None) -> None:
-    """Raise ProblemError unless there is a limit, in one of its forms."""
-    if (limit is None) == (limit_db is None):
-        got = "neither" if limit is None else "both"
-        raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
-    if (limit_db is None) != (reference is None):
-        raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
-
-
-def _limit(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
-    field = "MagnitudeBound.limit"
-    if limit_db is None:
-        bound = real_array(field, limit, allow_infinite=True)
-    else:
-        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
-        with np.errstate(over="ignore"):  # so high that there is no limit
-            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
-    if bound.ndim > 1 or (bound < 0).any():
-        given = limit if limit_db is None else limit_db
-        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
-    return bound
 
 
 def _named_window(field: str, name: str, length: int) -> Array:

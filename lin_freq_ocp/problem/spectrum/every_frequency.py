@@ -1,4 +1,4 @@
-"""Limits of masks that hold at every frequency of a band, as users give them."""
+"""Limits of masks, as users give them: at bins, and at every frequency of a band."""
 
 from __future__ import annotations
 
@@ -18,6 +18,30 @@ NO_ZERO = (
     "A signal of finitely many samples whose spectrum vanishes on an interval is zero everywhere. Give a level above "
     "zero, or remove the bins of the horizon: the band itself instead of a MagnitudeBound."
 )
+
+
+def require_one_limit(limit: object, limit_db: object, reference: float | None) -> None:
+    """Raise ProblemError unless there is a limit, in one of its forms."""
+    if (limit is None) == (limit_db is None):
+        got = "neither" if limit is None else "both"
+        raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
+    if (limit_db is None) != (reference is None):
+        raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
+
+
+def limit_of_bins(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
+    """Return the limit of bins as one number, (), or one for each, (bins,)."""
+    field = "MagnitudeBound.limit"
+    if limit_db is None:
+        bound = real_array(field, limit, allow_infinite=True)
+    else:
+        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
+        with np.errstate(over="ignore"):  # so high that there is no limit
+            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
+    if bound.ndim > 1 or (bound < 0).any():
+        given = limit if limit_db is None else limit_db
+        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
+    return bound
 
 
 def level(

@@ -55,6 +55,7 @@ class ResidualVibration(FrequencyConstraint):
     'residual vibration of force ≤ 0.02 for every mode of 0.9 to 1.1 Hz with a damping ratio of 0 to 0.05'
     """
 
+    label = "residual vibration"
     every_frequency = True
     frequency: Array
     damping: Array
@@ -93,6 +94,9 @@ class ResidualVibration(FrequencyConstraint):
 
     def widened(self, amount: float) -> ResidualVibration:
         return self._with(limit=self.limit + amount)
+
+    def scaled(self, factor: float) -> ResidualVibration:
+        return self._with(limit=self.limit * factor)
 
     def describe(self, names: Sequence[str]) -> str:
         (low, high), (least, most) = ([number(float(end)) for end in ends] for ends in (self.frequency, self.damping))

@@ -57,6 +57,7 @@ class Spectrogram(FrequencyConstraint):
     8
     """
 
+    label = "spectrogram"
     remembers: ClassVar[bool] = True
     bound: SpectrumBound
     length: int | None
@@ -126,6 +127,10 @@ class Spectrogram(FrequencyConstraint):
 
     def widened(self, amount: float) -> Spectrogram:
         return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past, self.offset)
+
+    def scaled(self, factor: float) -> Spectrogram | None:
+        bound = self.bound.scaled(factor)
+        return None if bound is None else Spectrogram(bound, self.length, self.hop, self.past, self.offset)
 
     def softened(self, penalty: float) -> Spectrogram:
         return Spectrogram(self.bound.softened(penalty), self.length, self.hop, self.past, self.offset)
