@@ -57,9 +57,13 @@ def steered(recursion: Recursion, eta: Array, free: Indices, bits: int) -> tuple
         sizes = np.abs(eta).max(axis=0)
         weights = [arb(1.0 / size) if size > 0 else arb(1) for size in sizes.tolist()]
         first, _ = recursion.run(begin)
-        rows = [(first, eta[0]), (begin, eta[-1])]
-        system = arb_mat([[w * part[i, 1 + k] for k in range(len(free))] for part, _ in rows for i, w in enumerate(weights)])
-        misses = arb_mat([[w * (arb(float(goal[i])) - part[i, 0])] for part, goal in rows for i, w in enumerate(weights)])
+        rows = [
+            (weight, [part[i, j] for j in range(1 + len(free))], float(goal[i]))
+            for part, goal in ((first, eta[0]), (begin, eta[-1]))
+            for i, weight in enumerate(weights)
+        ]
+        system = arb_mat([[weight * one for one in row[1:]] for weight, row, _ in rows])
+        misses = arb_mat([[weight * (goal - row[0])] for weight, row, goal in rows])
         moved = (system.transpose() * system).solve(system.transpose() * misses)
         found = [moved[k, 0].mid() for k in range(len(free))]
         alone = arb_mat(n, 1)

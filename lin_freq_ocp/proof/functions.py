@@ -1,34 +1,36 @@
-"""The functions h of the format, from the penalties of a problem."""
+"""The functions h of the format, weight max(gauge(v) - limit, 0), from the penalties of a problem.
+
+A function is of each group of values or, for half-spaces, of each single value.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import singledispatch
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.terms.ends_map import Within
-from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
-NAMES = {1: "ball 1", 2: "ball 2", np.inf: "ball inf"}
+NORMS = {1: "1", 2: "2", np.inf: "inf"}
 
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Its name, which groups are limited, (groups,), the fields of its line, and those of each group."""
+    """Its gauge, with limits and weights of groups, (groups, 1), or values, (groups, dim); a limit may be inf."""
 
-    name: str
-    kept: Mask
-    common: dict[str, float] = field(default_factory=dict[str, float])
-    of_groups: dict[str, Array] = field(default_factory=dict[str, Array])  # (groups,) or (groups, dim)
+    gauge: str
+    limits: Array
+    weights: Array
 
-    def of_group(self, group: int) -> dict[str, Array]:
-        """Return the fields of a group's line."""
-        return {name: values[group] for name, values in self.of_groups.items()}
+    @property
+    def by_value(self) -> bool:
+        """Whether each value has a line of its own."""
+        return self.gauge == "max"
 
 
 @singledispatch
@@ -39,32 +41,20 @@ def function_of(penalty: Penalty, shape: tuple[int, int]) -> Function:
 
 @function_of.register
 def _half_spaces(penalty: HalfSpaces, shape: tuple[int, int]) -> Function:
-    limit, weight = (np.broadcast_to(part, shape) for part in (penalty.limit, penalty.weight))
-    return Function("halfspaces", _all(shape), of_groups={"limit": limit, "weight": weight})
+    return Function("max", np.broadcast_to(penalty.limit, shape), np.broadcast_to(penalty.weight, shape))
 
 
 @function_of.register
 def _ball(penalty: NormBall, shape: tuple[int, int]) -> Function:
-    limit, weight = (np.broadcast_to(part, shape[:1]) for part in (penalty.radius, penalty.weight))
-    return Function(NAMES[penalty.order], np.isfinite(limit), of_groups={"limit": limit, "weight": weight})
+    limit, weight = (np.broadcast_to(part, shape[:1])[:, None] for part in (penalty.radius, penalty.weight))
+    return Function(NORMS[penalty.order], limit, weight)
 
 
 @function_of.register
 def _within(penalty: Within, shape: tuple[int, int]) -> Function:
-    limit, weight = np.full(shape[0], penalty.reach), np.full(shape[0], np.inf)
-    return Function("ball inf", _all(shape), of_groups={"limit": limit, "weight": weight})
+    return Function("inf", np.full((shape[0], 1), penalty.reach), np.full((shape[0], 1), np.inf))
 
 
 @function_of.register
 def _cone(penalty: StandardCone, shape: tuple[int, int]) -> Function:
-    return Function("cone", _all(shape))
-
-
-@function_of.register
-def _largest(penalty: LargestExcess, shape: tuple[int, int]) -> Function:
-    common = {"weight": float(penalty.weight)}
-    return Function("largest", np.isfinite(penalty.limit), common, {"limit": penalty.limit})
-
-
-def _all(shape: tuple[int, int]) -> Mask:
-    return np.ones(shape[0], dtype=bool)
+    return Function("cone", np.zeros((shape[0], 1)), np.full((shape[0], 1), np.inf))

@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-SHRINK = 1 - 2.0**-46  # of multipliers that a price limits: their norm is rounded in the last few bits
+SHRINK = 1 - 2.0**-48  # of multipliers that a price limits: their norm is rounded in the last few bits
 NEAR = 1e-6  # distance from a bound, relative to the component's size, up to which a curved component is on it
 
 
@@ -47,7 +47,8 @@ def dual_point(problem: OptimalControlProblem, trajectory: Trajectory, multiplie
     x, mu = on_bounds(problem.state_tube, trajectory.x, multipliers.mu, in_x)
     u, _ = on_bounds(problem.control_tube, trajectory.u, multipliers.nu, curved[:, n:])
     weights = [
-        inside(term, multipliers.stage.get(term.name, np.zeros(term.shape)), multipliers.eta_C) for term in problem.terms
+        inside(term, multipliers.stage.get(term.name, np.zeros(term.shape)), multipliers.eta_C)
+        for term in problem.terms
     ]
     signals = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, problem.horizon)
     return DualPoint(x, u, mu, multipliers.eta, multipliers.eta_C > 0, *signals, weights)

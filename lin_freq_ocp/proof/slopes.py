@@ -50,7 +50,10 @@ def _add_rows(slopes: list[Balls], term: Term, weights: Array, problem: OptimalC
 def _add_cost(slopes: list[Balls], problem: OptimalControlProblem, point: DualPoint) -> None:
     """Add the gradient in x of the quadratic cost at z_t."""
     cost, n, T = problem.quadratic, problem.state_dim, problem.horizon
-    hessians, linear = cost.stage_hessians()[:, :n], np.broadcast_to(joined(cost.q, cost.r, T), (T, n + point.u.shape[1]))
+    hessians, linear = (
+        cost.stage_hessians()[:, :n],
+        np.broadcast_to(joined(cost.q, cost.r, T), (T, n + point.u.shape[1])),
+    )
     if hessians.any() or linear[:, :n].any():
         points = np.hstack([point.x[:-1], point.u])
         centers = np.broadcast_to(joined(cost.x_ref, cost.u_ref, T), points.shape)

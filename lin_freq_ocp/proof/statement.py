@@ -8,7 +8,6 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.proof.lines import Value, line, symmetric
 from lin_freq_ocp.proof.terms import term_lines
 
@@ -29,13 +28,12 @@ def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
     for index, (_, parts) in enumerate(modes):
         for t, values in runs(parts, problem.horizon):
             bounded = np.isfinite(values["h"])
-            rows = {name: values[name][bounded] for name in "GHh"} if bounded.any() else {}
+            rows = {name: values[name][bounded] for name in "GHh"}
             yield line(**{"mode": index, "from": t}, A=values["A"], B=values["B"], d=values["d"], **rows)
     yield from _cost_lines(problem)
-    yield from _bound_lines("x", problem.state_tube)
-    yield from _bound_lines("u", problem.control_tube)
-    yield from _stop_lines("x", problem.state_stop, problem.state_samples)
-    yield from _stop_lines("u", problem.control_stop, problem.horizon)
+    yield from _bound_lines(problem)
+    yield from _stop_lines(0, problem.state_stop, problem.state_samples)
+    yield from _stop_lines(problem.state_dim, problem.control_stop, problem.horizon)
     yield from term_lines(problem.terms, (problem.horizon, problem.state_dim, problem.control_dim))
 
 
@@ -101,15 +99,22 @@ def joined(of_x: Array, of_u: Array, T: int) -> Array:
     return np.hstack([np.broadcast_to(part, (T, part.shape[-1])) for part in (of_x, of_u)])
 
 
-def _bound_lines(signal: str, tube: Box) -> Iterator[str]:
-    for t, values in runs({"lower": (tube.lower, 1), "upper": (tube.upper, 1)}, len(tube.lower)):
-        yield line(**{"bounds": signal, "from": t, **values})
+def _bound_lines(problem: OptimalControlProblem) -> Iterator[str]:
+    states, controls, T = problem.state_tube, problem.control_tube, problem.horizon
+    parts = {
+        "lower": (joined(states.lower, controls.lower, T), 1),
+        "upper": (joined(states.upper, controls.upper, T), 1),
+    }
+    for t, values in runs(parts, T):
+        yield line(**{"bounds": "stage", "from": t, **values})
+    yield line(bounds="end", lower=states.lower[-1], upper=states.upper[-1])
 
 
-def _stop_lines(signal: str, stop: Mask, samples: int) -> Iterator[str]:
+def _stop_lines(first: int, stop: Mask, samples: int) -> Iterator[str]:
+    """Yield the removed bins of components; the first of them is ``first`` of (x, u)."""
     for component in np.flatnonzero(stop.any(axis=0)).tolist():
         bins = intervals(np.flatnonzero(stop[:, component]))
-        yield line(stop=signal, component=component, samples=samples, bins=bins)
+        yield line(stop=first + component, samples=samples, bins=bins)
 
 
 def intervals(numbers: Indices) -> list[list[int]]:

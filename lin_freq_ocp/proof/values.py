@@ -18,74 +18,61 @@ from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
-from lin_freq_ocp.proof.lines import Text, encoded
+from lin_freq_ocp.proof.lines import encoded
 
 Sizes = tuple[int, int, int]  # T, n, m
 
 
 @singledispatch
-def written_values(values: AffineMap, sizes: Sizes) -> Iterator[Text]:
-    """Yield the list of values of each group."""
+def written_values(values: AffineMap, sizes: Sizes) -> Iterator[list[str]]:
+    """Yield the values of each group."""
     matrix, constant = values.rows(*sizes)
     T, n, m = sizes
     columns, starts = matrix.indices.astype(int), matrix.indptr.tolist()
     of_x = columns < (T + 1) * n
     place = np.where(of_x, columns, columns - (T + 1) * n)
     width = np.where(of_x, n, m)
-    numbers = zip((place // width).tolist(), (place % width).tolist(), matrix.data.tolist(), strict=True)
+    component = place % width + np.where(of_x, 0, n)
+    numbers = zip((place // width).tolist(), component.tolist(), matrix.data.tolist(), strict=True)
     entries = [f'[{t}, {i}, "{value.hex()}"]' for t, i, value in numbers]
-    on_x, (groups, dim) = of_x.tolist(), values.shape
-    constants = constant.tolist()
+    constants, (groups, dim) = constant.tolist(), values.shape
     for group in range(groups):
-        texts = [
-            _row(entries[a:b], on_x[a:b], constants[row])
-            for row, a, b in ((row, starts[row], starts[row + 1]) for row in range(group * dim, (group + 1) * dim))
+        yield [
+            f'{{"row": [{", ".join(entries[starts[row] : starts[row + 1]])}], "constant": "{constants[row].hex()}"}}'
+            for row in range(group * dim, (group + 1) * dim)
         ]
-        yield Text(f"[{', '.join(texts)}]")
-
-
-def _row(entries: list[str], on_x: list[bool], constant: float) -> str:
-    parts = [
-        f'"{signal}": [{", ".join(entry for entry, of_x in zip(entries, on_x, strict=True) if of_x == wanted)}]'
-        for signal, wanted in (("x", True), ("u", False))
-        if wanted in on_x
-    ]
-    if constant:
-        parts.append(f'"constant": "{constant.hex()}"')
-    return "{" + ", ".join(parts) + "}"
 
 
 @written_values.register
-def _spectrum(values: SpectrumMap, sizes: Sizes) -> Iterator[Text]:
-    output = signal_text(values, 0, sizes)
-    bins = [bin_text(output, k, values.points) for k in values.bins.tolist()]
-    if values.together:
-        yield Text(f"[{', '.join(bins)}]")
-    else:
-        yield from (Text(f"[{one}]") for one in bins)
+def _spectrum(values: SpectrumMap, sizes: Sizes) -> Iterator[list[str]]:
+    yield from _of_window(values, 0, sizes)
 
 
 @written_values.register
-def _spectrogram(values: SpectrogramMap, sizes: Sizes) -> Iterator[Text]:
+def _spectrogram(values: SpectrogramMap, sizes: Sizes) -> Iterator[list[str]]:
     if (values.starts < 0).any():
         raise UnsupportedError("a spectrogram of samples before time 0")
-    base = values.spectrum
     for start in values.starts.tolist():
-        output = signal_text(base, start, sizes)
-        bins = [bin_text(output, k, base.points) for k in base.bins.tolist()]
-        if base.together:
-            yield Text(f"[{', '.join(bins)}]")
-        else:
-            yield from (Text(f"[{one}]") for one in bins)
+        yield from _of_window(values.spectrum, start, sizes)
+
+
+def _of_window(values: SpectrumMap, start: int, sizes: Sizes) -> Iterator[list[str]]:
+    """Yield the bins of each group, of samples from a time on."""
+    signal = signal_text(values, start, sizes)
+    bins = [f'{{{signal}, "frequency": [{k}, {values.points}]}}' for k in values.bins.tolist()]
+    if values.together:
+        yield bins
+    else:
+        yield from ([one] for one in bins)
 
 
 @written_values.register
-def _frequencies(values: FrequencyMap, sizes: Sizes) -> Iterator[Text]:
+def _frequencies(values: FrequencyMap, sizes: Sizes) -> Iterator[list[str]]:
     if type(values) is not FrequencyMap:
         raise UnsupportedError(f"a {type(values).__name__}")
-    output = signal_text(values, 0, sizes)
+    signal = signal_text(values, 0, sizes)
     for w in values.at.tolist():
-        yield Text(f'[{{{output}, "frequency": {encoded(w)}}}]')
+        yield [f'{{{signal}, "frequency": {encoded(w)}}}']
 
 
 def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) -> str:
@@ -96,11 +83,6 @@ def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) ->
     plain = bool((values.window == 1.0).all())
     window = json.dumps(len(values.window)) if plain else encoded(values.window)
     return f'"output": {encoded(np.concatenate([of_x, of_u]))}, "first": {first}, "window": {window}'
-
-
-def bin_text(signal: str, k: int, points: int) -> str:
-    """Return the values of one bin."""
-    return f'{{{signal}, "frequency": [{k}, {points}]}}'
 
 
 @singledispatch

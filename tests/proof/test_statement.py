@@ -38,11 +38,14 @@ def test_dynamics_costs_and_bounds_are_those_of_the_problem():
     assert np.array_equal(numbers(mode["B"]), problem.linear.B)
     (cost,) = lines_with(lines, "cost", "stage")
     assert np.array_equal(numbers(cost["hessian"]), problem.quadratic.stage_hessians()[0])
-    bounds = lines_with(lines, "bounds", "x")
-    assert [one["from"] for one in bounds] == [0, 1, 240]
+    bounds = lines_with(lines, "bounds", "stage")
+    assert [one["from"] for one in bounds] == [0, 1]
     for one in bounds:
-        assert np.array_equal(numbers(one["upper"]), problem.state_tube.upper[one["from"]])
-    (stop,) = lines_with(lines, "stop")
+        assert np.array_equal(numbers(one["upper"])[:4], problem.state_tube.upper[one["from"]])
+        assert numbers(one["lower"])[4] == problem.control_tube.lower[0, 0]
+    (end,) = lines_with(lines, "bounds", "end")
+    assert np.array_equal(numbers(end["lower"]), problem.state_tube.lower[-1])
+    (stop,) = lines_with(lines, "stop", 4)
     removed = [k for first, last in stop["bins"] for k in range(first, last + 1)]
     assert removed == np.flatnonzero(problem.control_stop[:, 0]).tolist()
 
@@ -88,18 +91,14 @@ def test_rows_of_terms_are_those_of_their_maps():
         lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]]), 5, cost, stage_rows=rows
     )
     lines = stated(problem)
-    first = next(i for i, one in enumerate(lines) if one.get("name") == "stage rows" and "term" in one)
-    assert lines[first]["function"] == "halfspaces"
-    group = lines[first + 3]
-    assert group["group"] == 2
-    (value,) = group["values"]
-    assert [(t, i, float.fromhex(c)) for t, i, c in value["x"]] == [(2, 0, 1.0), (2, 1, 0.25)]
-    assert [(t, i, float.fromhex(c)) for t, i, c in value["u"]] == [(2, 0, -2.0)]
-    assert numbers(group["limit"]) == [0.5]
-    assert numbers(group["weight"]) == [3.0]
-    norm = next(one for one in lines if one.get("function") == "ball 1")
-    assert norm["name"] == "L1 cost of states"
-    assert float.fromhex(lines[lines.index(norm) + 1]["values"][0]["constant"]) == -0.5
+    found = lines_with(lines, "name", "stage rows")
+    assert (len(found), found[2]["gauge"]) == (5, "max")
+    (value,) = found[2]["values"]
+    assert [(t, i, float.fromhex(c)) for t, i, c in value["row"]] == [(2, 0, 1.0), (2, 1, 0.25), (2, 2, -2.0)]
+    assert (float.fromhex(found[2]["limit"]), float.fromhex(found[2]["weight"])) == (0.5, 3.0)
+    norm = lines_with(lines, "name", "L1 cost of states")[0]
+    assert norm["gauge"] == "1"
+    assert float.fromhex(norm["values"][0]["constant"]) == -0.5
 
 
 def test_masks_have_their_bins_and_limits():
@@ -108,14 +107,13 @@ def test_masks_have_their_bins_and_limits():
         lfo.LinearDynamics([[1.0]], [[1.0]]), 8, lfo.QuadraticCost(R=1.0), control_spectrum=bound
     )
     lines = stated(problem)
-    (term,) = lines_with(lines, "term")
-    assert term["function"] == "ball 2"
-    groups = lines_with(lines, "group")
-    assert [one["values"][0]["frequency"] for one in groups] == [[3, 8], [4, 8]]
-    assert float.fromhex(groups[0]["limit"]) == 0.25
-    assert float.fromhex(groups[0]["weight"]) == 2.0
-    assert np.array_equal(numbers(groups[0]["values"][0]["window"]), np.arange(1.0, 9.0))
-    assert numbers(groups[0]["values"][0]["output"]).tolist() == [0.0, 1.0]
+    terms = lines_with(lines, "term")
+    assert [(one["term"], one["gauge"]) for one in terms] == [(0, "2"), (1, "2")]
+    assert [one["values"][0]["frequency"] for one in terms] == [[3, 8], [4, 8]]
+    assert float.fromhex(terms[0]["limit"]) == 0.25
+    assert float.fromhex(terms[0]["weight"]) == 2.0
+    assert np.array_equal(numbers(terms[0]["values"][0]["window"]), np.arange(1.0, 9.0))
+    assert numbers(terms[0]["values"][0]["output"]).tolist() == [0.0, 1.0]
 
 
 def test_what_the_format_does_not_hold_is_refused_by_its_field():
