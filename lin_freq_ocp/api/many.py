@@ -11,6 +11,7 @@ from typing import final
 
 from numpy.typing import ArrayLike
 
+from lin_freq_ocp.api.progress import counted, reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import answered
 from lin_freq_ocp.comparison.many.many import ManyHead, ManyOutcome, References, solved_many
@@ -154,7 +155,7 @@ def solve_many(
     time_limit : float, optional
         Seconds, for each.
     progress : callable, optional
-        Called with the numbers of finished and of all problems. Default: a line on a terminal, else nothing.
+        Called with the numbers of finished and of all problems. Default: a line on a terminal or in a notebook.
 
     Returns
     -------
@@ -178,10 +179,11 @@ def solve_many(
     def record(head: ManyHead) -> AbstractContextManager[ManyFile | None]:
         return nullcontext() if path is None else ManyFile(path, head)
 
-    tell = progress or (_on_terminal if sys.stderr.isatty() else lambda done, count: None)
-    found = solved_many(problem, initial_states, references, executor, method, time_limit, record, tell)
+    with reporting(progress or (_on_terminal if sys.stderr.isatty() else None), counted) as report:
+        tell = report or (lambda done, count: None)
+        found = solved_many(problem, initial_states, references, executor, method, time_limit, record, tell)
     return shown_as(Solutions, found)
 
 
 def _on_terminal(done: int, count: int) -> None:
-    print(f"\r{done} of {count} solved", end="\n" if done == count else "", file=sys.stderr, flush=True)
+    print(f"\r{counted(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import final
 
+from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
@@ -15,6 +16,7 @@ from lin_freq_ocp.comparison.sweep.grid import Source
 from lin_freq_ocp.errors import InfeasibleError
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 from lin_freq_ocp.text.phrases import plural
 
@@ -112,7 +114,7 @@ def minimum_time(
     throw : bool
         Whether to raise if no horizon is feasible, or none is known to be.
     progress : callable, optional
-        Called with each solved horizon and its verdict.
+        Called with each solved horizon and its verdict. Default: a line in a notebook.
 
     Returns
     -------
@@ -148,13 +150,11 @@ def minimum_time(
     at = partial(stated, problem)
     failing = obstacles(at, low, high, same_data=not callable(problem))
 
-    search = searched(
-        low,
-        high,
-        not failing,
-        lambda horizon: solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance),
-        progress,
-    )
+    def solved(horizon: int) -> Outcome:
+        return solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance)
+
+    with reporting(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
+        search = searched(low, high, not failing, solved, report)
     found = _result(search, failing)
     if throw and found.horizon is None and not search.interrupted:
         _raise(found)

@@ -6,6 +6,7 @@ import time
 from concurrent.futures import Executor
 from dataclasses import replace
 
+from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -68,7 +69,7 @@ def solve(
     progress : callable, optional
         Over affine modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
         Over smooth pieces: with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at every start of a local
-        search and every step of the bound.
+        search and every step of the bound. Default: a line in a notebook.
     executor : concurrent.futures.Executor, optional
         Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
     start : Trajectory, (T, m) or (T,) integers, optional
@@ -110,7 +111,8 @@ def solve(
     """
     started = time.perf_counter()
     limits = backend, tolerance, gap, node_limit
-    outcome = solve_judged(problem, method, time_limit, progress, start, *limits, executor, global_bound)
+    with reporting(progress, str) as report:
+        outcome = solve_judged(problem, method, time_limit, report, start, *limits, executor, global_bound)
     return answered(outcome, throw, None if time_limit is None else time_limit - (time.perf_counter() - started))
 
 

@@ -9,6 +9,7 @@ from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, final
 
+from lin_freq_ocp.api.progress import counted, reporting
 from lin_freq_ocp.api.result import shown_as
 from lin_freq_ocp.comparison.sweep.grid import Source
 from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome, swept
@@ -81,7 +82,8 @@ def sweep(
     method, backend, time_limit, tolerance
         As for ``solve``, for each point.
     progress : callable, optional
-        Called with the number of finished points and the number of all points, at first and after each point.
+        Called with the number of finished points and the number of all points, at first and after each point. Default:
+        a line in a notebook.
 
     Returns
     -------
@@ -106,7 +108,8 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
-    return shown_as(Sweep, swept(problem, grid, options, executor, record, progress))
+    with reporting(progress, counted) as report:
+        return shown_as(Sweep, swept(problem, grid, options, executor, record, report))
 
 
 def load_sweep(path: str | PathLike[str]) -> Sweep:

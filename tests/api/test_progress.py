@@ -1,0 +1,117 @@
+"""Progress in a Jupyter notebook, and nowhere else: IPython is a stand-in that records what it is told to display."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.api import progress
+
+SHORT = {"horizon": [60, 80]}
+STARTS = [[0.0, 0.0], [0.1, 0.0]]
+CALLS = {
+    "sweep": (lambda **report: lfo.sweep(lfo.library.double_integrator, SHORT, **report), "0 of 2 solved"),
+    "solve_many": (lambda **report: lfo.solve_many(lfo.library.double_integrator(), STARTS, **report), "0 of 2 solved"),
+    "minimum_time": (
+        lambda **report: lfo.minimum_time(lfo.library.double_integrator, horizons=(180, 190), **report),
+        "horizon 180: infeasible",
+    ),
+    "solve": (lambda **report: lfo.solve(lfo.library.max_min_network(), **report), "nodes"),
+}
+
+
+class Displayed:
+    """What a notebook was told to display, in order."""
+
+    def __init__(self):
+        self.bundles = []
+
+    def display(self, bundle, *, raw, display_id=False):
+        assert (raw, display_id) == (True, True)
+        self.bundles.append(bundle)
+        return self
+
+    def update(self, bundle, *, raw):
+        assert raw
+        self.bundles.append(bundle)
+
+
+@pytest.fixture
+def displayed(monkeypatch):
+    """A kernel that displays at once."""
+    found, ipython, display = Displayed(), ModuleType("IPython"), ModuleType("IPython.display")
+    ipython.get_ipython = lambda: SimpleNamespace(kernel="a kernel")
+    display.display = found.display
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    monkeypatch.setattr(progress, "FIRST_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "BETWEEN_SECONDS", 0.0)
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_notebook_shows_a_line_that_is_gone_in_the_end(displayed, name, capsys):
+    call, words = CALLS[name]
+    call()
+    *shown, last = displayed.bundles
+    assert words in shown[0]["text/plain"]
+    assert all(one["text/html"].startswith("<progress></progress> ") for one in shown)
+    assert last == {}
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_report_of_the_users_own_takes_its_place(displayed, name):
+    told = []
+    CALLS[name][0](progress=lambda *reached: told.append(reached))
+    assert told
+    assert displayed.bundles == []
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("shell", [None, SimpleNamespace()], ids=["no shell", "IPython in a terminal"])
+def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monkeypatch, capsys):
+    monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: shell)
+    CALLS[name][0]()
+    assert displayed.bundles == []
+    assert capsys.readouterr() == ("", "")
+
+
+def test_without_ipython_nothing_is_imported(monkeypatch):
+    monkeypatch.delitem(sys.modules, "IPython", raising=False)
+    assert not progress.in_notebook()
+    CALLS["sweep"][0]()
+    assert "IPython" not in sys.modules
+
+
+def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
+    assert progress.in_notebook()
+    monkeypatch.setattr(progress, "parent_process", lambda: "the kernel")
+    assert not progress.in_notebook()
+
+
+def test_quick_calls_show_nothing(displayed, monkeypatch):
+    monkeypatch.setattr(progress, "FIRST_SECONDS", 1e3)
+    CALLS["sweep"][0]()
+    assert displayed.bundles == []
+
+
+def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
+    monkeypatch.setattr(progress, "BETWEEN_SECONDS", 1e3)
+    CALLS["sweep"][0]()
+    assert [one.get("text/plain") for one in displayed.bundles] == ["0 of 2 solved", None]
+
+
+def test_an_error_leaves_nothing_of_the_line(displayed):
+    def failing():
+        with progress.reporting(None, lambda reached: f"<b>{reached}</b>") as report:
+            report(3)
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        failing()
+    assert displayed.bundles == [
+        {"text/plain": "<b>3</b>", "text/html": "<progress></progress> &lt;b&gt;3&lt;/b&gt;"},
+        {},
+    ]
