@@ -1,0 +1,645 @@
+"""Check a proof of docs/proof.md: python lfo_check.py FILE. Imports the standard library and python-flint only.
+
+The last line printed is VERIFIED lb ub (lb <= J* <= ub) or INFEASIBLE, exit status 0; status 1: a line of the proof
+fails; 2: not a proof. Numbers are balls (arb): `x <= y` is true only if it holds for all numbers in both.
+"""
+
+import functools
+import hashlib
+import json
+import re
+import sys
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
+from fractions import Fraction
+
+from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
+
+LONGEST_LINE, MOST_STAGES, MOST_BITS, HALVINGS = 2**28, 10**7, 100_000, 60
+TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
+INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), arb(0, arb.pos_inf())
+NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,7}))?")
+
+
+class Failed(Exception):
+    """The proof does not prove what it says."""
+
+
+def require(truth, message):
+    """Fail unless something is certainly true."""
+    if not truth:
+        raise Failed(message)
+
+
+class Lines:
+    """The lines of a file, one object each; `hash` is of the text of all lines taken."""
+
+    def __init__(self, file):
+        self.file, self.number, self.hash, self.ahead, self.text = file, 0, hashlib.sha256(), {}, b""
+        self.advance()
+
+    def advance(self):
+        before = self.ahead
+        self.hash.update(self.text)
+        self.text, self.number, self.at = self.file.readline(LONGEST_LINE), self.number + 1, self.number + 1
+        require(self.text == b"" or self.text.endswith(b"\n"), "the file ends within this line, or it is too long")
+        self.ahead = json.loads(self.text, object_pairs_hook=distinct, parse_float=str) if self.text else {}
+        require(isinstance(self.ahead, dict), "not a JSON object")
+        self.at = self.number - 1
+        return before
+
+    def take(self, needed, allowed=""):
+        """Return the line ahead, which must have the needed fields and may have the allowed ones."""
+        self.at, needed, allowed, got = self.number, set(needed.split()), set(allowed.split()), set(self.ahead)
+        require(needed <= got <= needed | allowed, f"got the fields {sorted(got)}; expected {needed}, maybe {allowed}")
+        return self.advance()
+
+    def section(self, name, fields):
+        require(self.ahead.get("section") == name, f"expected the section {name}")
+        return self.take(f"section {fields}")
+
+
+def distinct(pairs):
+    require(len(dict(pairs)) == len(pairs), "a field stands twice")
+    return dict(pairs)
+
+
+def integer(value, low, high):
+    require(type(value) is int and low <= value <= high, f"{value!r:.40} is not an integer from {low} to {high}")
+    return value
+
+
+def number(text, infinite=False):
+    """Return a number, exactly."""
+    if infinite and text in ("inf", "-inf"):
+        return INFINITY if text == "inf" else -INFINITY
+    found = NUMBER.fullmatch(text) if isinstance(text, str) else None
+    require(found, f"{text!r:.40} is not a hexadecimal number")
+    sign, whole, part, power = found.groups(default="")
+    return arb((int(sign + whole + part, 16), int(power or 0) - 4 * len(part)))
+
+
+def matrix(value, rows, columns=None, infinite=False):
+    """Return numbers as a matrix; without a number of columns, as one column; None rows: any number."""
+    require(isinstance(value, list) and rows in (None, len(value)), f"expected {rows} rows")
+    given = value if columns is not None else [[one] for one in value]
+    flat = [number(one, infinite) for row in given for one in row]
+    require(all(isinstance(row, list) and len(row) == (columns or 1) for row in given), f"expected {columns} columns")
+    return arb_mat(len(value), columns or 1, flat)
+
+
+def rational(exact):
+    mantissa, power = (int(part) for part in exact.man_exp())
+    return Fraction(mantissa) * Fraction(2) ** power
+
+
+def total(balls):
+    return sum(balls, ZERO)
+
+
+def largest(balls, found=-INFINITY):
+    return functools.reduce(arb.max, balls, found)
+
+
+def norm(v, order):
+    if order == "2":
+        return total(x * x for x in v).nonnegative_part().sqrt()
+    return total(map(abs, v)) if order == "1" else largest(map(abs, v), ZERO)
+
+
+# ------------------------------------------------------------ PROBLEM: what is believed
+
+
+def over_time(lines, key, value, count, **shapes):
+    """Return what lines say that are valid from their time on, one object a time; absent fields stay as before."""
+    found = []
+    while lines.ahead.get(key) == value:
+        start = integer(lines.ahead.get("from", len(found)), len(found), count - 1 if found else 0)
+        line = lines.take(key, f"from {' '.join(shapes)}")
+        given = {name: matrix(line[name], *shapes[name], infinite=key == "bounds") for name in shapes if name in line}
+        found += found[-1:] * (start - len(found))
+        found.append({**(found[-1] if found else {}), **given})
+        require(set(found[-1]) == set(shapes), f"the first line of {key} {value} needs {list(shapes)}")
+    require(found, f"expected {key}: {value}")
+    return found + found[-1:] * (count - len(found))
+
+
+def beside(a, b):
+    """Return the matrix (a b)."""
+    require(a.nrows() == b.nrows(), "different numbers of rows")
+    return arb_mat(a.nrows(), a.ncols() + b.ncols(), [one for p, q in zip(a.tolist(), b.tolist()) for one in p + q])
+
+
+class Problem:
+    """v_t = (x_t, u_t) has components 0 .. n + m - 1; v_T = x_T. Vectors are columns."""
+
+    def __init__(self, lines):
+        self.head = head = lines.section("problem", "name horizon states controls modes")
+        self.T, self.n, self.m = integer(head["horizon"], 1, MOST_STAGES), len(head["states"]), len(head["controls"])
+        T, n, k = self.T, self.n, self.n + self.m
+        shapes = {"A": (n, n), "B": (n, self.m), "d": (n,), "G": (None, n), "H": (None, self.m), "h": (None,)}
+        self.modes = [over_time(lines, "mode", i, T, **shapes) for i in range(len(head["modes"]))]
+        for mode in {id(mode): mode for modes in self.modes for mode in modes}.values():
+            mode["map"], mode["rows"] = beside(mode["A"], mode["B"]), beside(mode["G"], mode["H"])
+            require(mode["rows"].nrows() == mode["h"].nrows(), "as many limits h as rows G")
+        self.costs = over_time(lines, "cost", "stage", T, hessian=(k, k), center=(k,), linear=(k,))
+        self.costs += over_time(lines, "cost", "end", 1, hessian=(n, n), center=(n,), linear=(n,))
+        bounds = over_time(lines, "bounds", "stage", T, lower=(k,), upper=(k,))
+        bounds += over_time(lines, "bounds", "end", 1, lower=(n,), upper=(n,))
+        self.lower, self.upper = ([one[side].entries() for one in bounds] for side in ("lower", "upper"))
+        pairs = [list(zip(one["lower"].entries(), one["upper"].entries())) for one in bounds]
+        require(all(a <= b and a < INFINITY and b > -INFINITY for pair in pairs for a, b in pair), "empty bounds")
+        self.boxes = [[a.union(b) if (b - a).is_finite() else UNKNOWN for a, b in pair] for pair in pairs]
+        every = ((t, i, a == b) for t, pair in enumerate(pairs) for i, (a, b) in enumerate(pair))
+        self.fixed = [(t, i) for t, i, same in every if same and (t > 0 or i >= n)]
+        self.stops, self.terms = {}, []
+        while "stop" in lines.ahead:
+            self.add_stop(lines.take("stop samples bins"))
+        while "term" in lines.ahead:
+            line = lines.take("term name gauge weight", "limit values limits output first window")
+            self.terms.append(Term(self, line))
+
+    def add_stop(self, line):
+        """Note the removed bins of a component, and the kernel of the convolution that finds what lies in them."""
+        i, N = integer(line["stop"], 0, self.n + self.m - 1), integer(line["samples"], self.T, self.T + 1)
+        require(i not in self.stops and (i < self.n or N == self.T), "a second stop band, or too many samples")
+        sines, bins, kernel = [arb.sin_pi_fmpq(fmpq(j, N)) for j in range(2 * N)], [], [ZERO] * N
+        for a, b in line["bins"]:
+            bins += range(integer(a, bins[-1] + 1 if bins else 0, N // 2), integer(b, a, N // 2) + 1)
+            for t in range(N):
+                ends = sines[(2 * b + 1) * t % (2 * N)] - sines[(2 * a - 1) * t % (2 * N)]
+                waves = ends / sines[t] if t else 2 * (b - a + 1)
+                kernel[t] += arb(waves - (a == 0) - (2 * b == N) * (-1) ** t) / N
+        self.stops[i] = N, bins, arb_poly(kernel)
+
+    def removed(self, i, signal):
+        """Return the part of a signal that lies in the removed bins of a component: a circular convolution."""
+        N, _, kernel = self.stops[i]
+        found = (kernel * arb_poly(signal)).coeffs()
+        return [total(found[t::N]) for t in range(N)]
+
+    def output(self, line):
+        """Return t0, the window, and the factors of a linear output of v_t."""
+        window, factors = line["window"], matrix(line["output"], self.n + self.m).entries()
+        window = [ONE] * integer(window, 1, self.T + 1) if type(window) is int else matrix(window, None).entries()
+        first = integer(line["first"], 0, self.T + 1 - len(window))
+        require(
+            first + len(window) <= self.T or all(c.is_zero() for c in factors[self.n :]), "there is no control at T"
+        )
+        return first, window, [(i, c) for i, c in enumerate(factors) if not c.is_zero()]
+
+    def summary(self):
+        yield ", ".join(f"{key}: {value}" for key, value in self.head.items() if key != "section")
+        for i, (N, bins, _) in self.stops.items():
+            yield f"component {i}: {len(bins)} bins of the DFT of {N} samples are removed, from {bins[0]} to {bins[-1]}"
+        names = [term.name for term in self.terms]
+        yield from (f"{names.count(name)} x {name}" for name in dict.fromkeys(names))
+
+
+def angle(frequency):
+    """Return a frequency in units of pi rad/sample."""
+    if isinstance(frequency, list):
+        return fmpq(2 * integer(frequency[0], 0, 2**60), integer(frequency[1], 1, 2**60))
+    return number(frequency) / arb.pi()
+
+
+def wave(first, window, factors, w):
+    """Return Re and Im of sum_s w_s y_{t0+s} exp(-i pi w s) as rows: lists of (t, component, factor)."""
+    exact = isinstance(w, fmpq)
+    turns = [arb.sin_cos_pi_fmpq(w * s) if exact else (w * s).sin_cos_pi() for s in range(len(window))]
+    parts = [(first + s, i, h * c, turns[s]) for s, h in enumerate(window) for i, c in factors]
+    return [(t, i, c * cosine) for t, i, c, (_, cosine) in parts], [(t, i, -c * sine) for t, i, c, (sine, _) in parts]
+
+
+class Term:
+    """h(v) = weight max(gauge(v) - limit, 0), v = L (x, u) + constants; rows of L: lists of (t, component, factor)."""
+
+    def __init__(self, problem, line):
+        integer(line["term"], len(problem.terms), len(problem.terms))
+        self.name, self.gauge, self.weight = str(line["name"]), line["gauge"], number(line["weight"], infinite=True)
+        require(self.gauge in ("1", "2", "inf", "max", "cone", "all") and self.weight >= 0, "unknown gauge or weight")
+        self.hard, self.rows, self.constants = self.weight == INFINITY, [], []
+        self.limit, self.everywhere = ONE if self.gauge == "all" else number(line["limit"]), self.gauge == "all"
+        if self.everywhere:
+            self.output, self.pieces = problem.output(line), matrix(line["limits"], None, 4).tolist()
+        for value in () if self.everywhere else line["values"]:
+            if "output" in value:
+                self.rows += wave(*problem.output(value), angle(value["frequency"]))
+                self.constants += [ZERO, ZERO]
+            else:
+                sizes = [problem.n + problem.m] * problem.T + [problem.n]
+                entries = [(integer(t, 0, problem.T), i, number(c)) for t, i, c in value["row"]]
+                self.rows.append([(t, integer(i, 0, sizes[t] - 1), c) for t, i, c in entries])
+                self.constants.append(number(value["constant"]))
+        require(self.limit >= 0 or self.gauge == "max", "a negative limit of a norm")
+        require(self.gauge != "cone" or (self.limit == 0 and self.hard), "a cone has the limit 0 and the weight inf")
+        self.equation = self.hard and self.limit == 0 and self.gauge in ("1", "2", "inf")
+
+    def cost(self, v, level):
+        """Return an upper bound on the term at a trajectory; fail unless what must hold does."""
+        pairs = zip(self.rows, self.constants)
+        values = [level] if self.everywhere else [total(c * v[t][i, 0] for t, i, c in row) + one for row, one in pairs]
+        require(not self.everywhere or below(self, v, level), f"{self.name} is not proven to be below {level.str(9)}")
+        size = largest(values) if self.gauge in ("max", "all") else norm(values, self.gauge)
+        size = norm(values[1:], "2") - values[0] if self.gauge == "cone" else size
+        require(not self.hard or self.equation or size <= self.limit, f"the point violates {self.name}")
+        return ZERO if self.hard else self.weight * (size - self.limit).max(ZERO)
+
+    def conjugate(self, given, normal):
+        """Return h* at multipliers [(frequency or None, list), ...], less <multipliers, constants>; and their rows."""
+        size, pairs = ZERO, []
+        require(self.everywhere or len(given) == 1, f"{self.name}: a second line")
+        for frequency, values in given:
+            require((frequency is not None) == self.everywhere, f"{self.name}: a frequency is missing, or needless")
+            rows = wave(*self.output, angle(frequency)) if self.everywhere else self.rows
+            values = matrix(values, len(rows)).entries()
+            pairs += zip(values, rows)
+            in_cone = self.gauge != "cone" or norm(values[1:], "2") <= -values[0]
+            above = self.gauge != "max" or all(one >= 0 for one in values)
+            require(in_cone and above, f"{self.name}: multipliers outside of the dual cone")
+            dual = norm(values, {"1": "inf", "inf": "1", "max": "1"}.get(self.gauge, "2"))
+            size += dual * (self.limit_at(arb.pi() * angle(frequency)) if self.everywhere else ONE)
+        require(self.hard or size <= (self.weight if normal else ZERO), f"{self.name}: multipliers above the weight")
+        return size * self.limit - total(one * constant for (one, _), constant in zip(pairs, self.constants)), pairs
+
+    def limit_at(self, w):
+        for low, high, at_low, at_high in self.pieces:
+            if low <= w <= high:
+                return at_low + (at_high - at_low) * (w - low) / (high - low) if high > low else at_low
+        raise Failed(f"{self.name}: a frequency outside of the limits")
+
+
+# ------------------------------------------------------------ POINT: an upper bound
+
+
+def below(term, v, level):
+    """Whether |Y(w)| <= level * limit(w) over all frequencies, by cells: Taylor around their middles, and a rest."""
+    first, window, factors = term.output
+    y = [h * total(c * v[first + s][i, 0] for i, c in factors) for s, h in enumerate(window)]
+    N, middle, turns = len(y), arb(len(y) - 1) / 2, (acb(1), acb(0, -1), acb(-1), acb(0, 1))
+    derivatives = [acb_poly([one * (s - middle) ** k for s, one in enumerate(y)]) for k in range(TAYLOR)]
+    for low, high, at_low, at_high in term.pieces:
+        count = max(1, int(((high - low) * N / 2).upper().ceil().unique_fmpz()))
+        half, slope = (high - low) / (2 * count), level * (at_high - at_low) / (high - low) if high > low else ZERO
+        rest = norm(y, "1") * (half * N / 2) ** TAYLOR / arb(TAYLOR).gamma()
+        for w in (low + (2 * j + 1) * half for j in range(count)):
+            parts = [turns[k % 4] * p(acb(w.cos(), -w.sin())) / arb(k + 1).gamma() for k, p in enumerate(derivatives)]
+            real, imaginary = arb_poly([part.real for part in parts]), arb_poly([part.imag for part in parts])
+            limit = arb_poly([level * at_low + slope * (w - low) - rest, slope])
+            if not (limit[0] >= abs(slope) * half and never_negative(limit**2 - real**2 - imaginary**2, half)):
+                return False
+    return True
+
+
+def never_negative(g, half, depth=HALVINGS):
+    """Whether a polynomial is certainly >= 0 on [-half, half]: by its expansion, its curvature, or by parts."""
+    a = [*g.coeffs(), ZERO, ZERO, ZERO]
+    beyond = total(abs(c) * half ** (k + 1) for k, c in enumerate(a[3:]))
+    plainly = a[0] - abs(a[1]) * half - (beyond - a[2]).max(ZERO) * half**2 >= 0
+    if plainly or (a[2] > beyond and 4 * a[0] * (a[2] - beyond) >= a[1] ** 2):
+        return True
+    return depth > 0 and all(never_negative(g(arb_poly([c, 1])), half / 2, depth - 1) for c in (half / 2, -half / 2))
+
+
+def trajectory(modes, x, u):
+    """Return v_0 .. v_T."""
+    v = []
+    for mode, control in zip(modes, u):
+        v.append(arb_mat(x.tolist() + control.tolist()))
+        x = mode["map"] * v[-1] + mode["d"]
+    return [*v, x]
+
+
+def kept(problem, signals):
+    """Take the removed bins out of signals of the controls, T matrices with m rows, in place."""
+    for i in (i for i in problem.stops if i >= problem.n):
+        for r in range(signals[0].ncols()):
+            for t, one in enumerate(problem.removed(i, [part[i - problem.n, r] for part in signals])):
+                signals[t][i - problem.n, r] -= one
+    return signals
+
+
+def equations(problem):
+    """Yield (row, target): what must hold beyond the state equation, x_0 and removed bins of controls."""
+    for t, i in problem.fixed:
+        yield [(t, i, ONE)], problem.lower[t][i]
+    for term in problem.terms:
+        yield from zip(term.rows, (-one for one in term.constants)) if term.equation else ()
+    for i, (N, bins, _) in problem.stops.items():
+        for row in (row for k in bins if i < problem.n for row in wave(0, [ONE] * N, [(i, ONE)], fmpq(2 * k, N))):
+            yield row, ZERO
+
+
+def trivial(row, target):
+    return target.is_zero() and all(c.is_zero() for *_, c in row)
+
+
+def correct(problem, modes, x, u):
+    """Add P W'(W P W')^-1 residuals to controls: W are the equations in terms of the controls, P removes bins."""
+    wanted = [(row, target) for row, target in equations(problem) if not trivial(row, target)]
+    v, entries, W, q = trajectory(modes, x, u), [[] for _ in range(problem.T + 1)], [None] * problem.T, len(wanted)
+    for r, (row, _) in enumerate(wanted):
+        for t, i, c in row:
+            entries[t].append((i, r, c))
+    pulled, gram = arb_mat(problem.n, q), arb_mat(q, q)
+    for t in range(problem.T, -1, -1):
+        both = modes[t]["map"].transpose() * pulled if t < problem.T else pulled
+        for i, r, c in entries[t]:
+            both[i, r] += c
+        pulled = arb_mat(problem.n, q, both.entries()[: problem.n * q])
+        if t < problem.T:
+            W[t] = arb_mat(problem.m, q, both.entries()[problem.n * q :])
+    moves = kept(problem, [arb_mat(part) for part in W])
+    for part, move in zip(W, moves):
+        gram += part.transpose() * move
+    misses = [target - total(c * v[t][i, 0] for t, i, c in row) for row, target in wanted]
+    weights = gram.solve(arb_mat(q, 1, misses)) if q else arb_mat(0, 1)
+    return [now + move * weights for now, move in zip(u, moves)]
+
+
+def upper_bound(problem, lines):
+    """Return an upper bound on the cost of controls near the given ones; fail unless they meet all constraints."""
+    T, head, stages, cost = problem.T, lines.section("point", "x levels"), [], ZERO
+    x, levels = matrix(head["x"], problem.n), iter(matrix(head["levels"], None).entries())
+    for t in range(T):
+        stages.append(lines.take("t u mode"))
+        integer(stages[t]["t"], t, t)
+    modes = [problem.modes[integer(one["mode"], 0, len(problem.modes) - 1)][t] for t, one in enumerate(stages)]
+    u = kept(problem, [matrix(one["u"], problem.m) for one in stages])
+    v = trajectory(modes, x, correct(problem, modes, x, u))
+    for t, i in problem.fixed:
+        v[t][i, 0] = problem.lower[t][i]
+    for t, here in enumerate(v):
+        inside = all(a <= b <= c for a, b, c in zip(problem.lower[t], here.entries(), problem.upper[t]))
+        room = (modes[t]["h"] - modes[t]["rows"] * here).entries() if t < T else []
+        require(inside and all(one >= 0 for one in room), f"the point is not within its bounds at {t}")
+        cost += quadratic(problem.costs[t], here)[0]
+    return cost + total(term.cost(v, next(levels) if term.everywhere else ONE) for term in problem.terms)
+
+
+# ------------------------------------------------------------ NODES: what can be reached
+
+
+class Stage:
+    """What a node can reach at a time: x in a box (a list of balls), and in centre + spread [-1, 1]^k.
+
+    `modes`: of each mode that can hold, the boxes of (x, u) in its region and of its image.
+    """
+
+    def __init__(self, box, allowed=(), zonotope=None):
+        self.box, self.allowed, self.modes, n = box, allowed, {}, len(box)
+        diagonal = [box[i].rad() if i == j else ZERO for i in range(n) for j in range(n)]
+        self.zonotope = zonotope or (arb_mat(n, 1, [one.mid() for one in box]), arb_mat(n, n, diagonal))
+
+
+def meet(a, b):
+    """Return a box around the intersection of two, None if it is certainly empty."""
+    pairs = list(zip(a, b))
+    found = [x.intersection(y) if (x - y).is_finite() else x if x.is_finite() else y for x, y in pairs if x.overlaps(y)]
+    return found if len(found) == len(pairs) else None
+
+
+def cut(box, rows, limits):
+    """Return a box around the points of a box with rows v <= limits, None if there is certainly none."""
+    for row, limit in zip(rows.tolist(), limits.entries()):
+        for k, c in ((k, c) for k, c in enumerate(row) if not c.is_zero()):
+            side = (limit - total(row[i] * box[i] for i in range(len(box)) if i != k and not row[i].is_zero())) / c
+            if box[k].is_finite() and side.is_finite():
+                low, high = (box[k].lower(), side.upper()) if c > 0 else (side.lower(), box[k].upper())
+                half = meet([box[k]], [low.union(high)]) if low <= high else None
+                if half is None:
+                    return None
+                box = [*box[:k], *half, *box[k + 1 :]]
+    return box
+
+
+def reach(problem, before, start, kept_modes, forward):
+    """Return the stages of a node, with only some modes kept at a time; None if it can reach nothing."""
+    stages, n = list(before), problem.n
+    stages[start] = Stage(stages[start].box, stages[start].allowed & kept_modes, stages[start].zonotope)
+    for t in range(start, problem.T):
+        stages[t] = stage = Stage(stages[t].box, stages[t].allowed, stages[t].zonotope)
+        controls, (centre, spread), images = problem.boxes[t][n:], stage.zonotope, {}
+        middle, radii = Stage(controls).zonotope
+        for i in sorted(stage.allowed):
+            mode = problem.modes[i][t]
+            box = cut(stage.box + controls, mode["rows"], mode["h"]) if forward else stage.box + controls
+            zonotope = (
+                mode["A"] * centre + mode["B"] * middle + mode["d"],
+                beside(mode["A"] * spread, mode["B"] * radii),
+            )
+            outer = [c + total(map(abs, row)) * UNIT for c, row in zip(zonotope[0].entries(), zonotope[1].tolist())]
+            image = (mode["map"] * arb_mat([[one] for one in box]) + mode["d"]).entries() if box else None
+            for other in (problem.boxes[t + 1][:n], outer if forward else image):
+                image = meet(image, other) if image else None
+            if image:
+                stage.modes[i], images[i] = (box, image), zonotope
+        if not stage.modes:
+            return None
+        if forward:
+            union = [functools.reduce(arb.union, column) for column in zip(*(one[1] for one in stage.modes.values()))]
+            stages[t + 1] = Stage(union, stages[t + 1].allowed, *images.values() if len(images) == 1 else ())
+    return stages
+
+
+# ------------------------------------------------------------ DUAL: a lower bound
+
+
+def quadratic(cost, v):
+    """Return 1/2 (v - center)'hessian (v - center) + linear'v and its gradient; show first that it is convex."""
+    rows = [] if "convex" in cost else [[rational(x) for x in row] for row in cost["hessian"].tolist()]
+    require(all(row[j] == rows[j][i] for i, row in enumerate(rows) for j in range(i)), "a Hessian is not symmetric")
+    while rows:  # L D L' without rounding
+        (pivot, *rest), rows = rows[0], rows[1:]
+        require(pivot > 0 or (pivot == 0 and not any(rest)), "a Hessian is not positive semidefinite")
+        rows = [[x - row[0] * y / (pivot or 1) for x, y in zip(row[1:], rest)] for row in rows]
+    cost["convex"], moved = True, v - cost["center"]
+    bent = cost["hessian"] * moved
+    return (moved.transpose() * bent)[0, 0] / 2 + (cost["linear"].transpose() * v)[0, 0], bent + cost["linear"]
+
+
+def charge(gradient, hessian, z, lower, upper):
+    """Return a lower bound on min of gradient'd + 1/2 d'H d over lower <= z + d <= upper: by bounds or by curvature."""
+    found, spared, bent, used = ZERO, ZERO, [], [i for i in range(len(z)) if hessian[i, i] > 0]
+    for i, g in enumerate(gradient):
+        ends = [(g * (end - z[i])).lower() for end in (lower[i], upper[i]) if not (g.is_zero() or end == z[i])]
+        least = -largest((-end for end in ends), ZERO)
+        curved = i in used and not 2 * hessian[i, i] * least >= -g * g
+        found, spared = (found, spared + least) if curved else (found + least, spared)
+        bent += [g if curved else ZERO] if i in used else []
+    right = arb_mat(len(used), 1, bent)
+    try:
+        solved = arb_mat([[hessian[i, j] for j in used] for i in used]).solve(right) if used else right
+        return found - total((right.transpose() * solved).entries()) / 2
+    except ZeroDivisionError:  # a singular Hessian
+        return found + spared
+
+
+def pick(line, key, i, j, size):
+    """Return the numbers of modes i, j at a stage: one list for all, or an object by "i,j", "i" or ""."""
+    given = line.get(key)
+    if isinstance(given, dict):
+        given = next((given[name] for name in (f"{i},{j}", f"{i}", "") if name in given), None)
+    return arb_mat(size, 1) if given is None and key != "z" else matrix(given, size)
+
+
+def edges(problem, stages, t):
+    """Yield modes i, j that can follow each other at t, t + 1, the box of (x, u) and that of x at t + 1."""
+    for i, (box, image) in stages[t].modes.items() if t < problem.T else ():
+        last = {0: (stages[t + 1].box, None)}
+        for j, (beyond, _) in (stages[t + 1].modes if t + 1 < problem.T else last).items():
+            if meet(image, beyond[: problem.n]):
+                yield i, j, box, beyond[: problem.n]
+    if t == problem.T:
+        yield 0, 0, stages[t].box, None
+
+
+def dual_bound(problem, lines, stages, normal):
+    """Return a lower bound on the cost of the trajectories of a node."""
+    n, value, given = problem.n, ZERO, {}
+    slopes = [arb_mat(len(lower), 1) for lower in problem.lower]
+    while "signal" in lines.ahead:
+        line = lines.take("signal values")
+        i = integer(line["signal"], 0, n + problem.m - 1)
+        require(i in problem.stops, "this component has no stop band")
+        for t, one in enumerate(problem.removed(i, matrix(line["values"], problem.stops[i][0]).entries())):
+            slopes[t][i, 0] += one
+    while "multiplier" in lines.ahead:
+        line = lines.take("multiplier values", "frequency")
+        index = integer(line["multiplier"], 0, len(problem.terms) - 1)
+        given.setdefault(index, []).append((line.get("frequency"), line["values"]))
+    for index, multipliers in given.items():
+        conjugate, pairs = problem.terms[index].conjugate(multipliers, normal)
+        value -= conjugate
+        for multiplier, t, i, c in ((multiplier, *entry) for multiplier, row in pairs for entry in row):
+            slopes[t][i, 0] += multiplier * c
+    eta, ahead, after = arb_mat(n, 1), {}, {0: ZERO}
+    for t in range(problem.T, -1, -1):
+        line = lines.take("t z", "mu eta region vertex image")
+        integer(line["t"], t, t)
+        eta, ahead, after = stage_bound(problem, stages, line, slopes[t], normal, (eta, ahead, after))
+    return (value - largest(-one for one in after.values())).lower()
+
+
+def stage_bound(problem, stages, line, slope, normal, later):
+    """Return eta_{t-1}, v_{t-1} of each mode, and the least cost from t on of each mode, from those at t + 1."""
+    t, n, (eta, ahead, after), found = line["t"], problem.n, later, {}
+    pairs, cost, size, given = list(edges(problem, stages, t)), problem.costs[t], slope.nrows(), "eta" in line
+    require(given or t == 0 or len(pairs) == 1, "eta is needed where several modes are possible")
+    before, mu = (matrix(line[key], n) if key in line else arb_mat(n, 1) for key in ("eta", "mu"))
+    vertex = {int(i): matrix(one, n) for i, one in line.get("vertex", {}).items()}
+    for i, j, box, beyond in pairs:
+        z, linear, bound = pick(line, "z", i, j, size), slope, after.get(j, INFINITY)
+        if t < problem.T:
+            mode, image = problem.modes[i][t], pick(line, "image", i, j, n)
+            region, e = pick(line, "region", i, j, mode["h"].nrows()), eta + ahead.get(j, arb_mat(n, 1)) + image
+            require(all(one >= 0 for one in region.entries()), "a negative multiplier of a region")
+            linear = linear - mode["map"].transpose() * e + mode["rows"].transpose() * region
+            bound += total((c * x).lower() for c, x in zip(image.entries(), beyond) if not c.is_zero())
+            bound -= (e.transpose() * mode["d"])[0, 0] + (region.transpose() * mode["h"])[0, 0]
+            linear += arb_mat(size, 1, vertex.get(i, arb_mat(n, 1)).entries() + [ZERO] * problem.m)
+        at_z, gradient = quadratic(cost, z) if normal else (ZERO, arb_mat(size, 1))
+        gradient += linear
+        if t > 0:
+            rest = [ZERO] * (size - n)
+            defined = arb_mat(n, 1, gradient.entries()[:n])
+            before = before if given else -defined - mu
+            linear += arb_mat(size, 1, before.entries() + rest)
+            in_x = defined + before if given else -mu
+            gradient = arb_mat(size, 1, in_x.entries() + gradient.entries()[n:])
+        lower = [a.max(b.lower()) for a, b in zip(problem.lower[t], box)]
+        upper = [a.min(b.upper()) for a, b in zip(problem.upper[t], box)]
+        hessian = cost["hessian"] if normal else arb_mat(size, size)
+        bound += at_z + (linear.transpose() * z)[0, 0]
+        bound += charge(gradient.entries(), hessian, z.entries(), lower, upper)
+        found[i] = -largest([-bound], -found.get(i, INFINITY))
+    return before, vertex, found
+
+
+def lower_bound(problem, lines):
+    """Return a lower bound on the cost of all trajectories: the least of the leaves of a tree."""
+    forward, everything = lines.section("nodes", "reach")["reach"], set(range(len(problem.modes)))
+    require(isinstance(forward, bool), "reach: expected true or false")
+    nodes, children, bounds = [], {}, {}
+    while "node" in lines.ahead:
+        if "section" in lines.ahead:
+            line = lines.section("dual", "node cost")
+            index, normal = integer(line["node"], 0, len(nodes) - 1), integer(line["cost"], 0, 1)
+            require(index not in bounds and index not in children and nodes[index], "children, a dual, or nothing")
+            bounds[index] = dual_bound(problem, lines, nodes[index], normal)
+            require(normal or bounds[index] > 0, f"node {index} is not proven to be infeasible")
+            bounds[index] = bounds[index] if normal else INFINITY
+            continue
+        line, index = lines.take("node parent t modes"), len(nodes)
+        t, modes = integer(line["t"], 0, problem.T - 1), set(line["modes"])
+        before = [Stage(box[: problem.n], everything) for box in problem.boxes] if index == 0 else None
+        require(
+            integer(line["node"], index, index) or (line["parent"], t, modes) == (None, 0, everything), "not a root"
+        )
+        if index:
+            parent = integer(line["parent"], 0, index - 1)
+            require(parent not in bounds and children.setdefault(parent, (t, set()))[0] == t, "another time, or a dual")
+            children[parent][1].update(modes)
+            before = nodes[parent]
+        nodes.append(reach(problem, before, t, modes, forward) if before else None)
+    for index, stages in ((index, stages) for index, stages in enumerate(nodes) if stages and index not in bounds):
+        t, modes = children.get(index, (0, set()))
+        require(set(stages[t].modes) <= modes, f"the children of node {index} do not cover it, or it has no dual")
+    require(nodes, "expected a node")
+    return -largest(-bound for bound in bounds.values())
+
+
+# ------------------------------------------------------------ the whole proof
+
+
+def check(file, say=print):
+    """Return (lb, ub) that a proof proves, exact balls; both infinite if there is no trajectory."""
+    try:
+        lines = Lines(file)
+        head = lines.take("format version bits")
+        require((head["format"], head["version"]) == ("lfo-proof", 1), "another format or version")
+        ctx.prec, lines.hash = integer(head["bits"], 64, MOST_BITS), hashlib.sha256()
+    except Failed as failed:
+        raise ValueError(f"not a proof: {failed}") from failed
+    try:
+        problem = Problem(lines)
+        for one in (*problem.summary(), f"sha256 of the section PROBLEM: {lines.hash.hexdigest()}"):
+            say(one)
+        claim = lines.section("claim", "lower upper")
+        claimed = [number(claim[side], infinite=True) for side in ("lower", "upper")]
+        upper = upper_bound(problem, lines).upper() if lines.ahead.get("section") == "point" else INFINITY
+        lower = lower_bound(problem, lines)
+        lines.section("end", "")
+        require(lines.text == b"", "there is something behind the end")
+        shown = f"{lower.str(17)} .. {upper.str(17)}"
+        require(claimed[0] <= lower <= upper <= claimed[1], f"{shown} is proven, which does not imply the claim")
+    except Exception as error:
+        raise Failed(f"line {lines.at}: {error or type(error).__name__}") from error
+    return lower, upper
+
+
+def decimal(exact, rounding):
+    """Return an exact ball as a decimal number of 17 digits, rounded one way."""
+    if not exact.is_finite():
+        return "inf" if exact > 0 else "-inf"
+    value = rational(exact)
+    return str(Context(prec=17, rounding=rounding).divide(Decimal(value.numerator), Decimal(value.denominator)))
+
+
+def main():
+    """Check the file that is named on the command line."""
+    try:
+        with open(sys.argv[1], "rb") as file:
+            lower, upper = check(file)
+    except Failed as failed:
+        print(f"FAILED {failed}")
+        return 1
+    except (OSError, ValueError, IndexError) as error:
+        print(f"lfo_check.py FILE: {error}", file=sys.stderr)
+        return 2
+    interval = f"VERIFIED {decimal(lower, ROUND_FLOOR)} {decimal(upper, ROUND_CEILING)}"
+    print("INFEASIBLE" if lower == INFINITY else interval)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
