@@ -418,27 +418,27 @@ def reach(problem, before, start, kept_modes, forward):
     stages[start] = Stage(stages[start].box, stages[start].allowed & kept_modes, stages[start].zonotope)
     for t in range(start, problem.T):
         stages[t] = stage = Stage(stages[t].box, stages[t].allowed, stages[t].zonotope)
-        controls, (centre, spread), images = problem.boxes[t][n:], stage.zonotope, {}
-        middle, radii = Stage(controls).zonotope
+        controls, beyond, images = problem.boxes[t][n:], problem.boxes[t + 1][:n], {}
+        if not forward:
+            stage.modes = {i: (stage.box + controls, beyond) for i in stage.allowed}
+            continue
+        (centre, spread), (middle, radii) = stage.zonotope, Stage(controls).zonotope
         for i in sorted(stage.allowed):
             mode = problem.modes[i][t]
-            box = cut(stage.box + controls, mode["rows"], mode["h"]) if forward else stage.box + controls
-            zonotope = (
-                mode["A"] * centre + mode["B"] * middle + mode["d"],
-                beside(mode["A"] * spread, mode["B"] * radii),
-            )
-            outer = [c + total(map(abs, row)) * UNIT for c, row in zip(zonotope[0].entries(), zonotope[1].tolist())]
+            box = cut(stage.box + controls, mode["rows"], mode["h"])
+            moved = mode["A"] * centre + mode["B"] * middle + mode["d"]
+            turned = beside(mode["A"] * spread, mode["B"] * radii)
+            outer = [c + total(map(abs, row)) * UNIT for c, row in zip(moved.entries(), turned.tolist())]
             image = (mode["map"] * arb_mat([[one] for one in box]) + mode["d"]).entries() if box else None
-            for other in (problem.boxes[t + 1][:n], outer if forward else image):
+            for other in (beyond, outer):
                 image = meet(image, other) if image else None
             if image:
-                stage.modes[i], images[i] = (box, image), zonotope
+                stage.modes[i], images[i] = (box, image), (moved, turned)
         if not stage.modes:
             return None
-        if forward:
-            union = [functools.reduce(arb.union, column) for column in zip(*(one[1] for one in stage.modes.values()))]
-            stages[t + 1] = Stage(union, stages[t + 1].allowed, *images.values() if len(images) == 1 else ())
-    return stages
+        union = [functools.reduce(arb.union, column) for column in zip(*(one[1] for one in stage.modes.values()))]
+        stages[t + 1] = Stage(union, stages[t + 1].allowed, *images.values() if len(images) == 1 else ())
+    return stages if all(stage.allowed for stage in stages[:-1]) else None
 
 
 # ------------------------------------------------------------ DUAL: a lower bound
