@@ -83,9 +83,12 @@ class Signal:
 
     @property
     def row_bounds(self) -> list[Line]:
-        """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows."""
+        """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows; not costs of levels."""
+        levels = any(len(one.levels_of(self.problem.control_dim)) for one in entries_of(self.problem.control_set))
+        left_out = TermKind.CONTROL_SET if levels else None
         n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
         terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
+        terms = [term for term in terms if term.kind != left_out]
         return [line for term in terms for line in _limits(term, n, self.problem.control_dim, column)]
 
     @property

@@ -19,6 +19,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -27,7 +28,6 @@ from lin_freq_ocp.solving.outcome import Outcome
 CLASSICAL, CONSTRAINED = "classical", "constrained"
 NO_MODE = -1  # in a mode sequence: the trajectory is in no region
 SAME_PEAK = 1e-2  # peaks that differ by less than this fraction count as equal
-STOPPED = "leave the regions of all modes"  # what the states of a replay do that ended early
 
 # The measures that depend on the states.
 OF_STATES = (
@@ -98,6 +98,21 @@ class MeasuredTrajectory:
         found = [_violation_of_term(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
         values, allowed = np.array(found).reshape(-1, 2).T
         return Violation(values, allowed, np.ones(len(found), dtype=bool))
+
+    @property
+    def between_levels(self) -> bool:
+        """Whether its controls are not all at levels, where the modes of the problem are levels."""
+        sets = entries_of(self.problem.control_set) if self.problem.dynamics.mode_names else ()
+        return any(
+            bool((np.abs(u[:, None] - levels).min(axis=1) > CONDITION_TOLERANCE * np.abs(levels).max()).any())
+            for one in sets
+            for u, levels in zip(self.trajectory.u.T, one.levels_of(self.problem.control_dim), strict=False)
+        )
+
+    @property
+    def why_stopped(self) -> str:
+        """Return why a replay ended early, as the rest of a sentence that begins with "its" or "the"."""
+        return "controls lie between the levels" if self.between_levels else "states leave the regions of all modes"
 
     @cached_property
     def one_step_residual(self) -> Array:

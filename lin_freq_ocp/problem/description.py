@@ -23,7 +23,7 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
         ("horizon", _horizon(problem)),
         *_cost(problem),
         *problem.dynamics.facts(_signals(problem)),
-        *([("gap", f"no mode {gap}: infeasible there")] if gap else []),
+        *([("gap", f"no mode {gap}: infeasible there")] if gap and not _at_levels(problem) else []),
         *_controls(problem),
         *_states(problem),
         *_sets(problem),
@@ -99,9 +99,15 @@ def _sets(problem: ProblemData) -> list[Fact]:
         ("terminal set", problem.terminal_state, problem.state_names, "x"),
         ("control set", problem.control_set, problem.control_names, "u"),
     ):
-        if _beyond_bounds(given):
+        if _beyond_bounds(given) and not (signal == "u" and _at_levels(problem)):
             facts.append((term, _over_time([one.describe(names, signal) for one in entries_of(given)])))
     return facts
+
+
+def _at_levels(problem: ProblemData) -> bool:
+    """Whether its modes are the levels of its controls, which the dynamics describe."""
+    levels = any(len(one.levels_of(problem.control_dim)) for one in entries_of(problem.control_set))
+    return levels and bool(problem.dynamics.mode_names)
 
 
 def _over_time(words: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from lin_freq_ocp.arrays import Mask
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
 from lin_freq_ocp.comparison.signals import Signal, controls_of
-from lin_freq_ocp.comparison.trajectories import SAME_PEAK, STOPPED, MeasuredTrajectory, Violation
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.moves import moves_sentence
 from lin_freq_ocp.report.proof import RIGOROUS, proven_optimal
@@ -52,9 +52,12 @@ def finding(comparison: ComparisonOutcome) -> Finding:
     if shown is not None:
         replay = shown.replay
         filtering = ", ".join(faults(replay, comparison))
-        filtering = filtering or f"breaks no constraint{'' if replay.meaningful else ' on the controls'}"
+        if not filtering and not replay.between_levels:
+            filtering = f"breaks no constraint{'' if replay.meaningful else ' on the controls'}"
         if replay.stopped:
-            filtering += f"; its states {STOPPED}, so that they cannot be replayed to the end"
+            filtering += (
+                f"{'; ' if filtering else ''}its {replay.why_stopped}, so that they cannot be replayed to the end"
+            )
         elif not replay.meaningful:
             filtering += (
                 "; what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
@@ -134,7 +137,8 @@ def _with_constraint(comparison: ComparisonOutcome) -> str:
         extra = f"for a cost of {number(after)} instead of {number(before)}"
     else:
         percent = 100 * (after / before - 1)
-        extra = f"for {percent:.{1 if percent >= NOTABLE else 2}f} % more cost"
+        size = f"{abs(percent):.{1 if abs(percent) >= NOTABLE else 2}f}"
+        extra = f"for {size} % {'more' if percent > 0 else 'less'} cost" if float(size) else "at the same cost"
     return f"{_holds(comparison)}, {extra}, {_proven(result)}"
 
 

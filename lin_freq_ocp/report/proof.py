@@ -97,8 +97,9 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
         )
     if borders.gaps:
         sentences.append(
-            f"{_times(borders.gaps)} the trajectory lies on the rim of a gap between the regions, where the dynamics "
-            "are not defined, so the maximum principle makes no statement; what follows was looked at all the same."
+            f"At {_times(borders.gaps)} the trajectory lies on the rim of a gap between the regions, where the "
+            "dynamics are not defined, so the maximum principle makes no statement; what follows was looked at all the "
+            "same."
         )
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"

@@ -275,6 +275,8 @@ def test_extra_cost_reads_well():
 
     assert "for 12.5 % more cost" in said(80.0, 90.0)
     assert "for 0.25 % more cost" in said(80.0, 80.2)
+    assert "for 0.25 % less cost" in said(80.0, 79.8)
+    assert "everything holds, at the same cost, " in said(80.0, 80.0 - 1e-9)
     assert "for a cost of 90 instead of 8" in said(8.0, 90.0)
     assert "for a cost of -1 instead of -3" in said(-3.0, -1.0)
 

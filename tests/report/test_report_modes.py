@@ -417,6 +417,47 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
     assert "its states leave the regions of all modes, so that" in str(findings.finding(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
+    assert not first.between_levels
     assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
     html = render(comparison, tuple(drawings("wall").values()))
     assert "regions of all modes\n  (brickwall" in html
+
+
+def thruster(duty_cycles: bool = False) -> OptimalControlProblem:
+    """Move by a thruster that is off, or on in either direction."""
+    return OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]], control_names=["thrust [N]"]),
+        8,
+        lfo.QuadraticCost(R=0.1),
+        control_set=lfo.FiniteSet([-1, 0, 1], costs=[0.3, 0, 0.3], duty_cycles=duty_cycles),
+        initial_state=[1.0, 0.0],
+        terminal_state=[0.0, 0.0],
+        control_spectrum=lfo.MagnitudeBound(3.0, band=lfo.low_pass(2.0)),
+    )
+
+
+def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
+    comparison = compare(thruster(), filters=["brickwall"])
+    (filtered,) = comparison.filtered
+    assert filtered.replay.between_levels
+    assert not comparison.classical_solution.between_levels
+    words = findings.finding(comparison).filtering
+    assert words == "its controls lie between the levels, so that they cannot be replayed to the end"
+    data = comparison_data(comparison)
+    assert [note.text for note in data.notes(data.states[:1])] == [
+        "filtered: not replayed; its controls lie between the levels"
+    ]
+    html = render(comparison, draw(comparison))
+    assert "the controls lie between the levels\n  (brickwall)" in html
+    assert "At t = 0, 1, 2, 3, 4, 5, 6 and 7 the trajectory lies on the rim of a gap" in html
+
+
+def test_costs_of_levels_are_no_bounds_and_levels_are_said_once():
+    for problem in (thruster(), thruster(duty_cycles=True)):
+        (signal,) = result_data(solve(problem)).controls
+        assert signal.row_bounds == []
+    terms = [term for term, _ in problem_facts(thruster(), thruster().gap)]
+    assert thruster().gap is not None
+    assert "levels" in terms
+    assert not {"gap", "control set"} & set(terms)
+    assert "control set" in [term for term, _ in problem_facts(thruster(duty_cycles=True))]

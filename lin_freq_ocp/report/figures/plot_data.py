@@ -11,7 +11,6 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
-from lin_freq_ocp.comparison.trajectories import STOPPED
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.figures.style import Note, Trace
 from lin_freq_ocp.report.units import Scale, frequency_scale, quantity, rough, time_scale
@@ -109,7 +108,7 @@ class PlotData:
         for trace in self.traces:
             measured, text = trace.measured, ""
             if measured.stopped:
-                text = f"not replayed; its states {STOPPED}"
+                text = f"not replayed; its {measured.why_stopped}"
             elif not measured.meaningful:
                 text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
