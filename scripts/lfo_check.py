@@ -400,7 +400,7 @@ def meet(a, b):
 
 def cut(box, rows, limits):
     """Return a box around the points of a box with rows v <= limits, None if there is certainly none."""
-    for row, limit in zip(rows.tolist(), limits.entries()):
+    for row, limit in 2 * list(zip(rows.tolist(), limits.entries())):  # twice: rows that come first gain, too
         for k, c in ((k, c) for k, c in enumerate(row) if not c.is_zero()):
             side = (limit - total(row[i] * box[i] for i in range(len(box)) if i != k and not row[i].is_zero())) / c
             if box[k].is_finite() and side.is_finite():
@@ -430,7 +430,7 @@ def reach(problem, before, start, kept_modes, forward):
             turned = beside(mode["A"] * spread, mode["B"] * radii)
             outer = [c + total(map(abs, row)) * UNIT for c, row in zip(moved.entries(), turned.tolist())]
             image = (mode["map"] * arb_mat([[one] for one in box]) + mode["d"]).entries() if box else None
-            for other in (beyond, outer):
+            for other in (before[t + 1].box, outer):
                 image = meet(image, other) if image else None
             if image:
                 stage.modes[i], images[i] = (box, image), (moved, turned)
@@ -484,12 +484,12 @@ def pick(line, key, i, j, size):
 
 def edges(problem, stages, t):
     """Yield modes i, j that can follow each other at t, t + 1, the box of (x, u) and that of x at t + 1."""
-    for i, (box, image) in stages[t].modes.items() if t < problem.T else ():
+    for i, (box, image) in stages[t].modes.items() if stages and t < problem.T else ():
         last = {0: (stages[t + 1].box, None)}
         for j, (beyond, _) in (stages[t + 1].modes if t + 1 < problem.T else last).items():
             if meet(image, beyond[: problem.n]):
                 yield i, j, box, beyond[: problem.n]
-    if t == problem.T:
+    if stages and t == problem.T:
         yield 0, 0, stages[t].box, None
 
 
@@ -524,7 +524,8 @@ def stage_bound(problem, stages, line, slope, normal, later):
     """Return eta_{t-1}, v_{t-1} of each mode, and the least cost from t on of each mode, from those at t + 1."""
     t, n, (eta, ahead, after), found = line["t"], problem.n, later, {}
     pairs, cost, size, given = list(edges(problem, stages, t)), problem.costs[t], slope.nrows(), "eta" in line
-    require(given or t == 0 or len(pairs) == 1, "eta is needed where several modes are possible")
+    require(0 < t < problem.T or "vertex" not in line, "nothing stands against a vertex at 0 or T")
+    require(given or t == 0 or len(pairs) < 2, "eta is needed where several modes are possible")
     before, mu = (matrix(line[key], n) if key in line else arb_mat(n, 1) for key in ("eta", "mu"))
     vertex = {int(i): matrix(one, n) for i, one in line.get("vertex", {}).items()}
     for i, j, box, beyond in pairs:
@@ -564,7 +565,7 @@ def lower_bound(problem, lines):
         if "section" in lines.ahead:
             line = lines.section("dual", "node cost")
             index, normal = integer(line["node"], 0, len(nodes) - 1), integer(line["cost"], 0, 1)
-            require(index not in bounds and index not in children and nodes[index], "children, a dual, or nothing")
+            require(index not in bounds and index not in children, "it has children or a dual")
             bounds[index] = dual_bound(problem, lines, nodes[index], normal)
             require(normal or bounds[index] > 0, f"node {index} is not proven to be infeasible")
             bounds[index] = bounds[index] if normal else INFINITY
