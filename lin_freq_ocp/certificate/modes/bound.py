@@ -79,9 +79,9 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
 
     Leaves that are not reached until ``end``, by ``time.perf_counter``, prove nothing.
     """
-    reached, covers = _covered(problem, tree)
+    reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
-    judge, bounds = _LeafJudge(problem), np.full(len(tree.nodes), np.nan)
+    judge, bounds = LeafJudge(problem), np.full(len(tree.nodes), np.nan)
     for index, (node, stages) in enumerate(zip(tree.nodes, reached, strict=True)):
         if index in parents:
             continue
@@ -94,7 +94,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     return TreeBound(value, covers, bounds)
 
 
-def _covered(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
+def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
     """Return what each node can reach (None: nothing), and whether no sequence is missing."""
     reach = IntervalReach(problem)
     T, modes = problem.horizon, len(problem.piecewise.modes)
@@ -136,7 +136,19 @@ def _allowed(stages: Stages) -> Mask:
     return np.array([stage.modes for stage in stages[:-1]])
 
 
-class _LeafJudge:
+@dataclass(frozen=True, eq=False)
+class Minimisers:
+    """Where the minima of D are taken: mode i at t and then j, (x, u) in z (T, modes, modes or 1, n + m), x_T in end.
+
+    ``edges`` (T, modes, modes): which i and j can follow each other; at T - 1, j is 0.
+    """
+
+    edges: Mask
+    z: Array
+    end: Array
+
+
+class LeafJudge:
     """Evaluates D; what does not depend on the leaf is kept."""
 
     def __init__(self, problem: OptimalControlProblem):
@@ -192,15 +204,23 @@ class _LeafJudge:
         rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
         return cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
 
-    def _lengths(self, extremal: Extremal, proof: ModeMultipliers, boxes: _Boxes) -> tuple[Array, Array]:
-        """Return phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)."""
-        (T, _, n), x = self._shape, self._centre.x
-        parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
-        given = proof.region if proof.paths else proof.region[:, :, None]
-        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(given, 0.0), 0.0)
-        ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
-        behind = np.zeros((T, parts.vertices.shape[1], n))
-        behind[1:] = parts.vertices[:-1]
+    def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
+        """Return the minimisers of the stages of D, as far as a box with infinite bounds has them."""
+        eta_C, n = proof.multipliers.eta_C, self._shape[2]
+        extremal = extremal_at(self._problem, self._centre, proof.multipliers)
+        with np.errstate(invalid="ignore"):
+            boxes = _boxes(stages, self._y, self._centre.x[-1])
+        hessians, end = (eta_C * self._hessians)[:, None, None], eta_C * self._problem.quadratic.P
+        slope, low, high = self._slopes(extremal, proof)[0], boxes.low[:, :, None], boxes.high[:, :, None]
+        v = box_minimiser(slope, hessians, low[:-1], high[:-1])
+        slope = (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64)
+        last = box_minimiser(slope, end, low[-1, 0, 0, :n], high[-1, 0, 0, :n])
+        return Minimisers(self._edges(boxes), v + self._y[:, None, None], last + self._centre.x[-1])
+
+    def _slopes(self, extremal: Extremal, proof: ModeMultipliers) -> tuple[Array, Array]:
+        """Return the slopes of phi_t(i, j) at the centre and the sizes of their terms, (T, modes, modes | 1, n + m)."""
+        n = self._shape[2]
+        ahead, behind, region = self._parts(proof)
         slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
         size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
         slope = np.hstack([slope_x[:-1], slope_u])[:, None, None] - ahead @ self._maps
@@ -209,9 +229,27 @@ class _LeafJudge:
         size = (size + region @ np.abs(self._rows)).astype(np.float64)
         slope[..., :n] += behind[:, :, None]
         size[..., :n] += np.abs(behind)[:, :, None]
+        return slope, size
+
+    def _parts(self, proof: ModeMultipliers) -> tuple[Array, Array, Array]:
+        """Return e_tij, v_{t-1,i} and lambda_tij."""
+        T, _, n = self._shape
+        parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
+        given = proof.region if proof.paths else proof.region[:, :, None]
+        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(given, 0.0), 0.0)
+        ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
+        behind = np.zeros((T, parts.vertices.shape[1], n))
+        behind[1:] = parts.vertices[:-1]
+        return ahead, behind, region
+
+    def _lengths(self, extremal: Extremal, proof: ModeMultipliers, boxes: _Boxes) -> tuple[Array, Array]:
+        """Return phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)."""
+        x = self._centre.x
+        ahead, behind, region = self._parts(proof)
+        slope, size = self._slopes(extremal, proof)
         hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
         minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = _images(parts.images, boxes, x)
+        after = np.zeros((1, 1, 1)) if proof.paths is None else _images(proof.paths.images, boxes, x)
         constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
         constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
         sizes = (

@@ -1,0 +1,183 @@
+"""Proofs under mutation and of random problems: what the checker says must be true of the optimum to 50 digits.
+
+A mutated proof is rejected, or what is printed still holds. A mutation within PROBLEM must change the hash that is
+printed, and what is printed must hold of the problem that it makes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import lin_freq_ocp as lfo
+from helpers import hand_proofs
+from helpers.exact import Statement, optimal_cost
+from helpers.hand_proofs import Verdict, check, text
+from helpers.mutations import Mutation
+from lin_freq_ocp.testing import random_convex, random_mixed
+
+LARGEST = 150  # controls and components of x_0: an exact optimum takes seconds
+WELL_CONDITIONED = 1e-9  # relative width of an interval
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The ends of an interval that has the optimal cost (None: infeasible), or only the cost of one mode sequence."""
+
+    ends: tuple[Fraction, Fraction] | None
+    above_only: bool = False
+
+    def denies(self, verdict: Verdict) -> str:
+        """Return what is wrong with a verdict, empty if nothing is."""
+        if verdict.status != 0:
+            return ""
+        if (self.ends is None) != (verdict.interval is None):
+            return f"{verdict.last}, but the problem is {'infeasible' if self.ends is None else 'feasible'}"
+        if self.ends is None or verdict.interval is None:
+            return ""
+        lower, upper = verdict.interval
+        if lower != "-inf" and Fraction(lower) > self.ends[1]:
+            return f"{verdict.last}, but the optimum is {float(self.ends[1]):.17g}"
+        if not self.above_only and upper != "inf" and Fraction(upper) < self.ends[0]:
+            return f"{verdict.last}, but the optimum is {float(self.ends[0]):.17g}"
+        return ""
+
+
+def exact_truth(proof: str, tree: bool = False) -> Truth | None:
+    """Return the exact optimum of a proof's PROBLEM along the modes of its POINT; None if there is none to be had."""
+    try:
+        found = optimal_cost(Statement.read(proof))
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, NotImplementedError, ZeroDivisionError):
+        return None  # a problem that a mutation has spoiled
+    if found is None:
+        return None
+    ends = [Fraction(*(int(part) for part in (end.fmpq().p, end.fmpq().q))) for end in (found.lower(), found.upper())]
+    return Truth((ends[0], ends[1]), above_only=tree)
+
+
+def hash_of(verdict: Verdict) -> str:
+    """Return the line with the hash of PROBLEM; empty if it was not printed."""
+    return next((line for line in verdict.printed.splitlines() if "sha256" in line.lower()), "")
+
+
+def wrong_of(mutation: Mutation, truth: Truth, first_hash: str, folder: Path) -> str:
+    """Check a mutated proof; return what is wrong with what the checker says of it, empty if nothing is."""
+    verdict = check("".join(mutation.lines), folder)
+    if mutation.section != "problem":
+        return truth.denies(verdict)
+    if verdict.status == 0 and hash_of(verdict) == first_hash:
+        return f"the same hash: {verdict.last}"
+    if verdict.status == 0:
+        changed = exact_truth("".join(mutation.lines), truth.above_only)
+        return changed.denies(verdict) if changed else ""
+    return ""
+
+
+def written(problem: lfo.OptimalControlProblem, **options: object) -> str:
+    """Return the proof of a problem's optimum, or of its infeasibility."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "some.proof"
+        lfo.solve(problem, throw=False, **options).write_proof(path)
+        return path.read_text()
+
+
+def _double_integrator(**given: object) -> lfo.OptimalControlProblem:
+    dynamics = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]], sampling_time=0.5)
+    arguments: dict[str, object] = {
+        "cost": lfo.QuadraticCost(Q=[[0.5, 0.0], [0.0, 0.25]], R=1.0),
+        "control_set": lfo.Box(-2.0, 2.0),
+        "initial_state": [0.0, 0.0],
+        "terminal_state": [2.0, 0.0],
+    }
+    return lfo.OptimalControlProblem(dynamics, 8, **(arguments | given))
+
+
+KINDS: dict[str, Callable[[], str]] = {
+    "by hand": lambda: text(hand_proofs.double_integrator()),
+    "two modes, by hand": lambda: text(hand_proofs.two_modes()),
+    "a ray, by hand": lambda: text(hand_proofs.infeasible()),
+    "stop band": lambda: written(_double_integrator(control_spectrum=lfo.stop_band(bins=[3, 4]))),
+    "stop band of a state": lambda: written(
+        _double_integrator(
+            state_spectrum=lfo.stop_band(bins=[3], component=1), terminal_state=None, initial_state=[1, 0]
+        )
+    ),
+    "masks": lambda: written(_double_integrator(control_spectrum=lfo.spectrum.MagnitudeBound(0.5, bins=[2, 3]))),
+    "soft rows": lambda: written(
+        _double_integrator(stage_rows=lfo.StageRows([[0.0, 1.0]], [[0.5]], [0.75], penalty=0.5))
+    ),
+    "a ball and a norm": lambda: written(
+        _double_integrator(
+            terminal_state=lfo.sets.Ball(0.25, centre=[2.0, 0.0]),
+            cost=lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(u=0.25),
+        )
+    ),
+    "every frequency": lambda: written(
+        _double_integrator(control_spectrum=lfo.spectrum.MagnitudeBound(1.5, cutoff=2.0, everywhere=True))
+    ),
+    "too weak": lambda: written(_double_integrator(control_set=lfo.Box(-0.25, 0.25))),
+    "a tree": lambda: written(lfo.library.switched_rotation(horizon=4, initial_state=(-6, 7))),
+}
+UNKNOWN = "every frequency", "a ray, by hand", "too weak"  # to the exact solver
+"""Kinds of proofs, small enough that every number can be changed."""
+
+
+def truth_of(kind: str, proof: str, folder: Path) -> tuple[Truth, str]:
+    """Return the truth about a kind's problem, and its hash."""
+    verdict = check(proof, folder)
+    assert verdict.status == 0, verdict.printed
+    if kind in UNKNOWN:
+        ends = verdict.interval
+        return Truth(None if ends is None else (Fraction(ends[0]), Fraction(ends[1]))), hash_of(verdict)
+    truth = exact_truth(proof)
+    assert truth is not None, kind
+    return truth, hash_of(verdict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one random problem: the relative width of its interval; `exact`: whether the optimum is known."""
+
+    seed: int
+    kind: str
+    last: str
+    width: float
+    exact: bool
+    wrong: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.wrong
+
+
+def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
+    """Return a random convex problem that is small enough for an exact optimum."""
+    if seed % 2:
+        return "mixed", random_mixed.problem_of(random_mixed.random_model(seed))
+    for attempt in range(100):
+        kind, problem = random_convex.random_problem(seed + 1000 * attempt)
+        if problem.state_dim + problem.horizon * problem.control_dim <= LARGEST:
+            return kind, problem
+    raise ValueError(seed)
+
+
+def check_random(seed: int) -> Outcome:
+    """Solve a random problem, write and check its proof, and compare it with the exact optimum."""
+    kind, problem = random_problem(seed)
+    result = lfo.solve(problem, throw=False)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "some.proof"
+        result.write_proof(path)
+        verdict = hand_proofs.check_file(path)
+        if verdict.status or verdict.interval is None:
+            wrong = verdict.printed if verdict.status else ""
+            return Outcome(seed, kind, verdict.last, 0.0, False, wrong)
+        truth = exact_truth(path.read_text())
+    lower, upper = map(Fraction, verdict.interval)
+    size = max(abs(lower), abs(upper))
+    width = float((upper - lower) / size) if size else 0.0
+    return Outcome(seed, kind, verdict.last, width, truth is not None, truth.denies(verdict) if truth else "")
