@@ -11,6 +11,7 @@ from lin_freq_ocp.api.sweep import Sweep
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.interchange.results.solution_file import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
 from lin_freq_ocp.status import Status
 
@@ -19,6 +20,7 @@ __all__ = [
     "ClosedLoop",
     "Comparison",
     "Cure",
+    "Enclosure",
     "Explanation",
     "MinimumTime",
     "Multipliers",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import Field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
@@ -16,13 +17,17 @@ from lin_freq_ocp.interchange.results.solution_file import save_trajectory
 from lin_freq_ocp.interchange.results.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.proof.enclosure import Enclosure, require_checker
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.system.atomic import replacing
 from lin_freq_ocp.text.html import html_table
 
 if TYPE_CHECKING:
     from control import TimeResponseData
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from lin_freq_ocp.proof.proof import Proof
 
 
 class Record(Protocol):
@@ -53,6 +58,8 @@ class Result(Outcome):
         The trajectory for other tools.
     dump(path)
         Write the whole run, to be repeated anywhere.
+    write_proof(path)
+        Write a proof of the answer, which is checked without this package.
 
     Examples
     --------
@@ -132,6 +139,44 @@ class Result(Outcome):
         from lin_freq_ocp.interchange.runs.run_file import dump_run  # slow to import
 
         dump_run(path, self.problem, self.options, self)
+
+    @property
+    def enclosure(self) -> Enclosure:
+        """Return an interval that contains the optimal cost, as the checker of proofs confirms; it is kept.
+
+        Raises
+        ------
+        MissingExtraError, UnsupportedError, SolveError
+            As for ``write_proof``.
+        """
+        return self._proven[1]
+
+    def write_proof(self, path: str | Path) -> None:
+        """Write a proof of the interval ``enclosure``, or that no trajectory is feasible.
+
+        ``lfo-check FILE`` reads it: one file of Python that imports nothing of this package (docs/proof.md).
+
+        Raises
+        ------
+        MissingExtraError
+            If the extra ``proof`` is not installed.
+        UnsupportedError
+            If the format does not hold a part of the problem; the message names its field.
+        SolveError
+            If the solve ended without anything to prove, or its multipliers prove nothing.
+        ProblemError
+            If the file cannot be written.
+        """
+        proof, _ = self._proven
+        with replacing(path) as stream:
+            stream.writelines(text.encode() for text in proof.lines())
+
+    @cached_property
+    def _proven(self) -> tuple[Proof, Enclosure]:
+        require_checker()
+        from lin_freq_ocp.proof.proof import proof_of  # imports an extra
+
+        return proof_of(self)
 
     def to_json(self, path: str | Path) -> None:
         """Write the object that ``lin-freq-ocp solve --json`` prints."""

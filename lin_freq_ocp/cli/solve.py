@@ -1,4 +1,4 @@
-"""The command lin-freq-ocp solve: an answer, its certificate, and the files --save, --csv, --plot and --dump."""
+"""The command lin-freq-ocp solve: an answer, its certificate, and the files --save, --csv, --plot, --proof, --dump."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from lin_freq_ocp.interchange.results.solution_file import kind_of_file, load_tr
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.status import Status
 from lin_freq_ocp.system.atomic import replacing
 
@@ -37,6 +38,7 @@ HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",
     "csv": "Write the trajectory to this file as a table, one row per time.",
     "plot": "Draw the answer into this file: .png, .svg, .pdf.",
+    "proof": "Write a proof of the answer to this file, which lfo-check confirms without this package.",
     "dump": "Write the whole run to this .zip file; see rerun.",
 }
 
@@ -48,6 +50,7 @@ class Outputs:
     save: Path | None = None
     csv: Path | None = None
     plot: Path | None = None
+    proof: Path | None = None
     dump: Path | None = None
 
     @property
@@ -68,13 +71,16 @@ class Outputs:
             kind_of_file(self.save, f"--save {self.save}")
         if self.plot is not None:
             _require_picture(self.plot)
+        if self.proof is not None:
+            require_checker()
 
     def writes(self, result: Result) -> list[Callable[[], None]]:
         """Return the function that writes each file, and report the files that stay unwritten."""
         writers = {"save": result.save, "csv": result.to_csv, "plot": partial(_draw, result), "dump": result.dump}
+        writers["proof"] = result.write_proof
         writes: list[Callable[[], None]] = []
         for name, file in self.wanted.items():
-            if name == "dump" or result.trajectory is not None:
+            if name in ("dump", "proof") or result.trajectory is not None:
                 writes.append(partial(writers[name], file))
             else:
                 done = "drawn" if name == "plot" else "saved"

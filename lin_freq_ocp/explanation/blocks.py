@@ -81,7 +81,7 @@ def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array)
     if block.kind in ENDS:
         field = block.kind.replace(" ", "_")
         end, given = (problem.initial_box, problem.terminal_box)[ENDS.index(block.kind)], getattr(problem, field)
-        return replace(problem, **{field: _with_bounds(given, Box(end.lower - amount, end.upper + amount))})
+        return replace(problem, **{field: with_bounds(given, Box(end.lower - amount, end.upper + amount))})
     if block.kind == "row":
         return replace(problem, stage_rows=[_relaxed_row(rows, block, amount) for rows in problem.stage_rows])
     if block.kind.endswith("stop band"):
@@ -93,10 +93,10 @@ def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array)
     lower, upper = tube.lower.copy(), tube.upper.copy()
     lower[:, block.index] -= amount
     upper[:, block.index] += amount
-    return replace(problem, **{field: _with_bounds(getattr(problem, field), Box(lower, upper))})
+    return replace(problem, **{field: with_bounds(getattr(problem, field), Box(lower, upper))})
 
 
-def _with_bounds(given: GivenSet, bounds: Box) -> GivenSet:
+def with_bounds(given: GivenSet, bounds: Box) -> GivenSet:
     """Return a set, or one per time, with other bounds and the same other members."""
     if isinstance(given, Sequence):
         boxes = [bounds.at(t) if bounds.lower.ndim > 1 else bounds for t in range(len(given))]

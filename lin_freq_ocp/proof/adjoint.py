@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from flint import arb, arb_mat, ctx
+from flint import arb, arb_mat
 
 from lin_freq_ocp.arrays import Array, Indices
 
@@ -44,33 +44,29 @@ class Recursion:
         return eta, found
 
 
-def steered(recursion: Recursion, eta: Array, free: Indices, bits: int) -> tuple[Balls, Array]:
+def steered(recursion: Recursion, eta: Array, free: Indices) -> tuple[Balls, Array]:
     """Return d, (free,), as exact numbers, and the adjoint with mu_T + d as floats, (T, n)."""
-    before, ctx.prec = ctx.prec, bits
-    try:
-        n, last = eta.shape[1], recursion.slopes[-1]
-        begin = arb_mat(n, 1 + len(free))
-        for i in range(n):
-            begin[i, 0] = -last[i]
-        for k, i in enumerate(free.tolist()):
-            begin[i, 1 + k] = -1
-        sizes = np.abs(eta).max(axis=0)
-        weights = [arb(1.0 / size) if size > 0 else arb(1) for size in sizes.tolist()]
-        first, _ = recursion.run(begin)
-        rows = [
-            (weight, [part[i, j] for j in range(1 + len(free))], float(goal[i]))
-            for part, goal in ((first, eta[0]), (begin, eta[-1]))
-            for i, weight in enumerate(weights)
-        ]
-        system = arb_mat([[weight * one for one in row[1:]] for weight, row, _ in rows])
-        misses = arb_mat([[weight * (goal - row[0])] for weight, row, goal in rows])
-        moved = (system.transpose() * system).solve(system.transpose() * misses)
-        found = [moved[k, 0].mid() for k in range(len(free))]
-        alone = arb_mat(n, 1)
-        for i in range(n):
-            alone[i, 0] = -last[i]
-        for d, i in zip(found, free.tolist(), strict=True):
-            alone[i, 0] -= d
-        return found, recursion.run(alone)[1]
-    finally:
-        ctx.prec = before
+    n, last = eta.shape[1], recursion.slopes[-1]
+    begin = arb_mat(n, 1 + len(free))
+    for i in range(n):
+        begin[i, 0] = -last[i]
+    for k, i in enumerate(free.tolist()):
+        begin[i, 1 + k] = -1
+    sizes = np.abs(eta).max(axis=0)
+    weights = [arb(1.0 / size) if size > 0 else arb(1) for size in sizes.tolist()]
+    first, _ = recursion.run(begin)
+    rows = [
+        (weight, [part[i, j] for j in range(1 + len(free))], float(goal[i]))
+        for part, goal in ((first, eta[0]), (begin, eta[-1]))
+        for i, weight in enumerate(weights)
+    ]
+    system = arb_mat([[weight * one for one in row[1:]] for weight, row, _ in rows])
+    misses = arb_mat([[weight * (goal - row[0])] for weight, row, goal in rows])
+    moved = (system.transpose() * system).solve(system.transpose() * misses)
+    found = [moved[k, 0].mid() for k in range(len(free))]
+    alone = arb_mat(n, 1)
+    for i in range(n):
+        alone[i, 0] = -last[i]
+    for d, i in zip(found, free.tolist(), strict=True):
+        alone[i, 0] -= d
+    return found, recursion.run(alone)[1]

@@ -10,8 +10,13 @@ DIGITS = 96  # bits beyond those that errors grow by: of a double, with some for
 
 
 def precision(A: Array, horizon: int) -> int:
-    """Return the bits of a proof: a linear system of the equations at the end has the square of the growth."""
-    return DIGITS + 2 * int(np.ceil(growth(A, horizon))) + 4 * int(np.log2(horizon + 1))
+    """Return the bits of a proof.
+
+    Radii of balls grow as products of |A_t|. The linear system of the equations at the end squares both, once more than
+    the recursion through its solution.
+    """
+    bits = 2 * growth(A, horizon) + 2 * growth(np.abs(A), horizon)
+    return DIGITS + int(np.ceil(bits)) + 4 * int(np.log2(horizon + 1))
 
 
 def growth(A: Array, horizon: int) -> float:

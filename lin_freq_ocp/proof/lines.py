@@ -12,7 +12,7 @@ from lin_freq_ocp.arrays import Array
 
 CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
 
-Value = str | bool | int | float | Array | list[int] | list[str] | list[list[int]]
+Value = None | str | bool | int | float | Array | list[int] | list[str] | list[list[int]]
 
 
 class Text(str):

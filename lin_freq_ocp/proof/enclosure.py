@@ -1,0 +1,50 @@
+"""The interval of a proof, and whether proofs can be checked here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+
+from lin_freq_ocp.errors import MissingExtraError
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """An interval that contains the optimal cost J*, as the checker of proofs confirms.
+
+    Attributes
+    ----------
+    lower, upper : float
+        Bounds on J*, rounded outwards. Both are infinite if no trajectory is feasible; ``upper`` alone is if none was
+        found that is strictly inside all inequalities.
+
+    Examples
+    --------
+    >>> enclosure = lfo.solve(lfo.library.double_integrator()).enclosure
+    >>> enclosure.width < 1e-9 * enclosure.lower
+    True
+    """
+
+    lower: float
+    upper: float
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether there is no feasible trajectory."""
+        return self.lower == np.inf
+
+    @property
+    def width(self) -> float:
+        """Return upper - lower; 0 without a feasible trajectory."""
+        return 0.0 if self.infeasible else self.upper - self.lower
+
+
+def require_checker() -> None:
+    """Raise MissingExtraError unless the checker and its numbers are installed."""
+    for package in ("flint", "lfo_check"):
+        if find_spec(package) is None:
+            raise MissingExtraError(
+                f"proofs need {package}, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
+            )

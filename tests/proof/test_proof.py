@@ -1,0 +1,107 @@
+"""Proofs of answers: the checker, which shares no code with the package, confirms the interval."""
+
+import io
+
+import lfo_check
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.proof import enclosure as extra
+from lin_freq_ocp.proof.proof import proof_of
+
+
+def confirmed(path):
+    """Return the interval that the checker prints, and its exit status."""
+    with path.open("rb") as file:
+        return [float(one) for one in lfo_check.check(file, lambda text: None)]
+
+
+def masked(**bound):
+    """Return a small problem with a mask on the control."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    return lfo.OptimalControlProblem(
+        dynamics,
+        24,
+        lfo.QuadraticCost(R=1.0),
+        control_set=lfo.Box(-3.0, 3.0),
+        initial_state=[0.0, 0.0],
+        terminal_state=[1.0, 0.0],
+        control_spectrum=lfo.spectrum.MagnitudeBound(band=lfo.low_pass(0.6), **bound),
+    )
+
+
+def rows(penalty=None):
+    """Return a small problem with joint rows on states and controls, and a norm in its cost."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    return lfo.OptimalControlProblem(
+        dynamics,
+        24,
+        lfo.QuadraticCost(Q=0.01, R=1.0) + lfo.costs.L1Cost(u=0.2),
+        initial_state=[0.0, 0.0],
+        terminal_state=[1.0, 0.0],
+        stage_rows=lfo.StageRows(C=[[0.0, 1.0]], D=[[0.1]], e=[0.6], penalty=penalty),
+    )
+
+
+PROBLEMS = {
+    "stop band": lfo.library.pendulum,
+    "soft mask": lambda: masked(limit=0.2, penalty=1.0),
+    "mask at bins": lambda: masked(limit=1.5),
+    "mask at every frequency": lambda: masked(limit=2.5, every_frequency=True),
+    "rows": rows,
+    "soft rows": lambda: rows(penalty=0.5),
+    "ball": lambda: lfo.library.quadcopter(horizon=20),
+    "bounded slew rate": lambda: lfo.library.mri_gradient(),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_interval_is_narrow_and_the_file_proves_it(name, tmp_path):
+    result = lfo.solve(PROBLEMS[name]())
+    proven = result.enclosure
+    assert result.status == "optimal"
+    assert proven.lower <= proven.upper
+    assert proven.width <= 1e-8 * abs(proven.upper)
+    assert abs(result.cost - proven.upper) <= 1e-8 * abs(proven.upper)
+    path = tmp_path / "run.proof"
+    result.write_proof(path)
+    assert confirmed(path) == pytest.approx([proven.lower, proven.upper], rel=1e-15)
+
+
+def test_an_infeasible_problem_is_proven_so(tmp_path):
+    result = lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3), throw=False)
+    assert result.enclosure.infeasible
+    path = tmp_path / "run.proof"
+    result.write_proof(path)
+    assert confirmed(path) == [np.inf, np.inf]
+
+
+def test_another_number_in_the_problem_is_not_proven(tmp_path):
+    proof, proven = proof_of(lfo.solve(lfo.library.double_integrator()))
+    lines = list(proof.lines())
+    place = next(i for i, text in enumerate(lines) if '"cost": "stage"' in text)
+    lines[place] = lines[place].replace("0x1.0000000000000p+0", "0x1.0000100000000p+0")
+    with pytest.raises(lfo_check.Failed):
+        lfo_check.check(io.BytesIO("".join(lines).encode()), lambda text: None)
+    assert proven.width < 1e-9 * proven.upper
+
+
+def test_without_an_answer_there_is_nothing_to_prove():
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 3, lfo.QuadraticCost(r=[1.0]))
+    result = lfo.solve(problem, throw=False)
+    with pytest.raises(lfo.errors.SolveError, match="nothing to prove"):
+        _ = result.enclosure
+
+
+def test_what_cannot_be_stated_is_refused_before_anything_is_written(tmp_path):
+    result = lfo.solve(lfo.library.printer_move())
+    with pytest.raises(lfo.errors.UnsupportedError, match="control_spectrum"):
+        result.write_proof(tmp_path / "run.proof")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_the_extra_the_message_names_it(monkeypatch):
+    monkeypatch.setattr(extra, "find_spec", lambda name: None)
+    with pytest.raises(lfo.errors.MissingExtraError, match=r"lin-freq-ocp\[proof\]"):
+        _ = lfo.solve(lfo.library.double_integrator()).enclosure
