@@ -13,7 +13,7 @@ from math import ceil, floor, isfinite, pi
 
 import numpy as np
 
-from lin_freq_ocp.explorer.slider import Movable, Slider, Values, notches
+from lin_freq_ocp.explorer.slider import NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import Band, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_words, entries_of
@@ -24,6 +24,7 @@ CUTOFF, GROUP = "cutoff", "frequency"
 MOST_NOTCHES = 200  # of an edge: one bin each up to horizons of 400
 LEVELS = -40.0, 20.0, 0.5  # dB: lowest, highest, and a notch
 WIDEST = 3.0  # notches, of their own width
+PART_OF_WIDTH = 0.1  # of a notch at every frequency, where bins mean nothing, that its edges are moved by
 
 # Of every kind of band the edges that can be moved, by their index.
 EDGES = {
@@ -61,7 +62,7 @@ def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
     yield from cutoff
     for key, one, names in _entries(problem):
         of = f"of the {_name(one)} of {component_words(one.component, names)}"
-        edges = () if cutoff and key == "control_spectrum.0" else _edges(key, _band(one), of, axis)
+        edges = () if cutoff and key == "control_spectrum.0" else _edges(key, one, of, axis)
         for slider in (*edges, *_level(key, one, of)):
             labels.append(slider.label)
             count = labels.count(slider.label)
@@ -160,29 +161,34 @@ def _within(one: FrequencyConstraint, band: Band) -> FrequencyConstraint:
             return band
 
 
-def _edges(key: str, band: Band | None, of: str, axis: Axis) -> Iterator[Slider]:
-    """Yield the edges of a band within Nyquist."""
+def _edges(key: str, one: FrequencyConstraint, of: str, axis: Axis) -> Iterator[Slider]:
+    """Yield the edges of the band of a constraint within Nyquist."""
+    band = _band(one)
     if band is None or max(edge for edge in band.limits if isfinite(edge)) * axis.per_unit(band) > axis.nyquist:
         return
+    own = [edge * axis.per_unit(band) for edge in band.edges]
+    step = min(axis.notch, PART_OF_WIDTH * own[1]) if band.kind == "notch" and one.every_frequency else axis.notch
     for i, name in EDGES[band.kind].items():
-        own = [edge * axis.per_unit(band) for edge in band.edges]
-        low, high = axis.notch, axis.nyquist - axis.notch
-        match band.kind, i:
-            case "band_pass", _:
-                middle = sum(own) / 2
-                low, high = (0.0, middle) if i == 0 else (middle, axis.nyquist)
-                relaxed = i
-            case "notch", 1:
-                low, high = axis.notch, min(WIDEST * max(own[1], axis.notch), axis.nyquist)
-                relaxed = 0
-            case "notch", _:
-                relaxed = None
-            case _:
-                relaxed = int(band.kind == "low_pass")
-        first, last, notch = notches(min(low, own[i]), own[i], max(high, own[i]), axis.notch)
-        easier = own[i] if relaxed is None else (first, last)[relaxed]
+        low, high, easier = _range(band.kind, i, own, step, axis)
+        first, last, notch = notches(min(low, own[i]), own[i], max(high, own[i]), step)
+        relaxed = {-1: first, 0: own[i], 1: last}[easier]
         if first < last:
-            yield Slider(f"edge.{key}.{i}", GROUP, f"{name} {of}", axis.unit, first, last, notch, own[i], easier)
+            yield Slider(f"edge.{key}.{i}", GROUP, f"{name} {of}", axis.unit, first, last, notch, own[i], relaxed)
+
+
+def _range(kind: str, i: int, own: Sequence[float], step: float, axis: Axis) -> tuple[float, float, int]:
+    """Return between which limits an edge is moved, and to which side (-1, 0, 1) the problem gets easier."""
+    match kind, i:
+        case "band_pass", 0:
+            return 0.0, sum(own) / 2, -1
+        case "band_pass", _:
+            return sum(own) / 2, axis.nyquist, 1
+        case "notch", 1:
+            return step, min(WIDEST * max(own[1], step), axis.nyquist), -1
+        case "notch", _:
+            return max(step, own[0] - NOTCHES * step), min(axis.nyquist - step, own[0] + NOTCHES * step), 0
+        case _:
+            return step, axis.nyquist - step, 1 if kind == "low_pass" else -1
 
 
 def _level(key: str, one: FrequencyConstraint, of: str) -> Iterator[Slider]:

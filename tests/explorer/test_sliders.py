@@ -103,6 +103,11 @@ CASES = {
         ("edge.control_spectrum.0.1", 4),
         lambda width: move(control_spectrum=lfo.spectrum.notch(1.0, width / RAD)),
     ),
+    "a notch at every frequency": (
+        move(control_spectrum=mask(band=NOTCH, every_frequency=True)),
+        ("edge.control_spectrum.0.1", 6),
+        lambda width: move(control_spectrum=mask(band=lfo.spectrum.notch(1.0, width / RAD), every_frequency=True)),
+    ),
     "a band pass's lower edge": (
         move(control_spectrum=lfo.spectrum.band_pass(lower_hz=0.25, upper_hz=3.0)),
         ("edge.control_spectrum.0.0", 1),
