@@ -36,14 +36,12 @@ class Dual:
         yield from _signal_lines(0, point.state_signal[: problem.state_samples])
         yield from _signal_lines(n, point.control_signal)
         yield from multiplier_lines(problem.terms, point.weights)
-        yield line(t=problem.horizon, z=point.x[-1], mu=self.end, **self._given(point.eta[-1]))
+        yield line(t=problem.horizon, z=point.x[-1], mu=self.end)
         stages = rows(np.hstack([point.x[:-1], point.u])[::-1])
         for t, z in zip(range(problem.horizon - 1, -1, -1), stages, strict=True):
             of_bounds = {"mu": point.mu[t]} if t and point.mu[t].any() else {}
-            yield line(t=t, z=z, **of_bounds, **(self._given(point.eta[t - 1]) if t else {}))
-
-    def _given(self, eta: Array) -> dict[str, Array]:
-        return {"eta": eta} if self.adjoint else {}
+            adjoint = {"eta": point.eta[t - 1]} if t and self.adjoint else {}
+            yield line(t=t, z=z, **of_bounds, **adjoint)
 
 
 def _signal_lines(first: int, signals: Array) -> Iterator[str]:

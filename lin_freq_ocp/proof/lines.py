@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from fractions import Fraction
 
 import numpy as np
 
@@ -54,19 +53,3 @@ def rows(values: Array) -> Iterator[Text]:
 def exact(mantissa: int, exponent: int) -> str:
     """Return mantissa * 2^exponent as the text of a real number."""
     return f"{'-' if mantissa < 0 else ''}0x{abs(mantissa):x}p{exponent:+d}"
-
-
-def symmetric(matrix: Array) -> Array | Text:
-    """Return a matrix that differs from its transpose by rounding as (H + H') / 2, exactly."""
-    if np.array_equal(matrix, matrix.T):
-        return matrix
-    found = [
-        [_mean(a, b) for a, b in zip(*pair, strict=True)]
-        for pair in zip(matrix.tolist(), matrix.T.tolist(), strict=True)
-    ]
-    return Text(json.dumps(found))
-
-
-def _mean(a: float, b: float) -> str:
-    mean = (Fraction(a) + Fraction(b)) / 2
-    return exact(mean.numerator, 1 - mean.denominator.bit_length())

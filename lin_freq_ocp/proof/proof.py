@@ -17,6 +17,7 @@ from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.checked import checked
+from lin_freq_ocp.proof.convex import convex_problem
 from lin_freq_ocp.proof.dual import Dual, dual_of
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.growth import precision
@@ -85,7 +86,7 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
         at, multipliers = _rest(outcome.problem), outcome.ray
     if at is None or multipliers is None:
         raise SolveError(f"There is nothing to prove: the solve ended as '{outcome.status}'.", outcome)
-    problem = at_frequencies(outcome.problem, multipliers.frequencies)
+    problem = convex_problem(at_frequencies(outcome.problem, multipliers.frequencies))
     _require_stated(problem)
     bits = precision(problem.linear.A, problem.horizon)
     with ctx.workprec(bits):
@@ -140,7 +141,8 @@ def _claimed(proven: Enclosure) -> Enclosure:
     """Return a claim that is a little wider than what is proven: the checker may round otherwise elsewhere."""
     if proven.infeasible:
         return proven
-    slack = CLAIM_SLACK * max(abs(one) for one in (proven.lower, proven.upper) if np.isfinite(one))
+    ends = [abs(one) for one in (proven.lower, proven.upper) if np.isfinite(one)]
+    slack = CLAIM_SLACK * max(ends, default=0.0)
     return Enclosure(proven.lower - slack, proven.upper + slack)
 
 

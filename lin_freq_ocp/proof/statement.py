@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.proof.lines import Value, line, symmetric
+from lin_freq_ocp.proof.lines import Value, line
 from lin_freq_ocp.proof.terms import term_lines
 
 Parts = Mapping[str, tuple[Array, int]]  # by field: values, constant or one per time, and their dimensions at a time
@@ -81,14 +81,12 @@ def _cost_lines(problem: OptimalControlProblem) -> Iterator[str]:
     before = dict[str, Array]()
     for t, values in runs(parts, T):
         new: dict[str, Value] = {
-            name: symmetric(value) if name == "hessian" else value
-            for name, value in values.items()
-            if not np.array_equal(value, before.get(name, np.zeros(0)))
+            name: value for name, value in values.items() if not np.array_equal(value, before.get(name, np.zeros(0)))
         }
         yield line(**{"cost": "stage", "from": t, **new})
         before = values
     x_ref = cost.x_ref[-1] if cost.x_ref.ndim == 2 else cost.x_ref
-    yield line(cost="end", hessian=symmetric(cost.P), center=x_ref, linear=cost.p)
+    yield line(cost="end", hessian=cost.P, center=x_ref, linear=cost.p)
 
 
 def joined(of_x: Array, of_u: Array, T: int) -> Array:

@@ -1,13 +1,12 @@
 """The section PROBLEM of a proof says what the problem says, to the last bit."""
 
 import json
-from fractions import Fraction
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.lines import exact, symmetric, vector
+from lin_freq_ocp.proof.lines import exact, vector
 from lin_freq_ocp.proof.statement import problem_lines
 
 
@@ -125,12 +124,3 @@ def test_what_the_format_does_not_hold_is_refused_by_its_field():
 def test_a_term_that_the_format_does_not_hold_is_refused_by_its_field():
     with pytest.raises(lfo.errors.UnsupportedError, match="control_spectrum: got 'residual vibration"):
         stated(lfo.library.printer_move())
-
-
-def test_a_hessian_that_is_symmetric_up_to_rounding_is_symmetrised_exactly():
-    a, b = 0.1, np.nextafter(0.1, 1.0)
-    (first, second), (third, _) = json.loads(symmetric(np.array([[1.0, a], [b, 1.0]])))
-    assert second == third
-    assert Fraction(*float.fromhex(first).as_integer_ratio()) == 1
-    mantissa, exponent = second[2:].split("p")
-    assert int(mantissa, 16) * Fraction(2) ** int(exponent) == (Fraction(a) + Fraction(b)) / 2
