@@ -12,7 +12,11 @@ import numpy as np
 from lin_freq_ocp.analysis.measures import stopped_runs
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
+from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
+from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report.units import frequency_scale, time_scale
 
@@ -31,6 +35,7 @@ def frame(problem: OptimalControlProblem) -> Data:
         "frequency": {"label": frequency.label},
         "signals": [_signal(signal) for signal in _over_time(problem)],
         "spectra": [_spectrum(signal, frequency.factor) for signal in _over_frequency(problem)],
+        "vibrations": [_vibration(term, box) for term, box in everywhere_of(problem, PlantBox)],
     }
 
 
@@ -40,6 +45,9 @@ def drawn(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
     return {
         "signals": [rounded(signal.of(trajectory)) for signal in _over_time(problem)],
         "spectra": [rounded(np.abs(np.fft.rfft(values))) for values in spectra],
+        "vibrations": [
+            rounded(vibration(box, trajectory, frequencies_around(box))) for _, box in everywhere_of(problem, PlantBox)
+        ],
     }
 
 
@@ -78,4 +86,15 @@ def _spectrum(signal: Signal, factor: float) -> Data:
         "step": per_bin,
         "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
         "limits": [{"at": rounded(factor * line.at), "values": rounded(line.values)} for line in signal.levels],
+    }
+
+
+def _vibration(term: Term, box: PlantBox) -> Data:
+    """Return the axis of a residual vibration, its box of natural frequencies, and its limit."""
+    return {
+        "name": term.name,
+        "at": rounded(frequencies_around(box)),
+        "box": [float(box.low[0]), float(box.high[0])],
+        "limit": box.limit,
+        "top": ABOVE * box.limit,
     }

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from html import escape
 
 MOST_TABLE_ROWS = 24  # a table says how many more there are
-LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap"
+LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap;padding-right:1em"
 VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
 
 

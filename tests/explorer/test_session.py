@@ -160,3 +160,16 @@ def test_the_sweep_of_a_static_page_is_on_notches_without_repetitions(session):
     assert {slider.key: slider.value for slider in session.sliders} in grid
     for slider in session.sliders:
         assert len({values[slider.key] for values in grid}) >= 3
+
+
+def test_a_residual_vibration_is_drawn_with_its_limit():
+    session = Session(lfo.library.printer_move())
+    answer = session.answer({})
+    (panel,), (values,) = answer["frame"]["vibrations"], answer["trajectory"]["vibrations"]
+    at, low, high = np.array(panel["at"]), *panel["box"]
+    within = (at >= low) & (at <= high)
+    assert panel["limit"] == session.problem.control_spectrum.limit
+    assert np.array(values)[within].max() == pytest.approx(panel["limit"], rel=1e-2)
+    assert np.array(values).max() > panel["top"]
+    (classical,) = session.beside({})["trajectories"][0]["vibrations"]
+    assert np.array(classical)[within].max() > 10 * panel["limit"]

@@ -224,7 +224,8 @@ function drawAll() {
   const controls = frame.signals.flatMap((signal, i) => (signal.state ? [] : [timePanel(frame, signal, i, shownOnes)]));
   const states = frame.signals.flatMap((signal, i) => (signal.state ? [timePanel(frame, signal, i, shownOnes)] : []));
   const spectra = frame.spectra.map((spectrum, i) => spectrumPanel(frame, spectrum, i, shownOnes));
-  const panels = [...controls, ...spectra, ...states];
+  const vibrations = frame.vibrations.map((vibration, i) => vibrationPanel(frame, vibration, i, shownOnes));
+  const panels = [...controls, ...spectra, ...vibrations, ...states];
   const place = byId("panels");
   while (place.childElementCount > panels.length) place.lastChild.remove();
   while (place.childElementCount < panels.length) {
@@ -286,6 +287,17 @@ function spectrumPanel(frame, spectrum, i, shownOnes) {
     title: `spectrum |DFT| of ${spectrum.name}`, wide: alone(frame), log: true, stopped: spectrum.stopped, x: [0, right], y: [low, high], curves,
     xLabel: frame.frequency.label,
     words: `magnitude of the spectrum of ${spectrum.name}, logarithmic; ${bands.length ? `stopped or limited: ${listed(bands)}` : "no stopped band"}; shown: ${listed(ones.map((one) => one.name))}`,
+  };
+}
+
+/* What is left ringing over the natural frequency: the limit holds within the box. */
+function vibrationPanel(frame, vibration, i, shownOnes) {
+  const curves = [{ kind: "limit", points: vibration.box.map((x) => [x, vibration.limit]) }];
+  for (const one of shownOnes) curves.push({ kind: one.name, points: one.vibrations[i].map((value, k) => [vibration.at[k], value]) });
+  return {
+    title: vibration.name, wide: alone(frame), stopped: [vibration.box], x: [vibration.at[0], vibration.at.at(-1)], y: [0, vibration.top], curves,
+    xLabel: "natural frequency [Hz]",
+    words: `${vibration.name} over the natural frequency; limit ${shown(vibration.limit)} from ${vibration.box.map((x) => shown(x)).join(" to ")} Hz; shown: ${listed(shownOnes.map((one) => one.name))}`,
   };
 }
 

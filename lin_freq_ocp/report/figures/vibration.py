@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 
-from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Moves, boxes_of
+from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report.figures.style import (
@@ -29,10 +28,6 @@ from lin_freq_ocp.report.figures.style import (
 from lin_freq_ocp.report.units import aligned
 from lin_freq_ocp.text.phrases import number, split_unit
 
-FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is drawn, and over which its largest value is taken
-BESIDE = 1.5  # widths of the box that are drawn on each of its sides
-LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
-ABOVE = 3.0  # limits that fit into the picture
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
@@ -47,13 +42,6 @@ class Ringing:
     color: str
     line: LineStyleType
     width: float
-
-    def vibration(self, frequencies: Array) -> Array:
-        """Return what it leaves at natural frequencies, the largest over the box's damping ratios."""
-        dampings = np.linspace(self.box.low[1], self.box.high[1], DAMPINGS)
-        modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
-        signal = self.box.map.signal(self.trajectory.x, self.trajectory.u)
-        return np.abs(self.box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
 
 
 def moves_figure(moves: Moves) -> Figure:
@@ -87,13 +75,12 @@ def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
     """Draw the vibration over the natural frequency, and the limit within the box that all of them have."""
     box = shown[-1].box
     low, high = float(box.low[0]), float(box.high[0])
-    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
-    frequencies = np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
+    frequencies = frequencies_around(box)
     ax.axvspan(low, high, color=BAND, linewidth=0, zorder=0)
     ax.hlines(box.limit, low, high, color=BOUND, linewidth=2.0, label="limit", zorder=4)
     notes, inside = list[Note](), (frequencies >= low) & (frequencies <= high)
     for one in shown:
-        values = one.vibration(frequencies)
+        values = vibration(one.box, one.trajectory, frequencies)
         if inside.any() and values[inside].min() > ABOVE * box.limit:
             times = aligned(float(values[inside].max()) / box.limit, 3)
             notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
