@@ -9,15 +9,14 @@ import hashlib
 import json
 import re
 import sys
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
-from fractions import Fraction
+from decimal import MAX_EMAX, MIN_EMIN, ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
 
-LONGEST_LINE, MOST_STAGES, MOST_BITS, HALVINGS = 2**28, 10**7, 100_000, 60
+LONGEST_LINE, MOST_STAGES, MOST_BITS, HALVINGS = 2**28, 10**6, 100_000, 60
 TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
 INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), arb(0, arb.pos_inf())
-NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,7}))?")
+NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,6}))?")
 
 
 class Failed(Exception):
@@ -42,7 +41,7 @@ class Lines:
         self.hash.update(self.text)
         self.text, self.number, self.at = self.file.readline(LONGEST_LINE), self.number + 1, self.number + 1
         require(self.text == b"" or self.text.endswith(b"\n"), "the file ends within this line, or it is too long")
-        self.ahead = json.loads(self.text, object_pairs_hook=distinct, parse_float=str) if self.text else {}
+        self.ahead = json.loads(self.text.decode(), object_pairs_hook=distinct, parse_float=str) if self.text else {}
         require(isinstance(self.ahead, dict), "not a JSON object")
         self.at = self.number - 1
         return before
@@ -88,8 +87,8 @@ def matrix(value, rows, columns=None, infinite=False):
 
 
 def rational(exact):
-    mantissa, power = (int(part) for part in exact.man_exp())
-    return Fraction(mantissa) * Fraction(2) ** power
+    mantissa, power = exact.man_exp()
+    return fmpq(mantissa) * fmpq(2) ** int(power)
 
 
 def total(balls):
@@ -129,34 +128,42 @@ def beside(a, b):
     return arb_mat(a.nrows(), a.ncols() + b.ncols(), [one for p, q in zip(a.tolist(), b.tolist()) for one in p + q])
 
 
+def once(objects):
+    return {id(one): one for one in objects}.values()
+
+
 class Problem:
     """v_t = (x_t, u_t) has components 0 .. n + m - 1; v_T = x_T. Vectors are columns."""
 
     def __init__(self, lines):
         self.head = head = lines.section("problem", "name horizon states controls modes")
-        self.T, self.n, self.m = integer(head["horizon"], 1, MOST_STAGES), len(head["states"]), len(head["controls"])
+        names = [head[key] for key in ("states", "controls", "modes")]
+        require(all(isinstance(one, list) and one for one in names), "expected names of states, controls and modes")
+        self.T, self.n, self.m = integer(head["horizon"], 1, MOST_STAGES), len(names[0]), len(names[1])
         T, n, k = self.T, self.n, self.n + self.m
         shapes = {"A": (n, n), "B": (n, self.m), "d": (n,), "G": (None, n), "H": (None, self.m), "h": (None,)}
-        self.modes = [over_time(lines, "mode", i, T, **shapes) for i in range(len(head["modes"]))]
-        for mode in {id(mode): mode for modes in self.modes for mode in modes}.values():
+        self.modes = [over_time(lines, "mode", i, T, **shapes) for i in range(len(names[2]))]
+        for mode in once(mode for modes in self.modes for mode in modes):
             mode["map"], mode["rows"] = beside(mode["A"], mode["B"]), beside(mode["G"], mode["H"])
             require(mode["rows"].nrows() == mode["h"].nrows(), "as many limits h as rows G")
         self.costs = over_time(lines, "cost", "stage", T, hessian=(k, k), center=(k,), linear=(k,))
         self.costs += over_time(lines, "cost", "end", 1, hessian=(n, n), center=(n,), linear=(n,))
         bounds = over_time(lines, "bounds", "stage", T, lower=(k,), upper=(k,))
         bounds += over_time(lines, "bounds", "end", 1, lower=(n,), upper=(n,))
-        self.lower, self.upper = ([one[side].entries() for one in bounds] for side in ("lower", "upper"))
-        pairs = [list(zip(one["lower"].entries(), one["upper"].entries())) for one in bounds]
-        require(all(a <= b and a < INFINITY and b > -INFINITY for pair in pairs for a, b in pair), "empty bounds")
-        self.boxes = [[a.union(b) if (b - a).is_finite() else UNKNOWN for a, b in pair] for pair in pairs]
-        every = ((t, i, a == b) for t, pair in enumerate(pairs) for i, (a, b) in enumerate(pair))
-        self.fixed = [(t, i) for t, i, same in every if same and (t > 0 or i >= n)]
+        for one in once(bounds):
+            one["lower"], one["upper"] = one["lower"].entries(), one["upper"].entries()
+            pairs = list(zip(one["lower"], one["upper"]))
+            require(all(a <= b and a < INFINITY and b > -INFINITY for a, b in pairs), "empty bounds")
+            one["box"] = [a.union(b) if (b - a).is_finite() else UNKNOWN for a, b in pairs]
+            one["fixed"] = [i for i, (a, b) in enumerate(pairs) if a == b]
+        self.lower, self.upper, self.boxes = ([one[key] for one in bounds] for key in ("lower", "upper", "box"))
+        self.fixed = [(t, i) for t, one in enumerate(bounds) for i in one["fixed"] if t > 0 or i >= n]
         self.stops, self.terms = {}, []
         while "stop" in lines.ahead:
             self.add_stop(lines.take("stop samples bins"))
         while "term" in lines.ahead:
-            line = lines.take("term name gauge weight", "limit values limits output first window")
-            self.terms.append(Term(self, line))
+            own = "limits output first window" if lines.ahead.get("gauge") == "all" else "limit values"
+            self.terms.append(Term(self, lines.take(f"term name gauge weight {own}")))
 
     def add_stop(self, line):
         """Note the removed bins of a component, and the kernel of the convolution that finds what lies in them."""
@@ -188,7 +195,7 @@ class Problem:
         return first, window, [(i, c) for i, c in enumerate(factors) if not c.is_zero()]
 
     def summary(self):
-        yield ", ".join(f"{key}: {value}" for key, value in self.head.items() if key != "section")
+        yield ", ".join(f"{key}: {value!r}" for key, value in self.head.items() if key != "section")
         for i, (N, bins, _) in self.stops.items():
             yield f"component {i}: {len(bins)} bins of the DFT of {N} samples are removed, from {bins[0]} to {bins[-1]}"
         names = [term.name for term in self.terms]
@@ -215,20 +222,23 @@ class Term:
 
     def __init__(self, problem, line):
         integer(line["term"], len(problem.terms), len(problem.terms))
-        self.name, self.gauge, self.weight = str(line["name"]), line["gauge"], number(line["weight"], infinite=True)
+        self.name, self.gauge, self.weight = repr(line["name"]), line["gauge"], number(line["weight"], infinite=True)
         require(self.gauge in ("1", "2", "inf", "max", "cone", "all") and self.weight >= 0, "unknown gauge or weight")
         self.hard, self.rows, self.constants = self.weight == INFINITY, [], []
         self.limit, self.everywhere = ONE if self.gauge == "all" else number(line["limit"]), self.gauge == "all"
         if self.everywhere:
             self.output, self.pieces = problem.output(line), matrix(line["limits"], None, 4).tolist()
+            right = all(0 <= a <= b <= 7 and c >= 0 and d >= 0 for a, b, c, d in self.pieces)
+            require(right, "limits: expected 0 <= low <= high <= 7, and no negative limits")
         for value in () if self.everywhere else line["values"]:
+            kind = "output first window frequency" if "output" in value else "row constant"
+            require(set(value) == set(kind.split()), f"a value has the fields {kind}")
             if "output" in value:
                 self.rows += wave(*problem.output(value), angle(value["frequency"]))
                 self.constants += [ZERO, ZERO]
             else:
-                sizes = [problem.n + problem.m] * problem.T + [problem.n]
                 entries = [(integer(t, 0, problem.T), i, number(c)) for t, i, c in value["row"]]
-                self.rows.append([(t, integer(i, 0, sizes[t] - 1), c) for t, i, c in entries])
+                self.rows.append([(t, integer(i, 0, len(problem.lower[t]) - 1), c) for t, i, c in entries])
                 self.constants.append(number(value["constant"]))
         require(self.limit >= 0 or self.gauge == "max", "a negative limit of a norm")
         require(self.gauge != "cone" or (self.limit == 0 and self.hard), "a cone has the limit 0 and the weight inf")
@@ -257,11 +267,12 @@ class Term:
             above = self.gauge != "max" or all(one >= 0 for one in values)
             require(in_cone and above, f"{self.name}: multipliers outside of the dual cone")
             dual = norm(values, {"1": "inf", "inf": "1", "max": "1"}.get(self.gauge, "2"))
-            size += dual * (self.limit_at(arb.pi() * angle(frequency)) if self.everywhere else ONE)
+            size += dual * (self.limit_at(frequency) if self.everywhere else ONE)
         require(self.hard or size <= (self.weight if normal else ZERO), f"{self.name}: multipliers above the weight")
         return size * self.limit - total(one * constant for (one, _), constant in zip(pairs, self.constants)), pairs
 
-    def limit_at(self, w):
+    def limit_at(self, frequency):
+        w = number(frequency) if isinstance(frequency, str) else arb.pi() * angle(frequency)
         for low, high, at_low, at_high in self.pieces:
             if low <= w <= high:
                 return at_low + (at_high - at_low) * (w - low) / (high - low) if high > low else at_low
@@ -359,7 +370,8 @@ def correct(problem, modes, x, u):
 def upper_bound(problem, lines):
     """Return an upper bound on the cost of controls near the given ones; fail unless they meet all constraints."""
     T, head, stages, cost = problem.T, lines.section("point", "x levels"), [], ZERO
-    x, levels = matrix(head["x"], problem.n), iter(matrix(head["levels"], None).entries())
+    masks = sum(term.everywhere for term in problem.terms)
+    x, levels = matrix(head["x"], problem.n), iter(matrix(head["levels"], masks).entries())
     for t in range(T):
         stages.append(lines.take("t u mode"))
         integer(stages[t]["t"], t, t)
@@ -385,16 +397,20 @@ class Stage:
     `modes`: of each mode that can hold, the boxes of (x, u) in its region and of its image.
     """
 
-    def __init__(self, box, allowed=(), zonotope=None):
-        self.box, self.allowed, self.modes, n = box, allowed, {}, len(box)
-        diagonal = [box[i].rad() if i == j else ZERO for i in range(n) for j in range(n)]
-        self.zonotope = zonotope or (arb_mat(n, 1, [one.mid() for one in box]), arb_mat(n, n, diagonal))
+    def __init__(self, box, allowed, zonotope=None):
+        self.box, self.allowed, self.modes, self.zonotope = box, allowed, {}, zonotope
+
+
+def around(box):
+    """Return the centre of a box and a diagonal matrix of its radii."""
+    diagonal = [one.rad() if i == j else ZERO for i, one in enumerate(box) for j in range(len(box))]
+    return arb_mat([[one.mid()] for one in box]), arb_mat(len(box), len(box), diagonal)
 
 
 def meet(a, b):
     """Return a box around the intersection of two, None if it is certainly empty."""
     pairs = list(zip(a, b))
-    found = [x.intersection(y) if (x - y).is_finite() else x if x.is_finite() else y for x, y in pairs if x.overlaps(y)]
+    found = [x.intersection(y) if (x - y).is_finite() else y if y.is_finite() else x for x, y in pairs if x.overlaps(y)]
     return found if len(found) == len(pairs) else None
 
 
@@ -422,7 +438,7 @@ def reach(problem, before, start, kept_modes, forward):
         if not forward:
             stage.modes = {i: (stage.box + controls, beyond) for i in stage.allowed}
             continue
-        (centre, spread), (middle, radii) = stage.zonotope, Stage(controls).zonotope
+        (centre, spread), (middle, radii) = stage.zonotope or around(stage.box), around(controls)
         for i in sorted(stage.allowed):
             mode = problem.modes[i][t]
             box = cut(stage.box + controls, mode["rows"], mode["h"])
@@ -514,7 +530,9 @@ def dual_bound(problem, lines, stages, normal):
             slopes[t][i, 0] += multiplier * c
     eta, ahead, after = arb_mat(n, 1), {}, {0: ZERO}
     for t in range(problem.T, -1, -1):
-        line = lines.take("t z", "mu eta region vertex image")
+        line = lines.take(
+            "t z", " mu eta" * (t > 0) + " region image" * (t < problem.T) + " vertex" * (0 < t < problem.T)
+        )
         integer(line["t"], t, t)
         eta, ahead, after = stage_bound(problem, stages, line, slopes[t], normal, (eta, ahead, after))
     return (value - largest(-one for one in after.values())).lower()
@@ -524,7 +542,6 @@ def stage_bound(problem, stages, line, slope, normal, later):
     """Return eta_{t-1}, v_{t-1} of each mode, and the least cost from t on of each mode, from those at t + 1."""
     t, n, (eta, ahead, after), found = line["t"], problem.n, later, {}
     pairs, cost, size, given = list(edges(problem, stages, t)), problem.costs[t], slope.nrows(), "eta" in line
-    require(0 < t < problem.T or "vertex" not in line, "nothing stands against a vertex at 0 or T")
     require(given or t == 0 or len(pairs) < 2, "eta is needed where several modes are possible")
     before, mu = (matrix(line[key], n) if key in line else arb_mat(n, 1) for key in ("eta", "mu"))
     vertex = {int(i): matrix(one, n) for i, one in line.get("vertex", {}).items()}
@@ -568,10 +585,10 @@ def lower_bound(problem, lines):
             require(index not in bounds and index not in children, "it has children or a dual")
             bounds[index] = dual_bound(problem, lines, nodes[index], normal)
             require(normal or bounds[index] > 0, f"node {index} is not proven to be infeasible")
-            bounds[index] = bounds[index] if normal else INFINITY
+            bounds[index], nodes[index] = bounds[index] if normal else INFINITY, None
             continue
         line, index = lines.take("node parent t modes"), len(nodes)
-        t, modes = integer(line["t"], 0, problem.T - 1), set(line["modes"])
+        t, modes = integer(line["t"], 0, problem.T - 1), {integer(i, 0, max(everything)) for i in line["modes"]}
         before = [Stage(box[: problem.n], everything) for box in problem.boxes] if index == 0 else None
         require(
             integer(line["node"], index, index) or (line["parent"], t, modes) == (None, 0, everything), "not a root"
@@ -597,10 +614,10 @@ def check(file, say=print):
     try:
         lines = Lines(file)
         head = lines.take("format version bits")
-        require((head["format"], head["version"]) == ("lfo-proof", 1), "another format or version")
+        require(head["format"] == "lfo-proof" and integer(head["version"], 1, 1), "another format or version")
         ctx.prec, lines.hash = integer(head["bits"], 64, MOST_BITS), hashlib.sha256()
-    except Failed as failed:
-        raise ValueError(f"not a proof: {failed}") from failed
+    except Exception as error:
+        raise ValueError(f"not a proof: {error!r}") from error
     try:
         problem = Problem(lines)
         for one in (*problem.summary(), f"sha256 of the section PROBLEM: {lines.hash.hexdigest()}"):
@@ -622,22 +639,25 @@ def decimal(exact, rounding):
     """Return an exact ball as a decimal number of 17 digits, rounded one way."""
     if not exact.is_finite():
         return "inf" if exact > 0 else "-inf"
-    value = rational(exact)
-    return str(Context(prec=17, rounding=rounding).divide(Decimal(value.numerator), Decimal(value.denominator)))
+    require(abs(int(exact.man_exp()[1])) < 2**24, "a bound is too large or too small to be printed")
+    ends, context = rational(exact), Context(17, rounding, MIN_EMIN, MAX_EMAX)
+    return str(context.divide(Decimal(int(ends.p)), Decimal(int(ends.q))))
 
 
 def main():
     """Check the file that is named on the command line."""
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with open(sys.argv[1], "rb") as file:
             lower, upper = check(file)
+        interval = f"VERIFIED {decimal(lower, ROUND_FLOOR)} {decimal(upper, ROUND_CEILING)}"
     except Failed as failed:
         print(f"FAILED {failed}")
         return 1
     except (OSError, ValueError, IndexError) as error:
         print(f"lfo_check.py FILE: {error}", file=sys.stderr)
         return 2
-    interval = f"VERIFIED {decimal(lower, ROUND_FLOOR)} {decimal(upper, ROUND_CEILING)}"
     print("INFEASIBLE" if lower == INFINITY else interval)
     return 0
 

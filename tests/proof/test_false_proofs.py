@@ -84,7 +84,7 @@ FAULTS = {
     "times that do not rise": Fault(INTEGRATOR, SECOND_BOUNDS, FIRST_BOUNDS, **{"from": 0}),
     "a first time that is not 0": Fault(INTEGRATOR, STAGE_0, {"mode": 0, "d": ["0x0p+0", "0x0p+0"]}, **{"from": 1}),
     "bounds that are empty": Fault(INTEGRATOR, {"bounds": "end"}, lower=["0x8p+0", "0x0p+0"]),
-    "no states": Fault(INTEGRATOR, {"section": "problem"}, {"mode": 0, "d": ["0x0p+0", "0x0p+0"]}, states=[]),
+    "no states": Fault(INTEGRATOR, {"section": "problem"}, states=[]),
     "a horizon of zero": Fault(INTEGRATOR, {"section": "problem"}, horizon=0),
     "a fractional number of samples": Fault(
         INTEGRATOR, CLAIM, insert='{"stop": 2, "samples": "4.0", "bins": [[2, 2]]}\n'
@@ -132,9 +132,7 @@ FAULTS = {
     "a node before its parent": Fault(MODES, {"node": 1, "parent": 0}, parent=2),
     "its own parent": Fault(MODES, {"node": 1, "parent": 0}, parent=1),
     "children at two times": Fault(MODES, {"node": 2, "parent": 0}, t=1),
-    "a mode of a node that does not exist": Fault(
-        MODES, {"node": 2, "parent": 0}, {"t": 0, "z": {"1": [1, 0.5]}}, modes=[2]
-    ),
+    "a mode of a node that does not exist": Fault(MODES, {"node": 2, "parent": 0}, modes=[2]),
     "no modes": Fault(MODES, {"node": 2, "parent": 0}, {"t": 0, "z": {"1": [1, 0.5]}}, modes=[]),
     "the dual of an inner node": Fault(MODES, {"section": "dual", "node": 2}, node=0),
     "two duals of a leaf": Fault(MODES, {"section": "dual", "node": 2}, node=1),
