@@ -29,12 +29,14 @@ class Dual:
     end: Text  # mu_T
     adjoint: bool
 
-    def lines(self, node: int = 0) -> Iterator[str]:
-        """Yield the section."""
+    def lines(self) -> Iterator[str]:
+        """Yield the sections NODES, of one node, and DUAL."""
         problem, point, n = self.problem, self.point, self.problem.state_dim
-        yield line(section="dual", node=node, cost=int(point.normal))
-        yield from _signal_lines(0, point.state_signal[: problem.state_samples])
-        yield from _signal_lines(n, point.control_signal)
+        yield line(section="nodes", reach=False)
+        yield line(node=0, parent=None, t=0, modes=[0])
+        yield line(section="dual", node=0, cost=int(point.normal))
+        yield from signal_lines(0, point.state_signal[: problem.state_samples])
+        yield from signal_lines(n, point.control_signal)
         yield from multiplier_lines(problem.terms, point.weights)
         yield line(t=problem.horizon, z=point.x[-1], mu=self.end)
         stages = rows(np.hstack([point.x[:-1], point.u])[::-1])
@@ -44,7 +46,7 @@ class Dual:
             yield line(t=t, z=z, **of_bounds, **adjoint)
 
 
-def _signal_lines(first: int, signals: Array) -> Iterator[str]:
+def signal_lines(first: int, signals: Array) -> Iterator[str]:
     """Yield the multipliers of removed bins of components, the first of which is ``first`` of (x, u)."""
     for i in np.flatnonzero(signals.any(axis=0)).tolist():
         yield line(signal=first + i, values=signals[:, i])

@@ -1,4 +1,4 @@
-"""A proof of the answer to a problem with a single mode: its sections in turn, and what a checker makes of them."""
+"""A proof of the answer to a problem: its sections in turn, and what the checker makes of them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from flint import ctx
 from lfo_check import Failed
 
+from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.errors import SolveError
@@ -25,10 +26,13 @@ from lin_freq_ocp.proof.interior import interior
 from lin_freq_ocp.proof.lines import line, rows
 from lin_freq_ocp.proof.room import least_room, share_towards
 from lin_freq_ocp.proof.statement import problem_lines
+from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import solve_judged
 
 MARGINS = (2.0**-46, 2.0**-40, 2.0**-34, 2.0**-27, 2.0**-20)  # room to limits relative to sizes, tried in turn
 CLAIM_SLACK = 1e-9  # by which the claim is wider than what is proven, relative to it
+TREE_BITS = 192  # of balls, without a linear system to solve in them; products of three doubles are exact
 LEVEL = 2.0**-40  # by which the proven level of a soft mask is above the largest value found
 
 
@@ -50,13 +54,13 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """A proof of one mode: a lower bound by a dual, an upper one by a point."""
+    """A lower bound by a dual, or by those of a search tree, and an upper one by a point."""
 
     problem: OptimalControlProblem
     bits: int
     claim: Enclosure
     point: Point | None
-    dual: Dual
+    dual: Dual | TreeDual
 
     def lines(self) -> Iterator[str]:
         """Yield the file, line by line."""
@@ -65,14 +69,12 @@ class Proof:
         yield line(section="claim", lower=self.claim.lower, upper=self.claim.upper)
         if self.point is not None:
             yield from self.point.lines()
-        yield line(section="nodes", reach=False)
-        yield line(node=0, parent=None, t=0, modes=[0])
         yield from self.dual.lines()
         yield line(section="end")
 
 
 def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
-    """Return a proof of what a solve found of linear dynamics, and what the checker makes of it.
+    """Return a proof of what a solve found, and what the checker makes of it.
 
     Raises
     ------
@@ -81,6 +83,8 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     SolveError
         If the outcome has nothing to prove, or its multipliers prove nothing.
     """
+    if outcome.tree is not None:
+        return _of_tree(outcome, outcome.tree)
     at, multipliers = outcome.trajectory, outcome.multipliers
     if outcome.ray is not None:
         at, multipliers = _rest(outcome.problem), outcome.ray
@@ -93,6 +97,22 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
         dual = dual_of(problem, at, multipliers)
     bare = Proof(problem, bits, Enclosure(-np.inf, np.inf), None, dual)
     found = None if outcome.ray is not None else _with_point(bare, outcome, at)
+    proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+    return replace(proof, claim=_claimed(enclosure)), enclosure
+
+
+def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
+    """Return a proof by a search over modes, with the point of the best sequence alone if the checker accepts it."""
+    problem, found = outcome.problem, None
+    _require_stated(problem)
+    dual = TreeDual(problem, written_nodes(problem, tree))
+    bare = Proof(problem, TREE_BITS, Enclosure(-np.inf, np.inf), None, dual)
+    if outcome.sequence is not None:
+        with suppress(SolveError, Failed):
+            alone, _ = proof_of(solve_judged(sequence_problem(problem, outcome.sequence)))
+            point = alone.point and replace(alone.point, modes=outcome.sequence.tolist())
+            proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
+            found = proof, checked(proof.lines())
     proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
     return replace(proof, claim=_claimed(enclosure)), enclosure
 

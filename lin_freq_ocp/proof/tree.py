@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,16 @@ from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.modes.bound import LeafJudge, reached_nodes
 from lin_freq_ocp.certificate.modes.reach import Stages
+from lin_freq_ocp.explanation.blocks import with_bounds
+from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.proof.lines import Text, encoded, line
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.proof.dual import signal_lines
+from lin_freq_ocp.proof.lines import Text, Value, encoded, line
+from lin_freq_ocp.proof.multipliers import inside
+from lin_freq_ocp.proof.terms import multiplier_lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,30 +62,74 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
     return found
 
 
-def node_lines(nodes: list[Node]) -> Iterator[str]:
-    """Yield the section NODES."""
-    yield line(section="nodes", reach=True)
-    for number, node in enumerate(nodes):
-        parent = Text("null") if node.parent < 0 else node.parent
-        yield line(node=number, parent=parent, t=node.stage, modes=node.modes.tolist())
+def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> OptimalControlProblem:
+    """Return the linear problem of a mode sequence, with as few rows as can be: a point needs room to each.
+
+    Rows of a single control are bounds, which may fix it (a level); those that a fixed x_0 decides are left out.
+    """
+    alone, found = problem.with_modes(sequence), list[StageRows]()
+    T, free = problem.horizon, ~alone.state_tube.fixed[0]
+    lower, upper = (_over_time(part, T, 1) for part in (alone.control_tube.lower, alone.control_tube.upper))
+    for rows in alone.stage_rows:
+        C, D, limits = (_over_time(part, T, ndim) for part, ndim in ((rows.C, 2), (rows.D, 2), (rows.e, 1)))
+        limits[0, ~C[0][:, free].any(axis=1) & ~D[0].any(axis=1)] = np.inf
+        single = ~C.any(axis=2) & (np.count_nonzero(D, axis=2) == 1) & np.isfinite(limits) & (rows.penalty is None)
+        for t, i in np.argwhere(single):
+            j = int(np.flatnonzero(D[t, i])[0])
+            bound = limits[t, i] / D[t, i, j]
+            if D[t, i, j] > 0:
+                upper[t, j] = min(upper[t, j], bound)
+            else:
+                lower[t, j] = max(lower[t, j], bound)
+        found.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
+    controls = with_bounds(alone.control_set, Box(lower, upper))
+    return replace(alone, stage_rows=found, control_set=controls) if found else alone
 
 
-def leaf_stage_lines(problem: OptimalControlProblem, judge: LeafJudge, node: Node) -> Iterator[str]:
-    """Yield the stages of a leaf's dual, from T to 0."""
-    stages, proof = node.stages, node.proof
-    assert stages is not None
-    assert proof is not None
-    at, eta, T = judge.minimisers(stages, proof), proof.multipliers.eta, problem.horizon
-    bounded = np.isfinite(problem.piecewise.arrays(T).h)
+def _over_time(part: Array, T: int, ndim: int) -> Array:
+    """Return values that may be constant as an array over time of its own."""
+    return np.array(np.broadcast_to(part, (T, *part.shape[-ndim:])))
+
+
+@dataclass(frozen=True, eq=False)
+class TreeDual:
+    """The nodes of a search and the multipliers of its leaves."""
+
+    problem: OptimalControlProblem
+    nodes: list[Node]
+
+    def lines(self) -> Iterator[str]:
+        """Yield the sections NODES and DUAL."""
+        yield line(section="nodes", reach=True)
+        for number, node in enumerate(self.nodes):
+            parent = None if node.parent < 0 else node.parent
+            yield line(node=number, parent=parent, t=node.stage, modes=node.modes.tolist())
+        judge = LeafJudge(self.problem)
+        for number, node in enumerate(self.nodes):
+            if node.proof is not None and node.stages is not None:
+                yield from _leaf_lines(self.problem, judge, number, node.stages, node.proof)
+
+
+def _leaf_lines(
+    problem: OptimalControlProblem, judge: LeafJudge, number: int, stages: Stages, proof: ModeMultipliers
+) -> Iterator[str]:
+    """Yield the dual of a leaf."""
+    given, at = proof.multipliers, judge.minimisers(stages, proof)
+    problem, eta, T = at_frequencies(problem, given.frequencies), given.eta, problem.horizon
+    yield line(section="dual", node=number, cost=int(given.eta_C > 0))
+    yield from signal_lines(0, problem.in_time(given.rho_x)[: problem.state_samples])
+    yield from signal_lines(problem.state_dim, time_signal(given.rho_u, T))
+    weights = [inside(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C) for term in problem.terms]
+    yield from multiplier_lines(problem.terms, weights)
     yield line(t=T, z=at.end, eta=eta[T - 1])
+    bounded = np.isfinite(problem.piecewise.arrays(T).h)
     for t in reversed(range(T)):
-        fields = {"z": by_edge(at.z[t], at.edges[t], keep=True)}
-        fields |= {
-            name: text for name, text in multiplier_texts(proof, at.edges[t], bounded[t], t).items() if text != "{}"
-        }
+        fields: dict[str, Value] = {"z": by_edge(at.z[t], at.edges[t], keep=True)}
+        found = multiplier_texts(proof, at.edges[t], bounded[t], t)
+        fields |= {name: text for name, text in found.items() if text != "{}"}
         if t:
-            fields["eta"] = Text(encoded(eta[t - 1]))
-        yield line(**{"t": t}, **fields)
+            fields["eta"] = eta[t - 1]
+        yield line(t=t, **fields)
 
 
 def multiplier_texts(proof: ModeMultipliers, edges: Mask, bounded: Mask, t: int) -> dict[str, Text]:

@@ -1,0 +1,85 @@
+"""Proofs of searches over modes: every leaf is checked, and modes that no child keeps are leaves that reach nothing."""
+
+from dataclasses import replace
+
+import lfo_check
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.proof.proof import proof_of
+from lin_freq_ocp.proof.tree import written_nodes
+from lin_freq_ocp.testing.reference import PIECEWISE_AFFINE
+
+GAP = 1e-6  # relative, of the search
+
+
+def confirmed(result, folder):
+    """Return the interval that the checker makes of the written proof."""
+    result.write_proof(folder / "run.proof")
+    with (folder / "run.proof").open("rb") as file:
+        return [float(end) for end in lfo_check.check(file, lambda text: None)]
+
+
+@pytest.mark.parametrize("name", PIECEWISE_AFFINE)
+def test_the_interval_has_the_known_optimum(name, tmp_path):
+    system, arguments, known = PIECEWISE_AFFINE[name]
+    result = lfo.solve(lfo.library.by_name(system)(**arguments))
+    lower, upper = confirmed(result, tmp_path)
+    assert upper - lower <= GAP * abs(upper)
+    if known is not None:
+        assert lower - 1e-7 * abs(known) <= known <= upper + 1e-7 * abs(known)
+
+
+def test_twenty_steps_of_the_rotation():
+    proven = lfo.solve(lfo.library.switched_rotation(horizon=20)).enclosure
+    assert 0 < proven.width <= GAP * proven.upper
+
+
+def test_enumerated_sequences_are_a_tree_too():
+    problem = lfo.library.buck_affine(horizon=5)
+    one, other = (lfo.solve(problem, method).enclosure for method in ("enumerate", "branch_and_bound"))
+    assert one.lower <= other.upper
+    assert other.lower <= one.upper
+
+
+def test_levels_of_the_control():
+    dynamics = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
+    levels = lfo.sets.FiniteSet([[-1.0, 0.0, 1.0]])
+    problem = lfo.OptimalControlProblem(
+        dynamics, 4, lfo.QuadraticCost(Q=1.0, R=0.25, P=4.0), control_set=levels, initial_state=[1.0, 0.25]
+    )
+    result = lfo.solve(problem)
+    assert result.enclosure.width <= GAP * result.enclosure.upper
+    assert abs(result.cost - result.enclosure.upper) <= 1e-9 * result.cost
+
+
+def test_an_infeasible_problem_has_a_tree_of_rays_and_of_leaves_that_reach_nothing(tmp_path):
+    problem = replace(lfo.library.switched_rotation(horizon=4, initial_state=(-6, 7)), terminal_state=[5.0, 5.0])
+    result = lfo.solve(problem, throw=False)
+    assert result.status == "infeasible"
+    assert confirmed(result, tmp_path) == [np.inf, np.inf]
+    assert result.enclosure.infeasible
+
+
+def test_modes_that_no_child_keeps_are_leaves_of_their_own():
+    result = lfo.solve(lfo.library.buck_affine(horizon=6))
+    nodes = written_nodes(result.problem, result.tree)
+    assert len(nodes) >= len(result.tree.nodes)
+    leaves = [node for number, node in enumerate(nodes) if number not in {other.parent for other in nodes}]
+    assert any(node.proof is not None for node in leaves)
+    for number, node in enumerate(nodes):
+        kept = [set(other.modes.tolist()) for other in nodes if other.parent == number]
+        if kept:
+            times = {other.stage for other in nodes if other.parent == number}
+            assert len(times) == 1
+            assert set(np.flatnonzero(node.stages[times.pop()].modes).tolist()) <= set.union(*kept)
+
+
+def test_a_leaf_that_is_not_proven_is_found():
+    result = lfo.solve(lfo.library.buck_affine(horizon=6))
+    tree = result.tree
+    leaf = int(np.nanargmin(result.tree_bound.bounds))
+    spoiled = replace(tree, nodes=tuple(replace(n, proof=None) if k == leaf else n for k, n in enumerate(tree.nodes)))
+    with pytest.raises(lfo.errors.SolveError, match="prove nothing"):
+        proof_of(replace(result, tree=spoiled))
