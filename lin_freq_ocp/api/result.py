@@ -17,7 +17,7 @@ from lin_freq_ocp.interchange.results.solution_file import save_trajectory
 from lin_freq_ocp.interchange.results.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.enclosure import Enclosure, require_checker
+from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.system.atomic import replacing
 from lin_freq_ocp.text.html import html_table
@@ -154,7 +154,8 @@ class Result(Outcome):
     def write_proof(self, path: str | Path) -> None:
         """Write a proof of the interval ``enclosure``, or that no trajectory is feasible.
 
-        ``lfo-check FILE`` reads it: one file of Python that imports nothing of this package (docs/proof.md).
+        ``lfo-check FILE`` reads it: one file of Python that imports nothing of this package (docs/proof.md). What is
+        written has been checked, but for horizons above 20000, where a check takes much longer than the solve.
 
         Raises
         ------
@@ -167,9 +168,16 @@ class Result(Outcome):
         ProblemError
             If the file cannot be written.
         """
-        proof, _ = self._proven
+        known = "_proven" in self.__dict__ or self.problem.dynamics.mode_names
+        proof = self._proven[0] if known or self.problem.horizon <= LONGEST_CHECK else self._unchecked_proof()
         with replacing(path) as stream:
             stream.writelines(text.encode() for text in proof.lines())
+
+    def _unchecked_proof(self) -> Proof:
+        require_checker()
+        from lin_freq_ocp.proof.proof import unchecked_proof  # imports an extra
+
+        return unchecked_proof(self)
 
     @cached_property
     def _proven(self) -> tuple[Proof, Enclosure]:

@@ -9,6 +9,8 @@ import numpy as np
 
 from lin_freq_ocp.errors import MissingExtraError
 
+LONGEST_CHECK = 20_000  # horizon up to which a file is checked before it is written
+
 
 @dataclass(frozen=True)
 class Enclosure:

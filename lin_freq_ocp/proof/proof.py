@@ -11,8 +11,6 @@ from flint import ctx
 from lfo_check import Failed
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -22,34 +20,18 @@ from lin_freq_ocp.proof.convex import convex_problem
 from lin_freq_ocp.proof.dual import Dual, dual_of
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.growth import precision
-from lin_freq_ocp.proof.interior import interior
-from lin_freq_ocp.proof.lines import line, rows
-from lin_freq_ocp.proof.room import least_room, share_towards
+from lin_freq_ocp.proof.lines import line
+from lin_freq_ocp.proof.point import Point, points
 from lin_freq_ocp.proof.statement import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
-MARGINS = (2.0**-46, 2.0**-40, 2.0**-34, 2.0**-27, 2.0**-20)  # room to limits relative to sizes, tried in turn
+UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
+UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost
 CLAIM_SLACK = 1e-9  # by which the claim is wider than what is proven, relative to it
 TREE_BITS = 192  # of balls, without a linear system to solve in them; products of three doubles are exact
-LEVEL = 2.0**-40  # by which the proven level of a soft mask is above the largest value found
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Controls from an initial state, with the mode at every time and the levels of masks over all frequencies."""
-
-    start: Array  # x_0, (n,)
-    controls: Array  # (T, m)
-    modes: list[int]
-    levels: list[float]
-
-    def lines(self) -> Iterator[str]:
-        """Yield the section POINT."""
-        yield line(section="point", x=self.start, levels=np.array(self.levels))
-        for t, (u, mode) in enumerate(zip(rows(self.controls), self.modes, strict=True)):
-            yield line(t=t, u=u, mode=mode)
+NOTHING = Enclosure(-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +67,31 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     """
     if outcome.tree is not None:
         return _of_tree(outcome, outcome.tree)
+    bare, at = _without_point(outcome)
+    found = None if outcome.ray is not None else _with_point(bare, outcome, at)
+    proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+    return replace(proof, claim=_claimed(enclosure)), enclosure
+
+
+def unchecked_proof(outcome: Outcome) -> Proof:
+    """Return a proof of what a solve found of linear dynamics, without a check; errors are those of ``proof_of``.
+
+    It claims what the certificate says, a little less.
+    """
+    bare, at = _without_point(outcome)
+    if outcome.ray is not None:
+        return replace(bare, claim=Enclosure(np.inf, np.inf))
+    certificate, bound = outcome.certificate, outcome.lower_bound
+    slack = UNCHECKED_SLACK * (0.0 if certificate is None else certificate.cost_scale)
+    lower = -np.inf if bound is None else bound - slack
+    for point, moved in points(bare.problem, outcome, at, UNCHECKED_MARGIN):
+        upper = bare.problem.value(moved.x, moved.u) + slack
+        return replace(bare, point=point, claim=Enclosure(lower, upper))
+    return replace(bare, claim=Enclosure(lower, np.inf))
+
+
+def _without_point(outcome: Outcome) -> tuple[Proof, Trajectory]:
+    """Return a proof of a lower bound alone, without a claim, and the trajectory at which it is tight."""
     at, multipliers = outcome.trajectory, outcome.multipliers
     if outcome.ray is not None:
         at, multipliers = _rest(outcome.problem), outcome.ray
@@ -95,18 +102,15 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     bits = precision(problem.linear.A, problem.horizon)
     with ctx.workprec(bits):
         dual = dual_of(problem, at, multipliers)
-    bare = Proof(problem, bits, Enclosure(-np.inf, np.inf), None, dual)
-    found = None if outcome.ray is not None else _with_point(bare, outcome, at)
-    proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
-    return replace(proof, claim=_claimed(enclosure)), enclosure
+    return Proof(problem, bits, NOTHING, None, dual), at
 
 
 def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     """Return a proof by a search over modes, with the point of the best sequence alone if the checker accepts it."""
-    problem, found = outcome.problem, None
+    problem, found = convex_problem(outcome.problem), None
     _require_stated(problem)
     dual = TreeDual(problem, written_nodes(problem, tree))
-    bare = Proof(problem, TREE_BITS, Enclosure(-np.inf, np.inf), None, dual)
+    bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
         with suppress(SolveError, Failed):
             alone, _ = proof_of(solve_judged(sequence_problem(problem, outcome.sequence)))
@@ -119,34 +123,11 @@ def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
 
 def _with_point(bare: Proof, outcome: Outcome, at: Trajectory) -> tuple[Proof, Enclosure] | None:
     """Return the proof with the point nearest to the trajectory that the checker accepts; None if there is none."""
-    problem, inner = bare.problem, None
-    for margin in MARGINS:
-        if inner is None and least_room(problem, at) < margin:
-            inner = interior(outcome, problem, at)
-            if inner is None:
-                return None
-        share = 0.0 if inner is None else share_towards(problem, at, inner, margin)
-        if share < 1:
-            proof = replace(bare, point=_point(problem, at if inner is None else between(at, inner, share)))
-            with suppress(Failed):
-                return proof, checked(proof.lines())
+    for point, _ in points(bare.problem, outcome, at):
+        proof = replace(bare, point=point)
+        with suppress(Failed):
+            return proof, checked(proof.lines())
     return None
-
-
-def between(at: Trajectory, inner: Trajectory, share: float) -> Trajectory:
-    """Return the trajectory at a share of the way from one to another."""
-    return Trajectory(at.x + share * (inner.x - at.x), at.u + share * (inner.u - at.u))
-
-
-def _point(problem: OptimalControlProblem, at: Trajectory) -> Point:
-    """Return the point of a trajectory within its bounds."""
-    levels = list[float]()
-    for term in problem.terms:
-        if term.everywhere is not None:
-            found = proven_peak(term.everywhere, term.everywhere.map.signal(at.x, at.u)).found
-            levels.append(1.0 if term.hard else max(1.0, found * (1 + LEVEL)))
-    start, u = problem.state_tube.project(at.x)[0], problem.control_tube.project(at.u)
-    return Point(start, u, [0] * problem.horizon, levels)
 
 
 def _confirmed(proof: Proof, outcome: Outcome) -> Enclosure:

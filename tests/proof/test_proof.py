@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api import result as api
 from lin_freq_ocp.proof import enclosure as extra
+from lin_freq_ocp.proof import proof as writer
 from lin_freq_ocp.proof.proof import proof_of
 
 
@@ -105,3 +107,16 @@ def test_without_the_extra_the_message_names_it(monkeypatch):
     monkeypatch.setattr(extra, "find_spec", lambda name: None)
     with pytest.raises(lfo.errors.MissingExtraError, match=r"lin-freq-ocp\[proof\]"):
         _ = lfo.solve(lfo.library.double_integrator()).enclosure
+
+
+def test_a_long_proof_is_written_without_a_check_and_passes_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(api, "LONGEST_CHECK", 100)
+    monkeypatch.setattr(writer, "checked", None)
+    path = tmp_path / "run.proof"
+    result = lfo.solve(lfo.library.double_integrator())
+    result.write_proof(path)
+    lower, upper = confirmed(path)
+    assert lower <= upper <= lower * (1 + 1e-9)
+    infeasible = lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3), throw=False)
+    infeasible.write_proof(path)
+    assert confirmed(path) == [np.inf, np.inf]
