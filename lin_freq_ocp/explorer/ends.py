@@ -1,4 +1,4 @@
-"""What can be moved of the ends: the components of those that are points, within the bounds of the states."""
+"""What can be moved of the ends: their components that are fixed, within the bounds of the states."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from math import isfinite
 import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.explorer.slider import Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -19,33 +18,37 @@ WORDS = {"initial_state": "initial", "terminal_state": "terminal"}
 
 
 def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
-    """Yield the components of ends that are points."""
+    """Yield the fixed components of ends."""
     if problem.state_dim > MOST_STATES:
         return
     boxes, sizes = problem.state_boxes, stated_sizes(problem)[0]
-    for field, end in _points(problem):
+    for field, end in _boxes(problem):
         for i, name in enumerate(problem.state_names):
             (label, unit), value = split_unit(name), float(end.lower[i])
             low, high = (float(bound[0 if field == "initial_state" else -1, i]) for bound in (boxes.lower, boxes.upper))
             reach = max(2 * abs(value), float(sizes[i]))
             low, high = (low if isfinite(low) else -reach), (high if isfinite(high) else reach)
-            if low <= value <= high and low < high:
+            if end.fixed[i] and low <= value <= high and low < high:
                 first, last, notch = notches(low, value, high)
                 yield Slider(f"{field}.{i}", field, f"{WORDS[field]} {label}", unit, first, last, notch, value, value)
 
 
-def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Array]:
-    """Return the ends of which a component is moved, (n,)."""
-    ends = dict[str, Array]()
-    for field, end in _points(problem):
-        if any(key.startswith(f"{field}.") for key in moved):
-            ends[field] = np.array([moved.get(f"{field}.{i}", value) for i, value in enumerate(end.lower)])
+def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Box]:
+    """Return the ends of which a component is moved."""
+    ends = dict[str, Box]()
+    for field, end in _boxes(problem):
+        values = {i: moved[key] for i in range(problem.state_dim) if (key := f"{field}.{i}") in moved}
+        if values:
+            lower, upper = np.array(end.lower), np.array(end.upper)
+            lower[list(values)] = upper[list(values)] = list(values.values())
+            ends[field] = Box(lower, upper)
     return ends
 
 
-def _points(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
+def _boxes(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
+    """Yield the ends that are boxes."""
     for field, end in zip(WORDS, (problem.initial_box, problem.terminal_box), strict=True):
-        if end.fixed.all():
+        if not getattr(problem, field).members:
             yield field, end
 
 

@@ -151,6 +151,16 @@ CASES = {
         lambda bound: move(state_set=lfo.Box(None, [None, bound]), initial_state=[0, 0], terminal_state=[1, 0]),
     ),
     "a rate limit": (rated(0.1), ("rows.0", -5), rated),
+    "an end with a free component": (
+        rated(0.5),
+        ("terminal_state.0", 5),
+        lambda end: replace(rated(0.5), terminal_state=lfo.Box([end, 0, None], [end, 0, None])),
+    ),
+    "an end in a box": (
+        move(terminal_state=lfo.Box([-0.1, 0], [0.1, 0])),
+        ("terminal_state.1", 1),
+        lambda end: move(terminal_state=lfo.Box([-0.1, end], [0.1, end])),
+    ),
     "different limits of rows": (
         move(stage_rows=[lfo.StageRows(C=[[0, -1], [0, 1]], e=[0.4, 0.6])]),
         ("rows.0", -4),
@@ -235,6 +245,19 @@ def test_what_has_no_limit_that_can_be_scaled_has_no_slider(problem):
     bounds = () if isinstance(problem.control_set, lfo.FiniteSet) else ("bounds",)
     assert {slider.group for slider in sliders_of(problem, None)} - {"frequency", *ENDS} == set(bounds)
     assert not [one.key for one in sliders_of(problem, None) if one.group == "frequency" and one.key != "cutoff"]
+
+
+def test_ends_that_are_more_than_boxes_have_no_sliders():
+    def ends_of(**fields):
+        return [slider.key for slider in sliders_of(move(**fields), None) if slider.group in ENDS]
+
+    assert (
+        ends_of(initial_state=lfo.Box([0.5, None], [0.5, None]) & lfo.sets.Ball(1), terminal_state=lfo.Periodic()) == []
+    )
+    assert ends_of(initial_state=lfo.Box([0.5, None], [0.5, None]), terminal_state=lfo.Box([None, 0], [None, 0])) == [
+        "initial_state.0",
+        "terminal_state.1",
+    ]
 
 
 def test_an_infeasible_level_is_cured_by_a_higher_level():
