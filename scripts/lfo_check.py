@@ -13,7 +13,7 @@ from decimal import MAX_EMAX, MIN_EMIN, ROUND_CEILING, ROUND_FLOOR, Context, Dec
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
 
-LONGEST_LINE, MOST_STAGES, MOST_BITS, HALVINGS = 2**28, 10**6, 100_000, 60
+LONGEST_LINE, MOST_STAGES, MOST_BITS, MOST_GENERATORS, HALVINGS = 2**28, 10**6, 100_000, 500, 60
 TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
 INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), arb(0, arb.pos_inf())
 NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,6}))?")
@@ -169,6 +169,7 @@ class Problem:
         """Note the removed bins of a component, and the kernel of the convolution that finds what lies in them."""
         i, N = integer(line["stop"], 0, self.n + self.m - 1), integer(line["samples"], self.T, self.T + 1)
         require(i not in self.stops and (i < self.n or N == self.T), "a second stop band, or too many samples")
+        require(line["bins"], "a stop band without bins")
         sines, bins, kernel = [arb.sin_pi_fmpq(fmpq(j, N)) for j in range(2 * N)], [], [ZERO] * N
         for a, b in line["bins"]:
             bins += range(integer(a, bins[-1] + 1 if bins else 0, N // 2), integer(b, a, N // 2) + 1)
@@ -340,14 +341,10 @@ def equations(problem):
             yield row, ZERO
 
 
-def trivial(row, target):
-    return target.is_zero() and all(c.is_zero() for *_, c in row)
-
-
 def correct(problem, modes, x, u):
     """Add P W'(W P W')^-1 residuals to controls: W are the equations in terms of the controls, P removes bins."""
-    wanted = [(row, target) for row, target in equations(problem) if not trivial(row, target)]
-    v, entries, W, q = trajectory(modes, x, u), [[] for _ in range(problem.T + 1)], [None] * problem.T, len(wanted)
+    wanted, v = list(equations(problem)), trajectory(modes, x, u)
+    entries, W, q = [[] for _ in range(problem.T + 1)], [None] * problem.T, len(wanted)
     for r, (row, _) in enumerate(wanted):
         for t, i, c in row:
             entries[t].append((i, r, c))
@@ -363,6 +360,8 @@ def correct(problem, modes, x, u):
     for part, move in zip(W, moves):
         gram += part.transpose() * move
     misses = [target - total(c * v[t][i, 0] for t, i, c in row) for row, target in wanted]
+    for r in (r for r in range(q) if gram[r, r].is_zero() and misses[r].is_zero()):
+        gram[r, r] = ONE  # holds already, and no control can move it
     weights = gram.solve(arb_mat(q, 1, misses)) if q else arb_mat(0, 1)
     return [now + move * weights for now, move in zip(u, moves)]
 
@@ -396,6 +395,8 @@ class Stage:
 
     `modes`: of each mode that can hold, the boxes of (x, u) in its region and of its image.
     """
+
+    __slots__ = ("allowed", "box", "modes", "zonotope")
 
     def __init__(self, box, allowed, zonotope=None):
         self.box, self.allowed, self.modes, self.zonotope = box, allowed, {}, zonotope
@@ -449,11 +450,11 @@ def reach(problem, before, start, kept_modes, forward):
             for other in (before[t + 1].box, outer):
                 image = meet(image, other) if image else None
             if image:
-                stage.modes[i], images[i] = (box, image), (moved, turned)
+                stage.modes[i], images[i], small = (box, image), (moved, turned), turned.ncols() <= MOST_GENERATORS
         if not stage.modes:
             return None
         union = [functools.reduce(arb.union, column) for column in zip(*(one[1] for one in stage.modes.values()))]
-        stages[t + 1] = Stage(union, stages[t + 1].allowed, *images.values() if len(images) == 1 else ())
+        stages[t + 1] = Stage(union, stages[t + 1].allowed, *images.values() if len(images) == 1 and small else ())
     return stages if all(stage.allowed for stage in stages[:-1]) else None
 
 

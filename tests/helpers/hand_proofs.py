@@ -51,7 +51,9 @@ def encoded(value, key=""):
     """Return a value with its real numbers in hexadecimal."""
     if isinstance(value, dict):
         return {name: encoded(inner, name) for name, inner in value.items()}
-    if isinstance(value, list) and key != "bins":
+    if key == "row":
+        return [[t, component, encoded(factor)] for t, component, factor in value]
+    if isinstance(value, list) and key not in ("bins", "frequency"):
         return [encoded(inner, key) for inner in value]
     if (
         isinstance(value, int | float)
