@@ -159,10 +159,11 @@ def compared(
     require_problem(problem)
     names, shapers = _chosen(problem, filters)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
-    # The classical plan is only to be filtered: no global bound is asked for.
-    method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands else "auto"
+    alone = not has_frequency_constraint(problem)
+    # A classical plan that is only to be filtered needs no global bound.
+    method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands and not alone else "auto"
     classical = solve(free, method=method, backend=backend, time_limit=time_limit)
-    constrained = solve(problem, backend=backend, time_limit=time_limit, throw=False)
+    constrained = classical if alone else solve(problem, backend=backend, time_limit=time_limit, throw=False)
     plan = classical.trajectory
     if plan is None:
         raise SolveError("The classical problem was solved without a trajectory.", classical)

@@ -172,3 +172,9 @@ class TestFilters:
         wanted = np.flatnonzero(problem.state_stop.any(axis=1)) / (T + 1)
         assert frequencies.min() == pytest.approx(wanted.min(), abs=1 / T)
         assert frequencies.max() == pytest.approx(wanted.max(), abs=1 / T)
+
+
+def test_without_a_frequency_constraint_both_are_the_same_solve():
+    comparison = lfo.compare(lfo.library.pulse_pattern(kind="opp", switches=8))
+    assert comparison.constrained.status == "optimal"
+    assert comparison.classical is comparison.constrained
