@@ -1,7 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
     python scripts/verify.py [--part known|convex|linear|spectral|structured|explain|mixed|flips|modes|nonsmooth|
-                                     units|limits|loop|frequencies]... [--problems N] [--seed 0] [--processes 2]
+                                     units|limits|loop|frequencies|proofs]... [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -26,11 +26,12 @@ Then random continuous piecewise-affine problems: what the judge says of changin
 Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2
 and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
 (verify_nonsmooth.py). And time limits of 1 and 3 s on problems that take far longer (verify_limits.py), and closed
-loops with disturbances (verify_loop.py), and masks at every frequency (verify_frequencies.py).
+loops with disturbances (verify_loop.py), masks at every frequency (verify_frequencies.py), and proofs: of random
+problems beside exact optima, and with every number changed (verify_proofs.py).
 
 Seeded samples run with the tests. All parts run if none is named; N is 1000 for "convex", 5000 for "linear", 900
 for "spectral", 500 for "structured", 50 for "explain", 200 for "mixed", "flips" and
-"frequencies", which checks five times as many signals; "loop" counts steps, 10 000.
+"frequencies", which checks five times as many signals; "loop" counts steps, 10 000; 100 for "proofs".
 Exit status 1 if a check fails.
 """
 
@@ -51,6 +52,7 @@ import verify_loop
 import verify_mixed
 import verify_modes
 import verify_nonsmooth
+import verify_proofs
 import verify_spectral
 import verify_structured
 import verify_units
@@ -65,7 +67,7 @@ from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, referenc
 # How many random problems each part solves unless told otherwise
 PROBLEMS = {
     **{"convex": 1000, "linear": 5000, "spectral": 900, "structured": 500},
-    **{"explain": 50, "mixed": 200, "flips": 200, "units": 2000, "loop": 10_000, "frequencies": 200},
+    **{"explain": 50, "mixed": 200, "flips": 200, "units": 2000, "loop": 10_000, "frequencies": 200, "proofs": 100},
 }
 WIDTH = 132  # columns of the tables, also where they are written into a file
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
@@ -182,6 +184,8 @@ def main() -> int:
         good &= verify_loop.verify(console, seeds["loop"], options.processes)
     if "frequencies" in parts:
         good &= verify_frequencies.verify(console, seeds["frequencies"], options.processes)
+    if "proofs" in parts:
+        good &= verify_proofs.verify(console, seeds["proofs"], options.processes)
     if "limits" in parts:
         good &= verify_limits.verify(console)
     return 0 if good else 1

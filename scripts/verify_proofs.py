@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import tempfile
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from seeded import check_all
@@ -16,6 +16,7 @@ from seeded import check_all
 from helpers.checks.proofs import KINDS, Truth, check_random, truth_of, wrong_of
 from helpers.mutations import of_index
 
+NARROW = 1e-9  # relative width of an interval
 LINES = 4
 """Lines of a proof whose mutations a process takes at a time."""
 
@@ -51,13 +52,14 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
     """Check all mutations, and the random problems of these seeds; return whether nothing is wrong."""
     good = mutated_kinds(console, processes)
     outcomes = check_all(check_random, seeds, processes, "proving")
-    table = Table("dynamics", "problems", "exact", "within 1e-9", "widest", "failed", title="proofs of random problems")
+    columns = "problems", "exact", "interval", "within 1e-9", "widest", "failed"
+    table = Table("dynamics", *columns, title="proofs of random problems")
     for kind in [*sorted({one.kind for one in outcomes}), "all"]:
         some = [one for one in outcomes if kind in (one.kind, "all")]
-        counts = Counter(exact=sum(one.exact for one in some), narrow=sum(one.width <= 1e-9 for one in some))
-        widest = f"{max(one.width for one in some):.1e}"
+        widths = [one.width for one in some if np.isfinite(one.width)]
+        counts = len(some), sum(one.exact for one in some), len(widths), sum(width <= NARROW for width in widths)
         failed = sum(not one.passed for one in some)
-        table.add_row(kind, f"{len(some)}", f"{counts['exact']}", f"{counts['narrow']}", widest, f"{failed}")
+        table.add_row(kind, *map(str, counts), f"{max(widths, default=0.0):.1e}", f"{failed}")
     console.print(table)
     for one in outcomes:
         if not one.passed:

@@ -39,7 +39,11 @@ def nudged(text: str) -> str:
     return (value * (1 + NUDGE) if value else NUDGE).hex()
 
 
-NUMBERS = {"sign": flipped, "last digit": last_digit, "1e-6": nudged}
+def doubled(text: str) -> str:
+    return (2 * float.fromhex(text) or 1.0).hex()
+
+
+NUMBERS = {"sign": flipped, "last digit": last_digit, "1e-6": nudged, "doubled": doubled}
 
 
 def places(value, path=()) -> Iterator[tuple]:

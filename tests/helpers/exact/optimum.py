@@ -36,15 +36,17 @@ def _optimum(program: Program) -> arb | None:
     w = system.start()
     rows = [k for k, slack in enumerate(system.slacks(w)) if float(slack) < NEAR * system.scale]
     cones = [k for k, slack in enumerate(system.cone_slacks(w)) if float(slack) < NEAR * system.scale]
+    tried = set[tuple[int, ...]]()
     for _ in range(CHANGES):
-        found = system.solve(w, rows, cones)
+        found = None if (*rows, -1, *cones) in tried else system.solve(w, rows, cones)
         if found is None:
             return None
+        tried.add((*rows, -1, *cones))
         w_found, multipliers, kept = found
         missed = [k for k, slack in enumerate(system.slacks(w_found)) if not (slack > 0 or k in rows)]
         opened = [k for k, slack in enumerate(system.cone_slacks(w_found)) if not (slack > 0 or k in cones)]
         if missed or opened:
-            rows, cones = [*missed, *rows], [*opened, *cones]  # what is missed comes first, where rows depend
+            rows, cones = [*missed, *sorted(rows)], [*opened, *cones]  # what is missed comes first, where rows depend
         elif all(value > 0 for value in multipliers):
             return system.cost(w_found) if system.meets(w_found, rows, cones) else None
         else:
