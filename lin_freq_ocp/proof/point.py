@@ -11,13 +11,14 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.proof.held import needs_feedback, with_feedback
 from lin_freq_ocp.proof.interior import interior
 from lin_freq_ocp.proof.lines import line, rows
 from lin_freq_ocp.proof.room import least_room, share_towards
 from lin_freq_ocp.solving.outcome import Outcome
 
 MARGINS = (2.0**-46, 2.0**-40, 2.0**-34, 2.0**-27, 2.0**-20)  # room to limits relative to sizes, tried in turn
-LEVEL = 2.0**-40  # by which the proven level of a soft mask is above the largest value found
+LEVEL_MARGINS = 4  # by which the level of a soft mask is above the largest value found, if that is below the proven one
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,8 @@ def points(
         share = 0.0 if inner is None else share_towards(problem, at, inner, margin)
         if share < 1:
             found = at if inner is None else between(at, inner, share)
-            yield point_of(problem, found), found
+            found = with_feedback(problem, found) if needs_feedback(problem) else found
+            yield point_of(problem, found, margin), found
 
 
 def between(at: Trajectory, inner: Trajectory, share: float) -> Trajectory:
@@ -60,12 +62,13 @@ def between(at: Trajectory, inner: Trajectory, share: float) -> Trajectory:
     return Trajectory(at.x + share * (inner.x - at.x), at.u + share * (inner.u - at.u))
 
 
-def point_of(problem: OptimalControlProblem, at: Trajectory) -> Point:
-    """Return the point of a trajectory within its bounds."""
+def point_of(problem: OptimalControlProblem, at: Trajectory, margin: float) -> Point:
+    """Return the point of a trajectory within its bounds; a margin is relative."""
     levels = list[float]()
     for term in problem.terms:
         if term.everywhere is not None:
-            found = proven_peak(term.everywhere, term.everywhere.map.signal(at.x, at.u)).found
-            levels.append(1.0 if term.hard else max(1.0, found * (1 + LEVEL)))
+            peak = proven_peak(term.everywhere, term.everywhere.map.signal(at.x, at.u))
+            above = min(peak.found * (1 + LEVEL_MARGINS * margin), peak.ratio * (1 + margin))
+            levels.append(1.0 if term.hard else max(1.0, above))
     start, u = problem.state_tube.project(at.x)[0], problem.control_tube.project(at.u)
     return Point(start, u, [0] * problem.horizon, levels)

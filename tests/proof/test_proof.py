@@ -46,11 +46,19 @@ def rows(penalty=None):
     )
 
 
+def unstable():
+    """Return a problem whose free motion grows by 1e14, with a free end."""
+    dynamics = lfo.LinearDynamics([[1.5, 0.2], [0.0, 1.1]], [[0.0], [1.0]])
+    return lfo.OptimalControlProblem(dynamics, 80, lfo.QuadraticCost(Q=1.0, R=1.0, P=1.0), initial_state=[1.0, 0.0])
+
+
 PROBLEMS = {
     "stop band": lfo.library.pendulum,
     "soft mask": lambda: masked(limit=0.2, penalty=1.0),
     "mask at bins": lambda: masked(limit=1.5),
     "mask at every frequency": lambda: masked(limit=2.5, every_frequency=True),
+    "soft mask at every frequency": lambda: masked(limit=1.0, penalty=5.0, every_frequency=True),
+    "unstable, without an end": unstable,
     "rows": rows,
     "soft rows": lambda: rows(penalty=0.5),
     "ball": lambda: lfo.library.quadcopter(horizon=20),
