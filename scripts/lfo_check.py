@@ -9,6 +9,7 @@ import hashlib
 import json
 import re
 import sys
+from collections import Counter
 from decimal import MAX_EMAX, MIN_EMIN, ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
 from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
@@ -190,17 +191,15 @@ class Problem:
         window, factors = line["window"], matrix(line["output"], self.n + self.m).entries()
         window = [ONE] * integer(window, 1, self.T + 1) if type(window) is int else matrix(window, None).entries()
         first = integer(line["first"], 0, self.T + 1 - len(window))
-        require(
-            first + len(window) <= self.T or all(c.is_zero() for c in factors[self.n :]), "there is no control at T"
-        )
+        of_states = all(c.is_zero() for c in factors[self.n :])
+        require(of_states or first + len(window) <= self.T, "there is no control at T")
         return first, window, [(i, c) for i, c in enumerate(factors) if not c.is_zero()]
 
     def summary(self):
         yield ", ".join(f"{key}: {value!r}" for key, value in self.head.items() if key != "section")
         for i, (N, bins, _) in self.stops.items():
             yield f"component {i}: {len(bins)} bins of the DFT of {N} samples are removed, from {bins[0]} to {bins[-1]}"
-        names = [term.name for term in self.terms]
-        yield from (f"{names.count(name)} x {name}" for name in dict.fromkeys(names))
+        yield from (f"{count} x {name}" for name, count in Counter(term.name for term in self.terms).items())
 
 
 def angle(frequency):
@@ -247,9 +246,9 @@ class Term:
 
     def cost(self, v, level):
         """Return an upper bound on the term at a trajectory; fail unless what must hold does."""
-        pairs = zip(self.rows, self.constants)
-        values = [level] if self.everywhere else [total(c * v[t][i, 0] for t, i, c in row) + one for row, one in pairs]
         require(not self.everywhere or below(self, v, level), f"{self.name} is not proven to be below {level.str(9)}")
+        values = [total(c * v[t][i, 0] for t, i, c in row) + one for row, one in zip(self.rows, self.constants)]
+        values = [level] if self.everywhere else values
         size = largest(values) if self.gauge in ("max", "all") else norm(values, self.gauge)
         size = norm(values[1:], "2") - values[0] if self.gauge == "cone" else size
         require(not self.hard or self.equation or size <= self.limit, f"the point violates {self.name}")
@@ -531,9 +530,8 @@ def dual_bound(problem, lines, stages, normal):
             slopes[t][i, 0] += multiplier * c
     eta, ahead, after = arb_mat(n, 1), {}, {0: ZERO}
     for t in range(problem.T, -1, -1):
-        line = lines.take(
-            "t z", " mu eta" * (t > 0) + " region image" * (t < problem.T) + " vertex" * (0 < t < problem.T)
-        )
+        maybe = " mu eta" * (t > 0) + " region image" * (t < problem.T) + " vertex" * (0 < t < problem.T)
+        line = lines.take("t z", maybe)
         integer(line["t"], t, t)
         eta, ahead, after = stage_bound(problem, stages, line, slopes[t], normal, (eta, ahead, after))
     return (value - largest(-one for one in after.values())).lower()
@@ -591,9 +589,8 @@ def lower_bound(problem, lines):
         line, index = lines.take("node parent t modes"), len(nodes)
         t, modes = integer(line["t"], 0, problem.T - 1), {integer(i, 0, max(everything)) for i in line["modes"]}
         before = [Stage(box[: problem.n], everything) for box in problem.boxes] if index == 0 else None
-        require(
-            integer(line["node"], index, index) or (line["parent"], t, modes) == (None, 0, everything), "not a root"
-        )
+        root = (line["parent"], t, modes) == (None, 0, everything)
+        require(integer(line["node"], index, index) or root, "not a root")
         if index:
             parent = integer(line["parent"], 0, index - 1)
             require(parent not in bounds and children.setdefault(parent, (t, set()))[0] == t, "another time, or a dual")

@@ -208,7 +208,12 @@ BOUNDS = {
         proof(changes={5: UNBOUNDED}, ends=(0, "inf"), tree=[node(0, None, 0, [0])]),
         *(2.25, 2.25, "inf"),
     ),
-    "a Hessian that has no inverse": (proof(changes=SINGULAR, body=dual({"t": 1, "z": [0]}, REST[1])), 3.5, -99, "inf"),
+    "a Hessian that has no inverse": (
+        proof(changes=SINGULAR, body=dual({"t": 1, "z": [0]}, {"t": 0, "z": [0, -3]})),
+        3.5,
+        -99,
+        "inf",
+    ),
     "points far outside of the bounds": (
         proof(body=dual({"t": 1, "z": [99]}, {"t": 0, "z": [7, -99]})),
         2.25,
