@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
+import time
+import tomllib
 from collections.abc import Iterator
-from importlib.metadata import version as installed
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -16,7 +18,7 @@ from sphinx_gallery.scrapers import figure_rst
 
 HERE = Path(__file__).parent
 project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
-release = version = installed("lin-freq-ocp")
+release = version = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 extensions = [
     "myst_nb",
     "numpydoc",
@@ -27,10 +29,15 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_extra", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_extra", "benchmarks/*", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
 html_theme, html_title = "furo", f"lin_freq_ocp {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False
+html_context = {  # what build.sh says; see _templates/sidebar/variant-selector.html
+    "date": time.strftime("%-d %B %Y", time.gmtime(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())))),
+    "tag": os.environ.get("DOCS_TAG", ""),
+    "tags": os.environ.get("DOCS_TAGS", "").split(),
+}
 html_extra_path = ["_extra"]  # the live page with a solved sweep, by first_page.py
 myst_enable_extensions, myst_heading_anchors = ["dollarmath", "colon_fence"], 3
 nb_execution_mode, nb_execution_raise_on_error, nb_execution_timeout = "force", True, 120

@@ -1,15 +1,16 @@
 """Time, accuracy and memory of the Fourier-domain solver beside others, on problems that grow. About 4 minutes.
 
-    python scripts/benchmark.py [--family pendulum] [--sizes 240 960] [--full] [--csv FILE] [--figure FILE]
+    python scripts/benchmark.py [--family pendulum] [--sizes 240 960] [--full] [--csv FILE] [--figure FILE] [--write]
     python scripts/benchmark.py --memory --family pendulum --sizes 960
     python scripts/benchmark.py --list
 
-All contenders run in one process with one thread (BLAS and solvers), in turns, and the median counts. Writing the
-problem down for the solver is timed with the solve, as are multipliers; constructing the OptimalControlProblem is not.
-Who is expected to need longer than the limit is skipped, and the table says so. Next to the times stand the residuals
-of every answer, relative and computed from the problem's data, and its certificate; what each figure is, is written in
-``benchmark_measures.Row``, and who runs with which settings in ``benchmark_contenders``. The families "resolve" and
-"resolve-slow" solve one problem from many new initial states, and show the worst residuals of all.
+All contenders run in one process with one thread (BLAS and solvers), in turns, and the median counts, in seconds of the
+process. Writing the problem down for the solver is timed with the solve, as are multipliers; constructing the
+OptimalControlProblem is not. Who is expected to need longer than the limit is skipped, and the table says so. Next to
+the times stand the residuals of every answer, relative and computed from the problem's data, and its certificate; what
+each figure is, is written in ``benchmark_measures.Row``, and who runs with which settings in ``benchmark_contenders``.
+The families "resolve" and "resolve-slow" solve one problem from many new initial states, and show the worst residuals
+of all. The last table, the one that --write keeps, has a line for each problem and horizon.
 """
 
 from __future__ import annotations
@@ -17,14 +18,12 @@ from __future__ import annotations
 import argparse
 import csv
 import gc
-import os
-import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from importlib.metadata import version
 from pathlib import Path
 
+import benchmark_record
 import numpy as np
 from benchmark_cases import FAMILIES, RESOLVE_SIZES, RESOLVED, small
 from benchmark_contenders import CONTENDERS
@@ -32,7 +31,7 @@ from benchmark_figure import draw
 from benchmark_measures import Row, Runs, measured, timed
 from benchmark_memory import in_own_process
 from benchmark_resolve import resolve_rows
-from rich.console import Console
+from benchmark_summary import duration, summary
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -47,7 +46,6 @@ LARGEST_DENSE = 3000
 REPEAT_SECONDS = 4.0  # A contender whose runs at one horizon took this long together is not repeated any more
 EXPONENT_FROM, EXPONENT_TO = 10_000, 1_000_000  # horizons between which the growth of our time is stated
 COLUMNS = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint")
-WIDTH = 165
 
 
 def skip_reason(name: str, horizon: int, earlier: tuple[int, float] | None, limit: float) -> str:
@@ -123,13 +121,6 @@ def table_of(title: str, rows: Sequence[Row], notes: Sequence[str]) -> Table:
     return table
 
 
-def duration(seconds: float | None) -> str:
-    """Return seconds with three digits, in ms below one second."""
-    if seconds is None:
-        return ""
-    return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
-
-
 def exponent(rows: Sequence[Row]) -> float | None:
     """Return p of time ~ T^p for ours on the pendulum, between EXPONENT_FROM and EXPONENT_TO, if both were solved."""
     solved = [row for row in rows if (row.family, row.contender, row.status) == ("pendulum", "ours", "optimal")]
@@ -138,20 +129,6 @@ def exponent(rows: Sequence[Row]) -> float | None:
     if first is None or last is None:
         return None
     return float(np.log(last / first) / np.log(EXPONENT_TO / EXPONENT_FROM))
-
-
-def machine() -> str:
-    """Return processor, cores, load and versions, two lines."""
-    info = Path("/proc/cpuinfo")
-    models = [line for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
-    model = models[0].partition(":")[2].strip() if models else platform.processor() or platform.machine()
-    packages = ("numpy", "scipy", "clarabel", "cvxpy", "osqp", "piqp")
-    load = f", load {os.getloadavg()[0]:.1f} before the start" if hasattr(os, "getloadavg") else ""
-    versions = ", ".join(f"{package} {version(package)}" for package in packages)
-    return (
-        f"{model}, {os.cpu_count()} cores, one thread used, {platform.system()}{load}\n"
-        f"python {platform.python_version()}, {versions}, lin_freq_ocp {lfo.__version__}"
-    )
 
 
 def memory_table(names: Sequence[str], sizes: Sequence[int] | None, limit: float) -> Table:
@@ -184,7 +161,7 @@ def save_csv(rows: Sequence[Row], path: Path) -> None:
 
 def parsed() -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     families = [*FAMILIES, *RESOLVED]
     parser.add_argument("--family", action="append", choices=families, help="repeatable; default: all")
     parser.add_argument("--sizes", type=int, nargs="+", metavar="T", help="horizons instead of the family's own")
@@ -203,43 +180,49 @@ def parsed() -> argparse.Namespace:
 
 def main() -> None:
     """Run what the options ask for, and print the tables."""
-    options, console = parsed(), Console()
-    if not console.is_terminal:
-        console.width = WIDTH
+    options = parsed()
     if options.list:
         for name, family in FAMILIES.items():
-            console.print(f"{name:14} {family.words}; T = {family.sizes}, --full {family.full}")
+            print(f"{name:14} {family.words}; T = {family.sizes}, --full {family.full}")
         for name, solved in RESOLVED.items():
-            console.print(f"{name:14} {solved}, again and again from new initial states; T = {RESOLVE_SIZES}")
+            print(f"{name:14} {solved}, again and again from new initial states; T = {RESOLVE_SIZES}")
         return
-    console.print(machine(), highlight=False)
-    names, rows = options.family or [*FAMILIES, *RESOLVED], list[Row]()
-    if options.memory:
-        console.print(memory_table([name for name in names if name in FAMILIES], options.sizes, options.limit_s))
-        return
-    with threadpool_limits(1):
-        for contender in CONTENDERS.values():
-            timed(contender, small(), options.limit_s)
-        gc.freeze()  # what is loaded by now is not looked through again before every run
-        for name in names:
-            if name in RESOLVED:
-                words = f"{FAMILIES[RESOLVED[name]].words}; again and again from new initial states"
-                sizes = options.sizes or RESOLVE_SIZES
-                found = [resolve_rows(name, T, options.resolves, options.limit_s) for T in sizes]
-                some, notes = [row for part, _ in found for row in part], [note for _, note in found]
-            else:
-                family = FAMILIES[name]
-                words, sizes = family.words, options.sizes or (family.full if options.full else family.sizes)
-                some, notes = family_rows(name, sizes, options.repeats, options.limit_s)
-            rows += some
-            console.print(table_of(f"{name}: {words}", some, notes))
-    growth = exponent(rows)
-    if growth is not None:
-        console.print(f"time of ours from T = {EXPONENT_FROM:.0e} to {EXPONENT_TO:.0e}: grows as T^{growth:.2f}")
+    names = options.family or [*FAMILIES, *RESOLVED]
+    with benchmark_record.Record(options.write) as record, threadpool_limits(1):
+        if options.memory:
+            families = [name for name in names if name in FAMILIES]
+            record.show(memory_table(families, options.sizes, options.limit_s))
+            return
+        rows = raced(record, names, options)
+        record.show(summary(rows))
+        growth = exponent(rows)
+        if growth is not None:
+            record.show(f"Time of ours from T = {EXPONENT_FROM:.0e} to {EXPONENT_TO:.0e} grows as T^{growth:.2f}.")
     if options.csv:
         save_csv(rows, options.csv)
     if options.figure and not draw(rows, options.figure):
-        console.print("no figure: no family was run at two horizons")
+        print("no figure: no family was run at two horizons")
+
+
+def raced(record: benchmark_record.Record, names: Sequence[str], options: argparse.Namespace) -> list[Row]:
+    """Run all contenders on these families, print the table of each, and return the rows of all."""
+    rows = list[Row]()
+    for contender in CONTENDERS.values():
+        timed(contender, small(), options.limit_s)
+    gc.freeze()  # what is loaded by now is not looked through again before every run
+    for name in names:
+        if name in RESOLVED:
+            words = f"{FAMILIES[RESOLVED[name]].words}; again and again from new initial states"
+            sizes = options.sizes or RESOLVE_SIZES
+            found = [resolve_rows(name, T, options.resolves, options.limit_s) for T in sizes]
+            some, notes = [row for part, _ in found for row in part], [note for _, note in found]
+        else:
+            family = FAMILIES[name]
+            words, sizes = family.words, options.sizes or (family.full if options.full else family.sizes)
+            some, notes = family_rows(name, sizes, options.repeats, options.limit_s)
+        rows += some
+        record.console.print(table_of(f"{name}: {words}", some, notes))
+    return rows
 
 
 if __name__ == "__main__":

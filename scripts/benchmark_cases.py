@@ -110,9 +110,9 @@ FAMILIES = {
         name: Family(words, partial(oscillator, damping=damping), (5000, 100_000), (5000, 50_000, 100_000, 1_000_000))
         for name, damping, words in (
             ("oscillator", 0.05, "oscillator at 0.01 s, damping ratio 0.05, free end, low pass at 5 Hz"),
-            ("critical", 1.0, "the same, critically damped"),
-            ("undamped", 0.0, "the same, undamped"),
-            ("unstable-pair", -0.05, "the same, with an unstable pair of eigenvalues"),
+            ("critical", 1.0, "oscillator, critically damped"),
+            ("undamped", 0.0, "oscillator, undamped"),
+            ("unstable-pair", -0.05, "oscillator, with an unstable pair of eigenvalues"),
         )
     },
     "state-arcs": Family("double integrator, speed limit active for long", state_arcs, (200,), (200, 400, 800, 4000)),

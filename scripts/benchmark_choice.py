@@ -1,6 +1,7 @@
 """Which method is the fastest for which linear problem: the measurements behind the choice of "auto".
 
     OMP_NUM_THREADS=1 python scripts/benchmark_choice.py [--families NAME ...] [--horizons T ...] [--repeats N]
+                                                         [--write]
 
 CPU seconds of ``lfo.solve``, judge included, the least of N, runs alternating; "-" where a method does not apply, a
 status where its answer is not optimal. The last columns: what "auto" took, and how much longer than the fastest.
@@ -8,13 +9,12 @@ status where its answer is not optimal. The last columns: what "auto" took, and 
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import benchmark_record
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from structured_cases import masked, rate_limited, rendezvous, time_varying
 
@@ -72,24 +72,33 @@ def seconds(problem: lfo.OptimalControlProblem, method: str) -> tuple[float, lfo
 
 def main() -> None:
     """Measure all families."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--horizons", nargs="+", type=int, default=[30, 100, 300, 1000])
     parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES))
     parser.add_argument("--repeats", type=int, default=3)
     given = parser.parse_args()
+    with benchmark_record.Record(given.write) as record:
+        losses = measured(record, given.families, given.horizons, given.repeats)
+        record.show(f"Lost: {np.exp(np.nanmean(np.log(losses))):.3g}x in the mean, {np.nanmax(losses):.3g}x at most.")
+
+
+def measured(
+    record: benchmark_record.Record, families: Sequence[str], horizons: Sequence[int], repeats: int
+) -> list[float]:
+    """Show the table of all families, and return how much longer the chosen methods take than the fastest."""
     table = Table("problem", "T", *METHODS, "auto", "lost", title='CPU milliseconds, and the choice of "auto"')
     losses: list[float] = []
-    for name in given.families:
+    for name in families:
         family = FAMILIES[name]
         slow: set[str] = set()
-        for horizon in given.horizons:
+        for horizon in horizons:
             try:
                 problem = family(horizon)
             except lfo.errors.ProblemError:  # too short for its bands
                 continue
             best: dict[str, float] = {}
             shown: dict[str, str] = {}
-            for _ in range(given.repeats):
+            for _ in range(repeats):
                 for method in METHODS:
                     if method in slow:
                         continue
@@ -106,8 +115,8 @@ def main() -> None:
             lost = best.get(chosen.method, np.nan) / min(best.values(), default=np.nan)
             losses.append(lost)
             table.add_row(name, str(horizon), *(shown.get(m, "") for m in METHODS), chosen.method, f"{lost:.2g}x")
-    Console(width=132).print(table)
-    print(f"lost, geometric mean: {np.exp(np.nanmean(np.log(losses))):.3g}x, at most {np.nanmax(losses):.3g}x")
+    record.show(table)
+    return losses
 
 
 if __name__ == "__main__":

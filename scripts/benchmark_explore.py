@@ -1,6 +1,6 @@
 """How long the live page takes from a move of a slider to the drawn answer, in Chromium without a window.
 
-    python scripts/benchmark_explore.py [NAME] [--moves 50] [--horizon 240]
+    python scripts/benchmark_explore.py [NAME] [--moves 50] [--horizon 240] [--write]
 
 The pendulum of the paper at T = 240: the cut-off is moved by one notch after another, each to a value not solved
 before, when all of the answer before is drawn. Milliseconds from the input event to the end of the drawing, as the page
@@ -9,12 +9,13 @@ measures them; the server runs in a process of its own, as ``lin-freq-ocp explor
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import sys
 from statistics import median
 
+import benchmark_record
+from rich.table import Table
 from selenium import webdriver
 
 MOVES = """
@@ -38,22 +39,26 @@ const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 def main() -> None:
     """Print median, least and largest time."""
-    parser = argparse.ArgumentParser(description="Latency of the live page, in Chromium.")
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("name", nargs="?", default="pendulum")
     parser.add_argument("--moves", type=int, default=50)
     parser.add_argument("--horizon", type=int, default=240)
     given = parser.parse_args()
     command = [sys.executable, "-m", "lin_freq_ocp", "explore", given.name, "--no-browser"]
-    with subprocess.Popen([*command, "--set", f"horizon={given.horizon}"], stdout=subprocess.PIPE, text=True) as server:
+    command += ["--set", f"horizon={given.horizon}"]
+    with (
+        benchmark_record.Record(given.write) as record,
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server,
+    ):
         try:
             assert server.stdout is not None
             times = measured(server.stdout.readline().strip(), given.moves)
         finally:
             server.terminate()
-    print(
-        f"{given.name}, T = {given.horizon}, {len(times)} moves: median {median(times):.0f} ms, "
-        f"least {min(times):.0f} ms, largest {max(times):.0f} ms"
-    )
+        table = Table("problem", "T", "moves", "median [ms]", "least [ms]", "largest [ms]")
+        figures = (f"{value:.0f}" for value in (median(times), min(times), max(times)))
+        table.add_row(given.name, str(given.horizon), str(len(times)), *figures)
+        record.show(table)
 
 
 def measured(url: str, moves: int) -> list[float]:

@@ -21,20 +21,25 @@ WIDE = 100  # from this ratio of the largest to the smallest horizon on, powers 
 
 
 def draw(rows: Sequence[Row], path: Path) -> bool:
-    """Write the picture of all families with more than one horizon; return whether there was one."""
+    """Write the picture of all families with several horizons and contenders; return whether there was one."""
     timed = [row for row in rows if row.status == "optimal" and row.family in FAMILIES]
     families = {name: list(some) for name, some in groupby(timed, lambda row: row.family)}
-    families = {name: some for name, some in families.items() if len({row.horizon for row in some}) > 1}
+    families = {name: some for name, some in families.items() if several(some)}
     if not families:
         return False
     height = ROW_HEIGHT * 1.3
     figure = new_figure(height * ((len(families) + 1) // 2))
     for i, (name, some) in enumerate(families.items()):
         ax = figure.add_subplot((len(families) + 1) // 2, min(2, len(families)), i + 1, xscale="log", yscale="log")
-        style_axes(ax, name, "horizon T", "seconds", [Note(FAMILIES[name].words)])
+        style_axes(ax, name, "horizon T", "CPU seconds", [Note(FAMILIES[name].words)])
         panel(figure, ax, some)
     figure.savefig(path, dpi=150)
     return True
+
+
+def several(rows: Sequence[Row]) -> bool:
+    """Whether there are several horizons, and several contenders."""
+    return min(len({row.horizon for row in rows}), len({row.contender for row in rows})) > 1
 
 
 def panel(figure: Figure, ax: Axes, rows: Sequence[Row]) -> None:

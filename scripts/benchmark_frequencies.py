@@ -1,6 +1,7 @@
 """Masks at every frequency on the pendulum: rounds, and time against one solve with the bins of the DFT only.
 
     OMP_NUM_THREADS=1 python scripts/benchmark_frequencies.py [--horizons 240 2400 24000] [--repeats 3] [--limit-s 600]
+                                                              [--write]
 
 The first two rows have costs that others have published to ten digits. CPU times are the least of the repeats, both
 solves in one run by the structured method; the last columns are what the judge proves. The rows with a price are the
@@ -9,13 +10,12 @@ same with a soft mask, at half of what the multipliers of the hard mask add up t
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import benchmark_record
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -74,7 +74,7 @@ def add_soft(table: Table, name: str, price: float, bins: float, found: tuple[fl
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--horizons", type=int, nargs="*", default=[240, 2400, 24_000])
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--limit-s", type=float, default=600.0)
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for column in ("bins only", "every frequency", "rounds", "atoms", "|V|/l - 1", "gap", "cost", "off the known"):
         table.add_column(column, justify="right")
     cases = dict.fromkeys([*KNOWN, *((0.2, 80, T, 0.01) for T in given.horizons)])
-    with threadpool_limits(1):
+    with benchmark_record.Record(given.write) as record, threadpool_limits(1):
         for case in cases:
             name = "{} N, {}/240, {}, {} s".format(*case)
             try:
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 weights = np.concatenate([result.multipliers.stage[one] for one in result.multipliers.frequencies])
                 price = 0.5 * case[0] * float(np.linalg.norm(weights, axis=1).sum())
                 add_soft(table, name, price, bins, least(given.repeats, problem_of(*case, True, price), given.limit_s))
-    Console(width=150).print(table)
+        record.show(table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What each speed layer of the Fourier-domain method is worth: its factor on CPU time where it is switched off.
 
-    OMP_NUM_THREADS=1 python scripts/benchmark_layers.py [--repeats N] [--cases NAME ...]
+    OMP_NUM_THREADS=1 python scripts/benchmark_layers.py [--repeats N] [--cases NAME ...] [--write]
 
 Setup and solve together, but for "re-solve" (ten new initial states of one solver, as the median of their factors).
 Runs with and without a layer alternate; each time is the least of N. The answers must have the same status.
@@ -8,14 +8,15 @@ Runs with and without a layer alternate; each time is the least of N. The answer
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 
+import benchmark_record
 import numpy as np
 from benchmark_cases import FAMILIES, moved
+from rich.table import Table
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.spectral import solver
@@ -119,14 +120,15 @@ def timed(solve: Solve) -> tuple[float, str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a table of layers against cases."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--repeats", type=int, default=3, help="runs of each, of which the fastest counts")
     parser.add_argument("--cases", nargs="+", default=[*CASES, "re-solve 240", "random LTI"])
     given = parser.parse_args(arguments)
-    print("| layer | " + " | ".join(given.cases) + " |")
-    print("|---" * (len(given.cases) + 1) + "|")
-    for layer in LAYERS:
-        print(f"| {layer} |", *(f"{factor(case, layer, given.repeats):.2f} |" for case in given.cases), flush=True)
+    table = Table("layer", *given.cases)
+    with benchmark_record.Record(given.write) as record:
+        for layer in LAYERS:
+            table.add_row(layer, *(f"{factor(case, layer, given.repeats):.2f}" for case in given.cases))
+        record.show(table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Controls with levels: value, samples between levels, bound, gap and seconds, beside HiGHS where that is natural.
 
-    OMP_NUM_THREADS=1 python scripts/benchmark_levels.py [--seconds 20]
+    OMP_NUM_THREADS=1 python scripts/benchmark_levels.py [--seconds 20] [--write]
 
 Selective harmonic elimination with duty cycles and, at a tolerance, with whole samples; optimal pulse patterns beside
 the published intervals. HiGHS gets the mixed-integer program by scipy; its harmonics keep the tolerance in both parts,
@@ -10,11 +10,12 @@ that point. Seconds are CPU seconds of the process. Fails if a published value i
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 
+import benchmark_record
 import numpy as np
+from rich.table import Table
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 import lin_freq_ocp as lfo
@@ -51,12 +52,12 @@ def by_highs(samples: int, tolerance: float, whole: bool, seconds: float) -> tup
     return found.x.reshape(samples, -1).argmax(axis=1), found.fun, bound, spent
 
 
-def line(name: str, result: lfo.results.Result | None, cost: float, bound: float, seconds: float) -> None:
-    """Print a row of the table."""
+def row(name: str, result: lfo.results.Result | None, cost: float, bound: float, seconds: float) -> list[str]:
+    """Return the cells of a row."""
     use = None if result is None else result.level_use
     between = "" if use is None else f"{use.fractional}" + ("" if use.rows is None else f" of {use.rows}")
     gap = (cost - bound) / cost if np.isfinite(cost) else np.inf
-    print(f"| {name} | {cost:.9g} | {between} | {bound:.9g} | {gap:.1e} | {seconds:.2f} |", flush=True)
+    return [name, f"{cost:.9g}", between, f"{bound:.9g}", f"{gap:.1e}", f"{seconds:.2f}"]
 
 
 def timed(problem: lfo.OptimalControlProblem, **options: object) -> tuple[lfo.results.Result, float]:
@@ -68,30 +69,46 @@ def timed(problem: lfo.OptimalControlProblem, **options: object) -> tuple[lfo.re
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each search over whole samples")
     parser.add_argument("--tolerance", type=float, default=0.02, help="of harmonics, with whole samples")
     given = parser.parse_args()
     timed(lfo.library.pulse_pattern(samples=32))  # what is imported once
     timed(lfo.library.pulse_pattern(kind="opp"))
-    print("| problem | value | between levels | bound | gap | CPU s |\n|---|---|---|---|---|---|")
+    table = Table("problem", "value", "between levels", "bound", "gap", "CPU s")
+    with benchmark_record.Record(given.write) as record:
+        failed = eliminations(table, given.tolerance, given.seconds)
+        failed |= patterns(table)
+        record.show(table)
+    return int(failed)
+
+
+def eliminations(table: Table, tolerance: float, limit: float) -> bool:
+    """Add the rows of selective harmonic elimination, and return whether the published value is missed."""
     result, seconds = timed(lfo.library.pulse_pattern(samples=128))
-    line("elimination, duty cycles", result, result.cost, result.lower_bound, seconds)
+    table.add_row(*row("elimination, duty cycles", result, result.cost, result.lower_bound, seconds))
     failed = abs(result.cost - RELAXATION) > 1e-7 or result.level_use.fractional > result.level_use.rows
-    _, cost, bound, seconds = by_highs(128, 0.0, False, given.seconds)
-    line("the same, HiGHS", None, cost, bound, seconds)
-    sequence, cost, bound, seconds = by_highs(128, given.tolerance, True, given.seconds)
-    line(f"whole samples, tolerance {given.tolerance:g}, HiGHS", None, cost, bound, seconds)
-    problem = lfo.library.pulse_pattern(samples=128, tolerance=given.tolerance)
-    result, seconds = timed(problem, time_limit=given.seconds, **({} if sequence is None else {"start": sequence}))
+    _, cost, bound, seconds = by_highs(128, 0.0, False, limit)
+    table.add_row(*row("the same, HiGHS", None, cost, bound, seconds))
+    sequence, cost, bound, seconds = by_highs(128, tolerance, True, limit)
+    table.add_row(*row(f"whole samples, tolerance {tolerance:g}, HiGHS", None, cost, bound, seconds))
+    problem = lfo.library.pulse_pattern(samples=128, tolerance=tolerance)
+    result, seconds = timed(problem, time_limit=limit, **({} if sequence is None else {"start": sequence}))
     cost = np.inf if result.cost is None else result.cost
-    line("the same, ours from that point", result, cost, result.lower_bound or -np.inf, seconds)
+    table.add_row(*row("the same, ours from that point", result, cost, result.lower_bound or -np.inf, seconds))
+    return failed
+
+
+def patterns(table: Table) -> bool:
+    """Add the rows of optimal pulse patterns, and return whether a published interval is missed."""
+    failed = False
     for modulation, switches, low, high in PATTERNS:
         result, seconds = timed(lfo.library.pulse_pattern("opp", modulation=modulation, switches=switches))
         cost, bound = np.sqrt(result.cost), np.sqrt(result.lower_bound)
-        line(f"distortion, M = {modulation}, k = {switches}, published {low} .. {high}", None, cost, bound, seconds)
+        name = f"distortion, M = {modulation}, k = {switches}, published {low} .. {high}"
+        table.add_row(*row(name, None, cost, bound, seconds))
         failed |= not low <= cost <= high or not low <= bound
-    return int(failed)
+    return failed
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Time of a step of a control loop, beside the program that users write: CVXPY with a parameter for the state.
 
     python scripts/benchmark_loop.py [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 30]
+                                     [--write]
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
 not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
@@ -12,16 +13,15 @@ A cart-pole between soft walls instead: each step from the tree of the step befo
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
+import benchmark_record
 import cvxpy as cp
 import numpy as np
 from loop_cases import cart_pole, pendulum, soft_pendulum
-from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -32,9 +32,6 @@ NOISE = 1e-3
 
 CART_POLE_NOISE = 3e-3
 """The same, of the cart-pole (Marcucci and Tedrake 2021)."""
-
-WIDTH = 110
-"""Columns of the table, also where it is written into a file."""
 
 CASES = {"free": pendulum, "low pass": partial(pendulum, low_pass=True), "soft bounds": soft_pendulum}
 
@@ -128,30 +125,34 @@ def with_modes(steps: int, seed: int) -> Table:
     return table
 
 
+def linear(horizons: Sequence[int], problems: Sequence[str], steps: int, seed: int) -> Table:
+    """Return a table of the times of all contenders."""
+    table = Table("problem", "contender", title="a step of a control loop, warm")
+    for column in ("ms", "certificate, ms", "gap", "agreement"):
+        table.add_column(column, justify="right")
+    for horizon in horizons:
+        for name in problems:
+            what = f"pendulum, T = {horizon}, {name}"
+            for row in measured(CASES[name](horizon), steps, seed):
+                table.add_row(what, *row)
+                what = ""
+    return table
+
+
 def main() -> int:
     """Measure the steps and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--horizons", type=int, nargs="+", default=[60, 240])
     parser.add_argument("--problems", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--modes", action="store_true")
     options = parser.parse_args()
-    if options.modes:
-        with threadpool_limits(1):
-            Console(width=WIDTH).print(with_modes(options.steps, options.seed))
-        return 0
-    table = Table("problem", "contender", title="a step of a control loop, warm")
-    for column in ("ms", "certificate, ms", "gap", "agreement"):
-        table.add_column(column, justify="right")
-    with threadpool_limits(1):
-        for horizon in options.horizons:
-            for name in options.problems:
-                what = f"pendulum, T = {horizon}, {name}"
-                for row in measured(CASES[name](horizon), options.steps, options.seed):
-                    table.add_row(what, *row)
-                    what = ""
-    Console(width=WIDTH).print(table)
+    with benchmark_record.Record(options.write) as record, threadpool_limits(1):
+        if options.modes:
+            record.show(with_modes(options.steps, options.seed))
+        else:
+            record.show(linear(options.horizons, options.problems, options.steps, options.seed))
     return 0
 
 

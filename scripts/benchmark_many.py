@@ -1,6 +1,6 @@
 """One problem again and again: a thousand initial states at once, and a loop of them one after the other.
 
-    OMP_NUM_THREADS=1 python scripts/benchmark_many.py [--count 1000] [--steps 200] [--repeats 3]
+    OMP_NUM_THREADS=1 python scripts/benchmark_many.py [--count 1000] [--steps 200] [--repeats 3] [--write]
 
 CPU and wall time of ``lfo.solve_many`` with everything in it; CPU time of single steps of ``lfo.Solver``, without the
 certificate, which is timed again by itself. Medians over steps, the least of the repeats.
@@ -8,13 +8,14 @@ certificate, which is timed again by itself. Medians over steps, the least of th
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Sequence
 
+import benchmark_record
 import numpy as np
 from benchmark_cases import MOVES
+from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
@@ -30,8 +31,8 @@ def states(problem: lfo.OptimalControlProblem, count: int, scale: float) -> np.n
     return problem.initial_state.lower + scale * np.array(MOVES) * moves
 
 
-def many(count: int, repeats: int) -> None:
-    """Print the time of many states at once."""
+def many(count: int, repeats: int) -> str:
+    """Return a sentence on the time of many states at once."""
     problem = lfo.library.pendulum()
     given, least = states(problem, count, 1.0), np.full(2, np.inf)
     for _ in range(repeats):
@@ -39,15 +40,14 @@ def many(count: int, repeats: int) -> None:
         found = lfo.solve_many(problem, given)
         least = np.minimum(least, np.array([time.process_time(), time.perf_counter()]) - clocks)
     ended = ", ".join(f"{number} {status}" for status, number in Counter(found.statuses).items())
-    print(
-        f"{count} states, T = {problem.horizon}: {least[0]:.2f} s of CPU, {least[1]:.2f} s of wall time; {ended}; ",
-        end="",
+    return (
+        f"{count} states, T = {problem.horizon}: {least[0]:.2f} s of CPU, {least[1]:.2f} s of wall time; {ended}; "
+        f"{'all' if found.proven else 'not all'} proven, largest gap {np.nanmax(found.gaps):.0e}."
     )
-    print(f"{'all' if found.proven else 'not all'} proven, largest gap {np.nanmax(found.gaps):.0e}")
 
 
-def loop(horizon: int, method: str, steps: int, repeats: int) -> None:
-    """Print the times of steps from disturbed states, by one method."""
+def loop(horizon: int, method: str, steps: int, repeats: int) -> list[str]:
+    """Return a row of the times of steps from disturbed states, by one method."""
     problem = lfo.library.pendulum(horizon=horizon, sampling_time=2.4 / horizon)
     given, least = states(problem, steps, DISTURBED), np.full((2, steps), np.inf)
     for _ in range(repeats):
@@ -64,21 +64,24 @@ def loop(horizon: int, method: str, steps: int, repeats: int) -> None:
         least = np.minimum(least, np.array(seconds).T)
     solve, certify = 1e3 * np.median(least, axis=1)
     slowest = 1e3 * least[0].max()
-    print(f"T = {horizon}, {method}: {solve:.2f} ms a step (slowest {slowest:.1f}), certificate {certify:.2f} ms")
+    return [str(horizon), method, f"{solve:.2f}", f"{slowest:.1f}", f"{certify:.2f}"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print all figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=3)
     given = parser.parse_args(arguments)
-    with threadpool_limits(1):
-        many(given.count, given.repeats)
+    table = Table("T", "method", "a step [ms]", "slowest [ms]", "certificate [ms]", title="a loop of disturbed states")
+    with benchmark_record.Record(given.write) as record, threadpool_limits(1):
+        record.show(many(given.count, given.repeats))
         for method in METHODS:
+            steps = given.steps if method == "spectral" else given.steps // 5
             for horizon in HORIZONS:
-                loop(horizon, method, given.steps if method == "spectral" else given.steps // 5, given.repeats)
+                table.add_row(*loop(horizon, method, steps, given.repeats))
+        record.show(table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Minimum time: gradient pulses, each with its least number of samples, what is proven, and how long it took.
 
-    OMP_NUM_THREADS=1 python scripts/benchmark_minimum_time.py [--repeats 3]
+    OMP_NUM_THREADS=1 python scripts/benchmark_minimum_time.py [--repeats 3] [--write]
 
 CPU and wall time of ``lfo.minimum_time`` with the check of the conditions and the optimum, the least of the repeats.
 Fails if the published pulse has not 132 samples, or 131 are not proven infeasible.
@@ -8,12 +8,13 @@ Fails if the published pulse has not 132 samples, or 131 are not proven infeasib
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
 from functools import partial
 
+import benchmark_record
+from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
@@ -44,22 +45,22 @@ def timed(
 
 
 def main() -> int:
-    """Print a line of each case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Print a row of each case."""
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--repeats", type=int, default=3)
-    repeats, failed = parser.parse_args().repeats, False
-    print("| pulse | range | least | solves | CPU | wall |\n|---|---|---|---|---|---|")
-    for name, (source, horizons, published) in CASES.items():
-        found, cpu, wall = timed(source, horizons)
-        for _ in range(repeats - 1):
-            _, *again = timed(source, horizons)
-            cpu, wall = min(cpu, again[0]), min(wall, again[1])
-        low, high = horizons
-        print(
-            f"| {name} | {low} .. {high} | {found.horizon} | {len(found.verdicts)} | {cpu:.2f} s | {wall:.2f} s |",
-            flush=True,
-        )
-        failed |= not found.proven or found.ray is None or published not in (None, found.horizon)
+    given, failed = parser.parse_args(), False
+    table = Table("pulse", "range", "least", "solves", "CPU", "wall")
+    with benchmark_record.Record(given.write) as record:
+        for name, (source, horizons, published) in CASES.items():
+            found, cpu, wall = timed(source, horizons)
+            for _ in range(given.repeats - 1):
+                _, *again = timed(source, horizons)
+                cpu, wall = min(cpu, again[0]), min(wall, again[1])
+            low, high = horizons
+            times = f"{cpu:.2f} s", f"{wall:.2f} s"
+            table.add_row(name, f"{low} .. {high}", str(found.horizon), str(len(found.verdicts)), *times)
+            failed |= not found.proven or found.ray is None or published not in (None, found.horizon)
+        record.show(table)
     return int(failed)
 
 

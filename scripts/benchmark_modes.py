@@ -1,6 +1,7 @@
 """Time mode searches beside a mixed-integer solver on one monolithic big-M program. About 5 minutes.
 
     python scripts/benchmark_modes.py [--case buck-15] [--contender big-M+daqp] [--limit-s 60] [--gap 1e-6] [--long]
+                                      [--write]
     python scripts/benchmark_modes.py --relaxations | --nodes | --layers
     python scripts/benchmark_modes.py --list
 
@@ -26,16 +27,15 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # for helpers.checks, which the tests run, too
 
+import benchmark_record
 import cvxpy as cp
 import numpy as np
-from benchmark import duration, machine
+from benchmark import duration
 from benchmark_nodes import layers, nodes
-from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 from weaker_relaxations import RELAXATIONS
@@ -290,7 +290,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
 
 def parsed() -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--case", action="append", choices=[*CASES, *LONG], help="repeatable; default: horizons to 20")
     parser.add_argument("--contender", action="append", choices=list(CONTENDERS), help="repeatable; default: all")
     parser.add_argument("--limit-s", type=float, default=LIMIT, metavar="SECONDS")
@@ -305,29 +305,25 @@ def parsed() -> argparse.Namespace:
 
 def main() -> None:
     """Run what the options ask for, and print the tables."""
-    options, console = parsed(), Console()
-    if not console.is_terminal:
-        console.width = 150
+    options = parsed()
     names = options.contender or list(CONTENDERS)
     if options.list:
-        console.print("cases:", *CASES, "\n--long:", *LONG, "\ncontenders:", *CONTENDERS)
+        print("cases:", *CASES, "\n--long:", *LONG, "\ncontenders:", *CONTENDERS)
         return
     known = CASES | LONG
     cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
-    console.print(machine(), highlight=False)
-    console.print(", ".join(f"{name} {version(name)}" for name in ("pyscipopt", "daqp")), highlight=False)
     if compiled_is_there():
         from lin_freq_ocp.methods.structured.kkt.compiled import paths
 
         paths.KERNELS.prepare()
-    with threadpool_limits(1):
+    with benchmark_record.Record(options.write) as record, threadpool_limits(1):
         if options.relaxations:
-            console.print(relaxations(cases, options.limit_s, options.gap))
+            record.show(relaxations(cases, options.limit_s, options.gap))
         if options.nodes:
             both = {f"{short}-{T}": _case(name, T) for short, name in SYSTEMS.items() for T in (20, 40)}
-            console.print(nodes(both))
+            record.show(nodes(both))
         if options.layers:
-            console.print(layers(cases, options.limit_s, options.gap))
+            record.show(layers(cases, options.limit_s, options.gap))
         if options.relaxations or options.nodes or options.layers:
             return
         small = lfo.library.switched_rotation(horizon=3, initial_state=(-6, 7), terminal_cost=True)
@@ -335,7 +331,7 @@ def main() -> None:
             CONTENDERS[name](small, options.limit_s, options.gap)
         for case, build in cases.items():
             rows = [row_of(case, name, build(), options.limit_s, options.gap) for name in names]
-            console.print(table_of(case, judged(rows, options.gap)))
+            record.show(table_of(case, judged(rows, options.gap)))
 
 
 if __name__ == "__main__":

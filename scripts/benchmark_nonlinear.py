@@ -1,6 +1,6 @@
 """Smooth dynamics against CasADi and IPOPT in one run: the same problems from the same starts.
 
-    OMP_NUM_THREADS=1 python scripts/benchmark_nonlinear.py [--cases NAME ...] [--repeats N] [--plain]
+    OMP_NUM_THREADS=1 python scripts/benchmark_nonlinear.py [--cases NAME ...] [--repeats N] [--plain] [--write]
 
 From each of two trajectories of constant controls, processor seconds of one local optimum: ours, the model's set-up
 included, and IPOPT's, its own set-up and the construction of its program left out. Each is the least of N. Beside them:
@@ -10,14 +10,13 @@ starts and the judge included. IPOPT has exact derivatives by CasADi and the lin
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TypeVar
 
+import benchmark_record
 from nonlinear_program import solved_by_ipopt
-from rich.console import Console
 from rich.table import Table
 
 import lin_freq_ocp as lfo
@@ -95,7 +94,7 @@ def rows(name: str, repeats: int, compiled: bool | None) -> Iterator[list[str]]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description="Smooth dynamics against IPOPT.")
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--plain", action="store_true", help="The loops by NumPy and LAPACK.")
@@ -105,10 +104,11 @@ def main() -> None:
     for heading in ("ours", "steps", "IPOPT", "steps", "cost", "IPOPT's, relative", "worst", "solve"):
         table.add_column(heading, justify="right")
     loops(compiled)  # compiled before anything is timed
-    for name in arguments.cases:
-        for cells in rows(name, arguments.repeats, compiled):
-            table.add_row(*cells)
-    Console(width=150).print(table)
+    with benchmark_record.Record(arguments.write) as record:
+        for name in arguments.cases:
+            for cells in rows(name, arguments.repeats, compiled):
+                table.add_row(*cells)
+        record.show(table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Shortest moves of a printer's axis at the same residual vibration: input shapers, and the proven least horizon.
 
-    python scripts/benchmark_shapers.py
+    python scripts/benchmark_shapers.py [--write]
 
 ``library.printer_move`` (20 mm at 10 m/s^2, samples of 5 ms, a resonance at 20 Hz), for several uncertainties of the
 resonance and limits of its vibration. Shapers and their moves are those of ``lfo.compare``: of every shaper, the
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 
-from rich.console import Console
+import benchmark_record
 from rich.table import Table
 
 import lin_freq_ocp as lfo
@@ -42,12 +42,14 @@ def row(uncertainty: float, limit: float) -> list[str]:
 
 def main() -> None:
     """Print the samples of every move."""
+    given = benchmark_record.parser(__doc__).parse_args()
     table = Table(title="samples of the shortest moves: uncertainty of the resonance, and limit of the vibration")
     for heading in ("+-", "m/s^2", "unshaped", "ZV", "ZVD", "EI", "optimal", "proven", "shorter", "CPU"):
         table.add_column(heading, justify="right")
-    for case in CASES:
-        table.add_row(*row(*case))
-    Console().print(table)
+    with benchmark_record.Record(given.write) as record:
+        for case in CASES:
+            table.add_row(*row(*case))
+        record.show(table)
 
 
 if __name__ == "__main__":

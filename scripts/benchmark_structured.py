@@ -1,7 +1,7 @@
 """The structured interior point against the sparse program for Clarabel, which it replaces: ratios of times in one run.
 
     OMP_NUM_THREADS=1 python scripts/benchmark_structured.py [--cases NAME ...] [--horizons T ...] [--repeats N]
-                                                             [--plain] [--alone] [--layers]
+                                                             [--plain] [--alone] [--layers] [--write]
 
 Every time is that of ``lfo.solve``, judge included, in this process, the least of N; runs alternate. Beside it: the gap
 that the judge proves, and the difference of both costs. --plain: the loops by NumPy and LAPACK as well; --alone:
@@ -16,7 +16,7 @@ import resource
 import time
 from collections.abc import Callable
 
-from rich.console import Console
+import benchmark_record
 from rich.table import Table
 from structured_cases import CASES
 from structured_layers import table_of
@@ -73,7 +73,7 @@ def row(table: Table, name: str, horizon: int, best: dict[str, tuple[float, lfo.
 
 def main() -> None:
     """Run the cases that were asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_record.parser(__doc__)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--horizons", nargs="+", type=int)
     parser.add_argument("--repeats", type=int, default=2)
@@ -83,9 +83,12 @@ def main() -> None:
     given = parser.parse_args()
     for code in (loops, small):  # compiled before the first clock starts
         code.KERNELS.prepare()
-    if given.layers:
-        Console(width=132).print(table_of(given.repeats))
-        return
+    with benchmark_record.Record(given.write) as record:
+        record.show(table_of(given.repeats) if given.layers else compared(given))
+
+
+def compared(given: argparse.Namespace) -> Table:
+    """Return the figures of the cases that were asked for."""
     columns = ["case", "T", "structured [s]", "status", "gap", "convex [s]", "cost", "plain [s]", "cost", "peak [GB]"]
     table = Table(*columns, title="structured interior point: least of all runs, one thread")
     for name in given.cases:
@@ -98,7 +101,7 @@ def main() -> None:
             if given.plain:
                 solves["plain"] = lambda p=problem: by_arrays(p)
             row(table, name, horizon, timed(solves, given.repeats))
-    Console(width=132).print(table)
+    return table
 
 
 if __name__ == "__main__":

@@ -1,15 +1,16 @@
 """Wave energy by a frequency response: absorbed power within force limits, and a long record of irregular waves.
 
-python scripts/benchmark_wave_energy.py [samples]
+python scripts/benchmark_wave_energy.py [samples] [--write]
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 
+import benchmark_record
 import numpy as np
+from rich.table import Table
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.library.waveforms.wave_energy import coefficients_at
@@ -48,19 +49,24 @@ def measured(problem: lfo.OptimalControlProblem) -> tuple[float, float, int, flo
 
 def main() -> None:
     """Print the powers of the regular wave, and those of the long record."""
-    samples = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
-    measured(lfo.library.wave_energy())
-    print("| force limit | power [W] | independent | gap | CPU time |\n|---|---|---|---|---|")
-    for force, power in PUBLISHED.items():
-        found, gap, _, seconds = measured(lfo.library.wave_energy(force=force))
-        limit = "none" if force is None else f"{force:g} N"
-        print(f"| {limit} | {found:.6f} | {power} | {gap:.0e} | {1e3 * seconds:.0f} ms |")
-    print(f"\n{samples} samples of irregular waves:\n")
-    print("| force limit | active samples | power [W] | gap | method and judge |\n|---|---|---|---|---|")
-    for force in LIMITS:
-        found, gap, active, seconds = measured(irregular(samples, force))
-        limit = "none" if np.isinf(force) else f"{force:g} N"
-        print(f"| {limit} | {active} | {found:.6f} | {gap:.0e} | {seconds:.2f} s |")
+    parser = benchmark_record.parser(__doc__)
+    parser.add_argument("samples", type=int, nargs="?", default=100_000)
+    given = parser.parse_args()
+    measured(lfo.library.wave_energy())  # loads what is loaded once
+    with benchmark_record.Record(given.write) as record:
+        table = Table("force limit", "power [W]", "independent", "gap", "CPU", title="a regular wave")
+        for force, power in PUBLISHED.items():
+            found, gap, _, seconds = measured(lfo.library.wave_energy(force=force))
+            limit = "none" if force is None else f"{force:g} N"
+            table.add_row(limit, f"{found:.6f}", str(power), f"{gap:.0e}", f"{1e3 * seconds:.0f} ms")
+        record.show(table)
+        title = f"{given.samples} samples of irregular waves"
+        table = Table("force limit", "active samples", "power [W]", "gap", "CPU", title=title)
+        for force in LIMITS:
+            found, gap, active, seconds = measured(irregular(given.samples, force))
+            limit = "none" if np.isinf(force) else f"{force:g} N"
+            table.add_row(limit, str(active), f"{found:.6f}", f"{gap:.0e}", f"{seconds:.2f} s")
+        record.show(table)
 
 
 if __name__ == "__main__":

@@ -4,17 +4,23 @@ Run by .ci/run: python -m pytest -o pythonpath=scripts scripts
 """
 
 import csv
+import os
+import sys
 from dataclasses import replace
 
 import benchmark
 import benchmark_measures
 import benchmark_modes
+import benchmark_record
 import benchmark_resolve
 import numpy as np
 import pytest
 from benchmark_cases import FAMILIES, small
 from benchmark_contenders import CONTENDERS, CvxpyModel, OurResolver
-from benchmark_figure import spread
+from benchmark_figure import draw, spread
+from benchmark_measures import Row
+from benchmark_summary import summary
+from rich.table import Table
 
 import lin_freq_ocp as lfo
 
@@ -108,14 +114,46 @@ def test_a_resolve_answers_for_its_own_initial_state():
     assert lfo.certify(moved, answer.trajectory, answer.multipliers).globally_optimal
 
 
+def test_families_of_several_horizons_and_contenders_are_drawn(tmp_path):
+    rows = [Row("chain", T, name, "optimal", seconds=T / 1e4) for T in (200, 400) for name in ("ours", "osqp")]
+    assert draw(rows, tmp_path / "drawn.png")
+    assert (tmp_path / "drawn.png").stat().st_size > 0
+    assert not draw(rows[:2], tmp_path / "one_horizon.png")
+    assert not draw(rows[::2], tmp_path / "ours_alone.png")
+
+
 def test_labels_are_spread():
     shifted = np.array([0.0, 1.0, 50.0]) + spread(np.array([0.0, 1.0, 50.0]))
     assert np.diff(shifted).min() >= 10
 
 
-def test_the_machine_is_described():
-    assert "one thread" in benchmark.machine()
-    assert f"lin_freq_ocp {lfo.__version__}" in benchmark.machine()
+def test_tables_are_written_with_machine_date_and_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/benchmark_some.py", "--write"])
+    table = Table("|V| [ms]", "gap", "empty", title="some title")
+    table.columns[1].justify = "right"
+    table.add_row("one", "1e-9", "")
+    with benchmark_record.Record("some", tmp_path) as record:
+        record.show(table)
+        record.show("A sentence.")
+    text = (tmp_path / "some.md").read_text()
+    assert "python scripts/benchmark_some.py --write\n" in text
+    assert "**some title**\n\n| \\|V\\| [ms] | gap |\n| --- | ---: |\n| one | 1e-9 |\n\nA sentence." in text
+    assert f"lin_freq_ocp {lfo.__version__}" in text.splitlines()[-1]
+    assert f"{os.cpu_count()} cores" in text.splitlines()[-1]
+
+
+def test_a_run_that_fails_writes_no_table(tmp_path):
+    with pytest.raises(KeyError), benchmark_record.Record("some", tmp_path):
+        raise KeyError
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_summary_has_a_line_for_each_horizon():
+    ours = Row("chain", 100, "ours", "optimal", seconds=0.01, ratio=1.0, gap=1e-9)
+    rows = [ours, Row("chain", 100, "osqp", "limit", ratio=20.3), Row("chain", 200, "ours", "optimal")]
+    first, second = zip(*(column.cells for column in summary(rows).columns), strict=True)
+    assert first[1:] == ("100", "10 ms", "-", "-", "-", "(20 x)", "1e-09", "")
+    assert (first[0], *second[:2]) == (FAMILIES["chain"].words, "", "200")
 
 
 def test_contenders_of_the_benchmark_agree():
