@@ -89,6 +89,19 @@ def of_line(line: dict) -> Iterator[tuple[str, dict]]:
                 yield f"{where} swapped", replaced(replaced(line, path, after), following, value)
 
 
+def added(line: dict, states: int) -> Iterator[tuple[str, dict]]:
+    """Yield a stage of a dual with one field more, of either sign."""
+    for sign in ("", "-") if "z" in line else ():
+        values = [f"{sign}0x1p-2"] * states
+        fields = {"mu": values, "eta": values, "image": {"": values}}
+        fields |= {f"vertex {i}": {f"{i}": values} for i in (0, 1)} | {
+            f"region {k}": {"": values[:1] * k} for k in (1, 2)
+        }
+        for name, value in fields.items():
+            if name.split()[0] not in line:
+                yield f"{name} {sign}added", line | {name.split()[0]: value}
+
+
 def sections(lines: list[str]) -> list[str]:
     """Return the section of each line."""
     found, now = [], "first"
@@ -101,7 +114,9 @@ def sections(lines: list[str]) -> list[str]:
 def of_index(lines: list[str], index: int) -> list[Mutation]:
     """Return every mutation of one line."""
     line, section = lines[index], sections(lines)[index]
-    made = [("dropped", []), ("twice", [line, line]), *((what, [text(new)]) for what, new in of_line(json.loads(line)))]
+    states = max(len(json.loads(one).get("states", ())) for one in lines[:3])
+    changed = [*of_line(json.loads(line)), *added(json.loads(line), states)]
+    made = [("dropped", []), ("twice", [line, line]), *((what, [text(new)]) for what, new in changed)]
     found = [Mutation(what, index + 1, section, [*lines[:index], *new, *lines[index + 1 :]]) for what, new in made]
     if index + 1 < len(lines):
         exchanged = [*lines[:index], lines[index + 1], line, *lines[index + 2 :]]

@@ -64,3 +64,4 @@ def test_an_interval_without_the_optimum_is_found_out():
     for last in ("VERIFIED 1.0000001 2", "VERIFIED 0 0.9999999", "INFEASIBLE"):
         assert truth.denies(hand_proofs.Verdict(0, last))
     assert proofs.Truth(None).denies(right)
+    assert not proofs.Truth(None).denies(hand_proofs.Verdict(0, "VERIFIED 0.5 inf"))

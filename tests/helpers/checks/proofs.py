@@ -6,6 +6,7 @@ printed, and what is printed must hold of the problem that it makes.
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,6 +24,7 @@ from helpers.mutations import Mutation
 from lin_freq_ocp.testing import random_convex, random_kinks, random_mixed
 
 LARGEST = 90  # controls and components of x_0: an exact optimum takes seconds
+NO_CLAIM = '{"section": "claim", "lower": "-inf", "upper": "inf"}\n'
 KINDS_OF_RANDOM = 4  # of which two are convex problems of the same kind
 
 
@@ -37,10 +39,12 @@ class Truth:
         """Return what is wrong with a verdict, empty if nothing is."""
         if verdict.status != 0:
             return ""
-        if (self.ends is None) != (verdict.interval is None):
-            return f"{verdict.last}, but the problem is {'infeasible' if self.ends is None else 'feasible'}"
-        if self.ends is None or verdict.interval is None:
-            return ""
+        if self.ends is None:
+            return (
+                f"{verdict.last}, but nothing is feasible" if verdict.interval and verdict.interval[1] != "inf" else ""
+            )
+        if verdict.interval is None:
+            return f"{verdict.last}, but the optimum is {float(self.ends[1]):.17g}"
         lower, upper = verdict.interval
         if lower != "-inf" and Fraction(lower) > self.ends[1]:
             return f"{verdict.last}, but the optimum is {float(self.ends[1]):.17g}"
@@ -67,8 +71,13 @@ def hash_of(verdict: Verdict) -> str:
 
 
 def wrong_of(mutation: Mutation, truth: Truth, first_hash: str, folder: Path) -> str:
-    """Check a mutated proof; return what is wrong with what the checker says of it, empty if nothing is."""
-    verdict = check("".join(mutation.lines), folder)
+    """Check a mutated proof; return what is wrong with what the checker says of it, empty if nothing is.
+
+    No bound is to be caught by the other one, nor by the claim: mutations are checked without them.
+    """
+    apart = {"nodes": without_point, "dual": without_point, "point": with_a_weak_dual}
+    lines = apart[mutation.section](mutation.lines) if mutation.section in apart else mutation.lines
+    verdict = check("".join(lines), folder)
     if mutation.section != "problem":
         return truth.denies(verdict)
     if verdict.status == 0 and hash_of(verdict) == first_hash:
@@ -77,6 +86,22 @@ def wrong_of(mutation: Mutation, truth: Truth, first_hash: str, folder: Path) ->
         changed = exact_truth("".join(mutation.lines), truth.above_only)
         return changed.denies(verdict) if changed else ""
     return ""
+
+
+def without_point(lines: list[str]) -> list[str]:
+    """Return a proof without its POINT, which claims nothing."""
+    at = {json.loads(line).get("section"): index for index, line in enumerate(lines)}
+    return [*lines[: at["claim"]], NO_CLAIM, *lines[at.get("nodes", at["claim"] + 1) :]]
+
+
+def with_a_weak_dual(lines: list[str]) -> list[str]:
+    """Return a proof that claims nothing, of one dual with its points z alone; trees as they are."""
+    objects = [json.loads(line) for line in lines]
+    if sum(one.get("section") == "dual" for one in objects) != 1:
+        return lines
+    kept = [{"t": one["t"], "z": one["z"]} if "z" in one else one for one in objects]
+    kept = [one for one in kept if not {"signal", "multiplier"} & one.keys()]
+    return [NO_CLAIM if one.get("section") == "claim" else json.dumps(one) + "\n" for one in kept]
 
 
 def written(problem: lfo.OptimalControlProblem, **options: object) -> str:
