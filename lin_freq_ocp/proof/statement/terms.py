@@ -10,9 +10,9 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.proof.functions import function_of
 from lin_freq_ocp.proof.lines import encoded, line
-from lin_freq_ocp.proof.values import Sizes, signal_text, written_multipliers, written_values
+from lin_freq_ocp.proof.statement.functions import function_of
+from lin_freq_ocp.proof.statement.values import Sizes, signal_text, written_multipliers, written_values
 
 
 def term_lines(terms: Sequence[Term], sizes: Sizes) -> Iterator[str]:

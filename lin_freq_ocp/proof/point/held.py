@@ -14,7 +14,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.growth import growth, precision
+from lin_freq_ocp.proof.dual.growth import growth, precision
 
 LEAST_GROWTH = 20.0  # of rounding errors in bits below which they need no feedback; units of states may make 10
 

@@ -8,9 +8,9 @@ from flint import arb, arb_mat
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.proof.adjoint import Balls
-from lin_freq_ocp.proof.multipliers import DualPoint
-from lin_freq_ocp.proof.statement import joined
+from lin_freq_ocp.proof.dual.adjoint import Balls
+from lin_freq_ocp.proof.dual.multipliers import DualPoint
+from lin_freq_ocp.proof.statement.problem import joined
 
 
 def exact_slopes(problem: OptimalControlProblem, point: DualPoint) -> list[Balls]:

@@ -11,10 +11,10 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.held import needs_feedback, with_feedback
-from lin_freq_ocp.proof.interior import interior
 from lin_freq_ocp.proof.lines import line, rows
-from lin_freq_ocp.proof.room import least_room, share_towards
+from lin_freq_ocp.proof.point.held import needs_feedback, with_feedback
+from lin_freq_ocp.proof.point.interior import interior
+from lin_freq_ocp.proof.point.room import least_room, share_towards
 from lin_freq_ocp.solving.outcome import Outcome
 
 MARGINS = (2.0**-46, 2.0**-40, 2.0**-34, 2.0**-27, 2.0**-20)  # room to limits relative to sizes, tried in turn

@@ -11,11 +11,11 @@ import numpy as np
 from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.proof.adjoint import Recursion, steered
+from lin_freq_ocp.proof.dual.adjoint import Recursion, steered
+from lin_freq_ocp.proof.dual.multipliers import DualPoint, dual_point
+from lin_freq_ocp.proof.dual.slopes import exact_slopes
 from lin_freq_ocp.proof.lines import Text, exact, line, rows
-from lin_freq_ocp.proof.multipliers import DualPoint, dual_point
-from lin_freq_ocp.proof.slopes import exact_slopes
-from lin_freq_ocp.proof.terms import multiplier_lines
+from lin_freq_ocp.proof.statement.terms import multiplier_lines
 
 DRIFT = 1e-6  # of the adjoint by the recursion, relative to its size, above which the file gives the adjoint itself
 

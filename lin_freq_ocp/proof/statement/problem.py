@@ -9,7 +9,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.proof.lines import Value, line
-from lin_freq_ocp.proof.terms import term_lines
+from lin_freq_ocp.proof.statement.terms import term_lines
 
 Parts = Mapping[str, tuple[Array, int]]  # by field: values, constant or one per time, and their dimensions at a time
 

@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.room import least_room
+from lin_freq_ocp.proof.point.room import least_room
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 

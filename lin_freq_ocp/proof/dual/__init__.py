@@ -1,0 +1,1 @@
+"""The section DUAL of a proof for one mode."""

@@ -1,0 +1,1 @@
+"""The section POINT of a proof."""

@@ -1,0 +1,1 @@
+"""The section PROBLEM of a proof."""
