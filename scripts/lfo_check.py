@@ -485,7 +485,8 @@ def charge(gradient, hessian, z, lower, upper):
     right = arb_mat(len(used), 1, bent)
     try:
         solved = arb_mat([[hessian[i, j] for j in used] for i in used]).solve(right) if used else right
-        return found - total((right.transpose() * solved).entries()) / 2
+        by_curvature = found - total((right.transpose() * solved).entries()) / 2
+        return by_curvature.max(found + spared) if spared.is_finite() else by_curvature
     except ZeroDivisionError:  # a singular Hessian
         return found + spared
 

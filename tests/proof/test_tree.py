@@ -83,3 +83,10 @@ def test_a_leaf_that_is_not_proven_is_found():
     spoiled = replace(tree, nodes=tuple(replace(n, proof=None) if k == leaf else n for k, n in enumerate(tree.nodes)))
     with pytest.raises(lfo.errors.SolveError, match="prove nothing"):
         proof_of(replace(result, tree=spoiled))
+
+
+def test_a_hessian_of_rank_one_costs_no_more_than_the_gap():
+    c = np.random.default_rng(1).standard_normal((1, 2))
+    problem = replace(lfo.library.switched_rotation(horizon=6), cost=lfo.QuadraticCost(Q=c.T @ c, R=1.0, P=c.T @ c))
+    proven = lfo.solve(problem).enclosure
+    assert proven.width <= GAP * proven.upper
