@@ -19,31 +19,42 @@ def confirmed(path):
         return [float(one) for one in lfo_check.check(file, lambda text: None)]
 
 
-def masked(**bound):
-    """Return a small problem with a mask on the control."""
+def moved(**changed):
+    """Return a small problem, a move of a unit mass, with other fields."""
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
-    return lfo.OptimalControlProblem(
-        dynamics,
-        24,
-        lfo.QuadraticCost(R=1.0),
-        control_set=lfo.Box(-3.0, 3.0),
-        initial_state=[0.0, 0.0],
-        terminal_state=[1.0, 0.0],
-        control_spectrum=lfo.spectrum.MagnitudeBound(band=lfo.low_pass(0.6), **bound),
-    )
+    fields = {"control_set": lfo.Box(-3.0, 3.0), "initial_state": [0.0, 0.0], "terminal_state": [1.0, 0.0]}
+    return lfo.OptimalControlProblem(dynamics, 24, **({"cost": lfo.QuadraticCost(R=1.0)} | fields | changed))
+
+
+def masked(**bound):
+    """Return a move with a mask on the control."""
+    return moved(control_spectrum=lfo.spectrum.MagnitudeBound(band=lfo.low_pass(0.6), **bound))
+
+
+def windowed(**bound):
+    """Return a move with a mask on windows of the control."""
+    mask = lfo.spectrum.MagnitudeBound(band=lfo.low_pass(1.2), **bound)
+    return moved(control_spectrum=lfo.spectrum.Spectrogram(mask, length=12, hop=5))
+
+
+def summed(penalty=None):
+    """Return a move with an equation over all times."""
+    waves = np.cos(np.arange(24))[:, None, None]
+    return moved(control_spectrum=lfo.spectrum.LinearConstraint(waves, constant=[-0.5], penalty=penalty))
+
+
+def periodic():
+    """Return a periodic motion along a reference."""
+    line = np.column_stack([np.sin(np.arange(25) * np.pi / 12), np.zeros(25)])
+    bounds = {"initial_state": lfo.Box(-5.0, 5.0), "state_set": lfo.Box(-5.0, 5.0)}
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.1, x_ref=line)
+    return moved(terminal_state=lfo.sets.Periodic(), cost=cost, **bounds)
 
 
 def rows(penalty=None):
-    """Return a small problem with joint rows on states and controls, and a norm in its cost."""
-    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
-    return lfo.OptimalControlProblem(
-        dynamics,
-        24,
-        lfo.QuadraticCost(Q=0.01, R=1.0) + lfo.costs.L1Cost(u=0.2),
-        initial_state=[0.0, 0.0],
-        terminal_state=[1.0, 0.0],
-        stage_rows=lfo.StageRows(C=[[0.0, 1.0]], D=[[0.1]], e=[0.6], penalty=penalty),
-    )
+    """Return a move with joint rows on states and controls, and a norm in its cost."""
+    joint = lfo.StageRows(C=[[0.0, 1.0]], D=[[0.1]], e=[0.6], penalty=penalty)
+    return moved(cost=lfo.QuadraticCost(Q=0.01, R=1.0) + lfo.costs.L1Cost(u=0.2), stage_rows=joint, control_set=None)
 
 
 def unstable():
@@ -61,7 +72,17 @@ PROBLEMS = {
     "unstable, without an end": unstable,
     "rows": rows,
     "soft rows": lambda: rows(penalty=0.5),
-    "ball": lambda: lfo.library.quadcopter(horizon=20),
+    "windows": lambda: windowed(limit=0.25),
+    "soft windows": lambda: windowed(limit=0.2, penalty=0.3),
+    "energy": lambda: moved(control_spectrum=lfo.spectrum.EnergyBound(0.5, bins=[0, 9, 10, 11, 12])),
+    "equation over all times": summed,
+    "soft equation": lambda: summed(penalty=0.3),
+    "soft ball": lambda: moved(state_set=lfo.sets.Soft(lfo.sets.Ball(0.9), 0.6)),
+    "output without bins": lambda: moved(
+        output_spectrum=lfo.spectrum.OutputSpectrum([[1.0, 0.0]], [[0.1]], [lfo.spectrum.stop_band(bins=[0, 9, 12])])
+    ),
+    "periodic": periodic,
+    "cones": lambda: lfo.library.quadcopter(horizon=20),
     "bounded slew rate": lambda: lfo.library.mri_gradient(),
 }
 
