@@ -64,4 +64,6 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
     for one in outcomes:
         if not one.passed:
             console.print(f"FAILED seed {one.seed}, {one.kind}: {one.wrong}", markup=False)
+        elif one.width > NARROW and one.kind != "kinks":
+            console.print(f"wide: seed {one.seed}, {one.kind}: {one.last}", markup=False)
     return good and all(one.passed for one in outcomes)

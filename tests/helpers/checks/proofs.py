@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -199,7 +200,8 @@ def random_result(seed: int) -> tuple[str, lfo.results.Result]:
         else:
             kind, problem = random_convex.random_problem(number)
         if problem.state_dim + problem.horizon * problem.control_dim <= LARGEST:
-            with suppress(lfo.errors.UnsupportedError):  # several modes without bounds
+            with suppress(lfo.errors.UnsupportedError), warnings.catch_warnings():  # several modes without bounds
+                warnings.simplefilter("ignore", lfo.errors.BandWarning)
                 return kind, lfo.solve(problem, throw=False)
     raise ValueError(seed)
 
