@@ -42,6 +42,13 @@ class Enclosure:
         """Return upper - lower; 0 without a feasible trajectory."""
         return 0.0 if self.infeasible else self.upper - self.lower
 
+    def __str__(self) -> str:
+        if self.infeasible:
+            return "no trajectory is feasible"
+        if self.upper == np.inf:
+            return f"J* >= {self.lower!r}; no trajectory strictly inside all inequalities was found"
+        return f"{self.lower!r} <= J* <= {self.upper!r}"
+
 
 def require_checker() -> None:
     """Raise MissingExtraError unless the checker and its numbers are installed."""

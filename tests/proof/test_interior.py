@@ -51,4 +51,5 @@ def test_without_an_interior_there_is_none():
     result = lfo.solve(problem)
     assert interior(result, problem, result.trajectory) is None
     assert result.enclosure.upper == np.inf
+    assert "no trajectory strictly inside" in str(result.enclosure)
     assert 2.0 - 1e-6 < result.enclosure.lower <= 2.0

@@ -103,6 +103,7 @@ def test_the_interval_is_narrow_and_the_file_proves_it(name, tmp_path):
 def test_an_infeasible_problem_is_proven_so(tmp_path):
     result = lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3), throw=False)
     assert result.enclosure.infeasible
+    assert str(result.enclosure) == "no trajectory is feasible"
     path = tmp_path / "run.proof"
     result.write_proof(path)
     assert confirmed(path) == [np.inf, np.inf]
