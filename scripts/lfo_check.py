@@ -12,7 +12,11 @@ import sys
 from collections import Counter
 from decimal import MAX_EMAX, MIN_EMIN, ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
-from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
+try:
+    from flint import acb, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq
+except ModuleNotFoundError:
+    print("lfo_check needs python-flint; install it with: pip install python-flint", file=sys.stderr)
+    raise SystemExit(2) from None
 
 LONGEST_LINE, MOST_STAGES, MOST_BITS, MOST_GENERATORS, HALVINGS = 2**28, 10**6, 100_000, 500, 60
 TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
@@ -645,6 +649,9 @@ def decimal(exact, rounding):
 
 def main():
     """Check the file that is named on the command line."""
+    if len(sys.argv) != 2 or sys.argv[1] in ("-h", "--help"):
+        print(__doc__)
+        return 0 if len(sys.argv) == 2 else 2
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -654,7 +661,7 @@ def main():
     except Failed as failed:
         print(f"FAILED {failed}")
         return 1
-    except (OSError, ValueError, IndexError) as error:
+    except (OSError, ValueError) as error:
         print(f"lfo_check.py FILE: {error}", file=sys.stderr)
         return 2
     print("INFEASIBLE" if lower == INFINITY else interval)

@@ -29,7 +29,7 @@ TERMS = ("terms", "sets", "costs", "spectrum")
 """Folders of problem/ whose classes are terms of a problem."""
 
 LIMITS = {
-    "lines": 60_000,
+    "lines": 62_000,
     "files in a folder": 12,
     "lines of a file": 400,
     "lines of a function": 50,

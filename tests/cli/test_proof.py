@@ -3,6 +3,7 @@
 import sys
 
 import lfo_check
+import pytest
 
 from helpers.command_line import run
 
@@ -33,3 +34,10 @@ def test_what_cannot_be_proven_is_said(tmp_path):
     assert status == 2
     assert "residual vibration" in err
     assert not file.exists()
+
+
+@pytest.mark.parametrize(("arguments", "status"), [([], 2), (["--help"], 0), (["one", "two"], 2)])
+def test_without_a_file_the_checker_says_how_it_is_used(arguments, status, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["lfo-check", *arguments])
+    assert lfo_check.main() == status
+    assert "lfo_check.py FILE" in capsys.readouterr().out
