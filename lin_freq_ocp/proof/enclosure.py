@@ -52,8 +52,8 @@ class Enclosure:
 
 def require_checker() -> None:
     """Raise MissingExtraError unless the checker and its numbers are installed."""
-    for package in ("flint", "lfo_check"):
-        if find_spec(package) is None:
+    for module, name in (("flint", "python-flint"), ("lfo_check", "the module lfo_check")):
+        if find_spec(module) is None:
             raise MissingExtraError(
-                f"proofs need {package}, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
+                f"proofs need {name}, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
             )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
+import lfo_check
 import numpy as np
 import pytest
 
@@ -186,9 +188,12 @@ def test_the_commands_of_the_readme_do_what_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     block = text.split("## From the command line")[1].split("```sh\n")[1].split("```")[0]
-    lines = [shlex.split(line, comments=True)[1:] for line in block.splitlines()]
-    assert {"list", "show", "solve", "certify", "rerun", "init"} <= {line[0] for line in lines}
-    for line in lines:
-        if line[0] not in ("compare", "sweep", "explore"):
+    lines = [shlex.split(line, comments=True) for line in block.splitlines()]
+    assert {"list", "show", "solve", "certify", "rerun", "init"} <= {line[1] for line in lines}
+    for command, *line in lines:
+        if command == "lfo-check":
+            monkeypatch.setattr(sys, "argv", [command, *line])
+            assert lfo_check.main() == 0
+        elif line[0] not in ("compare", "sweep", "explore"):
             assert (line, run(*line)[0]) == (line, 0)
     assert {"run.png", "run.csv", "run.npz", "run.zip", "my_problem.toml"} <= {one.name for one in tmp_path.iterdir()}
