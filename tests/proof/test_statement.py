@@ -117,7 +117,7 @@ def test_masks_have_their_bins_and_limits():
 
 def test_what_the_format_does_not_hold_is_refused_by_its_field():
     problem = lfo.library.norm_dynamics()
-    with pytest.raises(lfo.errors.UnsupportedError, match="dynamics: got"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="a proof states linear or piecewise-affine"):
         stated(problem)
 
 

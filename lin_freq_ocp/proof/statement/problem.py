@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.proof.lines import Value, line
 from lin_freq_ocp.proof.statement.terms import term_lines
@@ -16,7 +17,11 @@ Parts = Mapping[str, tuple[Array, int]]  # by field: values, constant or one per
 
 def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
     """Yield the section PROBLEM; UnsupportedError, naming the field, if the format does not hold something."""
-    modes = _modes(problem)
+    try:
+        modes = _modes(problem)
+    except UnsupportedError:
+        got = type(problem.dynamics).__name__
+        raise UnsupportedError(f"dynamics: got {got}; a proof states linear or piecewise-affine dynamics.") from None
     yield line(
         section="problem",
         name=problem.name,
