@@ -76,6 +76,18 @@ def test_modes_that_no_child_keeps_are_leaves_of_their_own():
             assert set(np.flatnonzero(node.stages[times.pop()].modes).tolist()) <= set.union(*kept)
 
 
+def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():
+    result = lfo.solve(lfo.library.cart_between_walls())
+    tree = result.tree
+    empty = next(k for k, node in enumerate(tree.nodes) if node.proof is None and np.isinf(node.bound))
+    assert not any(node.parent == empty for node in tree.nodes)
+    rest = (node for k, node in enumerate(tree.nodes) if k != empty)
+    without = replace(tree, nodes=tuple(replace(one, parent=one.parent - (one.parent > empty)) for one in rest))
+    proof, found = proof_of(replace(result, tree=without))
+    assert len(proof.dual.nodes) == len(tree.nodes)
+    assert found.width <= GAP * found.upper
+
+
 def test_a_leaf_that_is_not_proven_is_found():
     result = lfo.solve(lfo.library.buck_affine(horizon=6))
     tree = result.tree
