@@ -89,6 +89,17 @@ def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
+def with_products(values: ArrayLike, *products: tuple[Array, Array]) -> Array:
+    """Return values + matrix @ vector + ..., rounded once: large terms cancel in extended precision.
+
+    values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
+    """
+    total = extended(values)
+    for matrix, vector in products:
+        total = total + extended(matrix) @ extended(vector)
+    return frozen(total.astype(np.float64))
+
+
 def with_columns(array: Array, columns: int) -> Array:
     """Return the array with so many zeros more along its last axis."""
     return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)

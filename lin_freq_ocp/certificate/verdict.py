@@ -160,6 +160,11 @@ class Certificate:
         pmp = self.pmp if self.pmp == "not_applicable" else _principle(conditions)
         return replace(self, conditions=conditions, pmp=pmp)
 
+    def raised(self, constant: float) -> Certificate:
+        """Return the certificate of the same trajectory for a cost that is higher by a constant."""
+        bound = None if self.bound is None else replace(self.bound, value=self.bound.value + constant)
+        return replace(self, cost=self.cost + constant, bound=bound)
+
     def status_within(self, gap: float) -> Status:
         """Return OPTIMAL, as ``proven_within`` says, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,7 @@ class ProblemData:
     stage_rows: tuple[StageRows, ...]
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
+    origin: Array | None = field(compare=False)
 
     @property
     def state_dim(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.analysis.peaks import peak_points
 from lin_freq_ocp.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
@@ -16,6 +17,7 @@ from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.translation import translation_of
 from lin_freq_ocp.solving.certify_modes import certify_modes
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 
@@ -83,6 +85,19 @@ def certify(
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
+    translation = translation_of(problem)
+    at = translation.translated(trajectory)
+    return _certified(translation.problem, at, multipliers, tree, allowed).raised(translation.cost)
+
+
+def _certified(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers | None,
+    tree: ModeTree | None,
+    allowed: float,
+) -> Certificate:
+    """Judge a trajectory with given multipliers, or with those that fit best."""
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
         return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))

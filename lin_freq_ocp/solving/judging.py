@@ -23,6 +23,11 @@ DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the 
 LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
 
 
+def allowed_residual(tolerance: float | None) -> float:
+    """Return the tolerance of the judge's conditions that a tolerance of solve asks for."""
+    return min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
+
+
 def judged(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
@@ -30,7 +35,7 @@ def judged(
     clock = time.perf_counter()
     status, message, certificate = Status(candidate.status), candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
-        allowed = min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
+        allowed = allowed_residual(tolerance)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
         if not candidate.interrupted:
             status, message = _verified(status, message, certificate, allowed)

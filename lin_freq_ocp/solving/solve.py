@@ -12,11 +12,12 @@ from lin_freq_ocp.backends.base import names
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of
-from lin_freq_ocp.solving.every_frequency import solved_by
+from lin_freq_ocp.problem.translation import translation_of
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.judging import with_few_fractional
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.translated import solve_translated
 
 
 def solve_judged(
@@ -40,7 +41,8 @@ def solve_judged(
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     request = Request(np.inf if time_limit is None else time_limit, progress, begin)
-    outcome = solved_by(found, problem, request, tolerance or getattr(found, "tolerance", None))
+    allowed = tolerance or getattr(found, "tolerance", None)
+    outcome = solve_translated(found, translation_of(problem), request, allowed)
     outcome = with_few_fractional(outcome, tolerance)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})

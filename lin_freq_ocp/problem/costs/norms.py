@@ -62,6 +62,9 @@ class _NormCost(NonsmoothCost):
         )
         return type(self)(x, self.u, terminal, x_ref, self.u_ref)
 
+    def translated(self, origin: Array) -> Self:
+        return type(self)(self.x, self.u, self.terminal, self.x_ref - origin, self.u_ref)
+
     def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask]:
         weights, reference = (self.x, self.x_ref) if is_state else (self.u, self.u_ref)
         end = [_component(self.terminal, index) != 0] if is_state else []

@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -44,6 +44,12 @@ class Cost(ABC):
         complete = CostSum(list(self.norms))
         assign(complete, smooth=self.quadratic.at_dimensions(n, m, horizon))
         return complete
+
+    def translated(self, origin: Array) -> Cost | None:
+        """Return the cost of x - origin, origin (n,), less a constant; None if a part of it says nothing of that."""
+        norms = [norm.translated(origin) for norm in self.norms]
+        found = [norm for norm in norms if norm is not None]
+        return CostSum([self.quadratic.translated(origin), *found]) if len(found) == len(norms) else None
 
     def terms(self, n: int, m: int, horizon: int) -> list[Term]:
         """Return the nonsmooth terms."""
@@ -86,6 +92,9 @@ class NonsmoothCost(Cost):
     @abstractmethod
     def extended(self, n: int, k: int) -> NonsmoothCost:
         """Return the cost of (x, w), w in R^k without cost."""
+
+    def translated(self, origin: Array) -> NonsmoothCost | None:
+        return None
 
     def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask] | None:
         """Return the references of states or controls, and when the deviation of a component counts; None without."""
@@ -233,6 +242,16 @@ class QuadraticCost(Cost):
             x_ref=reference("x_ref", n, T + 1),
             u_ref=reference("u_ref", m, T),
         )
+
+    @property
+    def weighs(self) -> Mask:
+        """Return which states cost something by their deviation from the reference, (n,)."""
+        n = len(self.P)
+        rows = np.concatenate([part.reshape(-1, n, part.shape[-1]) for part in (self.Q, self.S, self.P)], axis=-1)
+        return np.asarray(rows.any(axis=(0, 2)))
+
+    def translated(self, origin: Array) -> QuadraticCost:
+        return replace(self, x_ref=np.where(self.weighs, self.x_ref - origin, 0.0))
 
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""

@@ -65,6 +65,11 @@ class AffineMode:
             linear = LinearDynamics(A, B, offset)
         assign(self, linear=linear, region=_region(G, H, h, linear.state_dim, linear.control_dim), name=name)
 
+    def translated(self, origin: Array) -> AffineMode:
+        """Return the mode of x - origin, origin (n,)."""
+        linear, region = self.linear.translated(origin), self.region.translated(origin)
+        return AffineMode(linear.A, linear.B, linear.offset, region.C, region.D, region.e, self.name)
+
     @property
     def everywhere(self) -> bool:
         """Whether no row of the region limits anything."""

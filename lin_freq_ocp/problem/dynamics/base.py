@@ -123,6 +123,10 @@ class Dynamics(ABC):
         """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
         return self.standard_form.active_kinks(x, u)
 
+    def translated(self, origin: Array) -> Dynamics | None:
+        """Return the dynamics of x - origin, origin (n,); None where they are stated about zero."""
+        return self.standard_form.translated(origin)
+
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
         return self.standard_form.augmented(A, B, names, horizon)
@@ -160,6 +164,10 @@ class StandardDynamics(Dynamics):
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return ``gains``, which are the same along all trajectories."""
         return self.gains()
+
+    def translated(self, origin: Array) -> Dynamics | None:
+        """Return None."""
+        return None
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return zeros (T,): there is one mode."""

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from lin_freq_ocp.arrays import Array, assign, positive_number, real_array, times_vectors, with_columns, with_rows
+from lin_freq_ocp.arrays import (
+    Array,
+    assign,
+    extended,
+    positive_number,
+    real_array,
+    times_vectors,
+    with_columns,
+    with_products,
+    with_rows,
+)
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
@@ -270,6 +280,10 @@ class LinearDynamics(StateEquations):
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
         """Return these dynamics."""
         return self
+
+    def translated(self, origin: Array) -> LinearDynamics:
+        """Return the dynamics of x - origin, whose offset is A origin + d - origin."""
+        return replace(self, offset=with_products(extended(self.offset) - origin, (self.A, origin)))
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""

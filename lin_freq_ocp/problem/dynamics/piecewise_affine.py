@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -289,6 +289,10 @@ class PiecewiseAffineDynamics(StandardDynamics):
             G = with_columns(region.C, len(A))
             modes.append(AffineMode(map_.A, map_.B, map_.offset, G, region.D, region.e, mode.name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, [*self.state_names, *names], self.control_names)
+
+    def translated(self, origin: Array) -> PiecewiseAffineDynamics:
+        """Return the dynamics of x - origin, with the same modes."""
+        return replace(self, modes=[mode.translated(origin) for mode in self.modes])
 
     def averaged(self, weights: Array) -> LinearDynamics:
         """Return sum_i alpha_{t,i} (A_i, B_i, d_i), the element of Clarke's Jacobian with the weights (T, modes)."""

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.terms.ends_map import Link
 from lin_freq_ocp.problem.terms.penalty import Penalty
@@ -39,6 +39,11 @@ class Part:
     def values(self, v: Array) -> Array:
         """Return F v + c for points (points, n)."""
         return v @ self.F.T + self.c
+
+    def translated(self, origin: Array) -> Part:
+        """Return the part of v - origin, origin (n,)."""
+        c, penalty = self.penalty.absorbing(with_products(self.c, (self.F, origin)))
+        return Part(self.F, c, penalty)
 
 
 class ConvexSet(ABC):
@@ -105,6 +110,13 @@ class ConvexSet(ABC):
         parts = tuple(Part(part.F, *part.penalty.widened(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
+    def translated(self, origin: Array) -> ConvexSet:
+        """Return the set of v - origin for v in this set, origin (n,)."""
+        n, (lower, upper) = len(origin), self.bounds
+        parts = tuple(part.translated(origin) for part in self.parts(n))
+        text = self.describe([f"x[{i}]" for i in range(n)], "x")
+        return PartSet(parts, n, text, (lower - origin, upper - origin))
+
     def violation(self, v: Array) -> Array:
         """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
         points = np.asarray(v, dtype=float)
@@ -130,10 +142,15 @@ class PartSet(ConvexSet):
     given: tuple[Part, ...]
     size: int
     text: str
+    box: Bounds = (np.asarray(-np.inf), np.asarray(np.inf))
 
     @property
     def dimension(self) -> int:
         return self.size
+
+    @property
+    def bounds(self) -> Bounds:
+        return self.box
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return self.given
@@ -195,6 +212,9 @@ class Intersection(ConvexSet):
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
         return tuple(link for one in self.sets for link in one.links(dimension, horizon))
+
+    def translated(self, origin: Array) -> Intersection:
+        return Intersection([one.translated(origin) for one in self.sets])
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         text = "; and ".join(one.describe(names, signal) for one in self.sets)

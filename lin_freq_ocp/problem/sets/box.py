@@ -98,6 +98,9 @@ class Box(ConvexSet):
         box, free = self.at_dimension(n, "Box"), np.full(k, np.inf)
         return Box(np.append(box.lower, -free), np.append(box.upper, free))
 
+    def translated(self, origin: Array) -> Box:
+        return Box(self.lower - origin, self.upper - origin)
+
     def at_dimension(self, dimension: int, field: str) -> Box:
         """Return the box with bounds of shape (dimension,) or (times, dimension)."""
         if self.lower.ndim == 0:

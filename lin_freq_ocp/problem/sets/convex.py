@@ -275,6 +275,9 @@ class Soft(ConvexSet):
     def widened(self, amount: float, dimension: int) -> Soft:
         return self
 
+    def translated(self, origin: Array) -> Soft:
+        return Soft(self.soft_set.translated(origin), self.penalty)
+
     def describe(self, names: Sequence[str], signal: str) -> str:
         return f"{self.soft_set.describe(names, signal)}{price(self.penalty)}"
 

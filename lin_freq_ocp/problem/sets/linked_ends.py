@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, real_array, with_columns
+from lin_freq_ocp.arrays import Array, assign, real_array, with_columns, with_products
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.ends_map import EndsMap, Link, Within
@@ -95,6 +95,11 @@ class LinkedEnds(ConvexSet):
         rows = self.values(dimension, 1)
         return self._as(LinkedEnds(rows.E_0, rows.E_T, rows.e), self.reach + amount)
 
+    def translated(self, origin: Array) -> ConvexSet:
+        rows = self.values(len(origin), 1)
+        right = with_products(rows.e, (-rows.E_0, origin), (-rows.E_T, origin))
+        return self._as(LinkedEnds(rows.E_0, rows.E_T, right), self.reach)
+
     def _as(self, links: LinkedEnds, reach: float) -> LinkedEnds:
         assign(links, reach=reach, repeats=self.repeats)
         return links
@@ -136,6 +141,9 @@ class Periodic(LinkedEnds):
 
     def values(self, dimension: int, horizon: int) -> EndsMap:
         return EndsMap(-np.eye(dimension), np.eye(dimension), np.zeros(dimension), horizon)
+
+    def translated(self, origin: Array) -> Periodic:
+        return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         return "x_T = x_0: the trajectory is one period"

@@ -94,6 +94,9 @@ class HalfSpaces(Penalty):
     def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
+    def absorbing(self, c: Array) -> tuple[Array, Penalty]:
+        return np.zeros_like(c), replace(self, limit=(extended(self.limit) - c).astype(np.float64))
+
     def stacked(self, others: list[Any]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))

@@ -159,6 +159,10 @@ class Penalty(ABC):
         """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
+    def absorbing(self, c: Array) -> tuple[Array, Penalty]:
+        """Return the constant of an affine map and a penalty, with as much of the constant in limits as there can be."""
+        return c, self
+
     def stacked(self, others: list[Penalty]) -> Penalty:
         """Return a penalty of several groups, one for each of these, which share its signature."""
         return self

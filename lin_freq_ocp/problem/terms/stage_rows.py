@@ -19,6 +19,7 @@ from lin_freq_ocp.arrays import (
     real_array,
     shaped,
     times_vectors,
+    with_products,
 )
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.text.phrases import AT_MOST, inequalities, plural, price
@@ -113,6 +114,10 @@ class StageRows:
             got = f"a limit below 0 for row {row}{when}, which has no coefficients"
             raise ProblemError(f"{field}.e", got, "a row that can hold")
         return complete
+
+    def translated(self, origin: Array) -> StageRows:
+        """Return the rows of x - origin, origin (n,)."""
+        return StageRows(self.C, self.D, with_products(self.e, (-self.C, origin)), self.name, self.penalty)
 
     @property
     def rows(self) -> int:

@@ -74,6 +74,10 @@ class SwitchedDynamics(Dynamics):
         """Return the controls of a mode sequence, (T, m)."""
         return self.choices[sequence]
 
+    def translated(self, origin: Array) -> SwitchedDynamics:
+        """Return the dynamics of x - origin, with the same levels."""
+        return SwitchedDynamics(self.dynamics.translated(origin), self.control_set)
+
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> SwitchedDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         return SwitchedDynamics(self.dynamics.augmented(A, B, names, horizon), self.control_set)

@@ -1,0 +1,145 @@
+"""States counted from where they move: x = origin + y, and the same problem in y.
+
+A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
+along. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every relative
+tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+FAR = 10.0  # distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
+
+
+@dataclass(frozen=True, eq=False)
+class Translation:
+    """A problem, and the same problem with its states counted from an origin, (n,)."""
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+    origin: Array
+
+    @property
+    def moves(self) -> bool:
+        """Whether the origin is not zero."""
+        return bool(self.origin.any())
+
+    @property
+    def cost(self) -> float:
+        """Return the cost of the given problem less that of the translated one: that of linear terms at the origin."""
+        cost, T = self.given.quadratic, self.given.horizon
+        return float(np.broadcast_to(cost.q, (T, len(self.origin))).sum(0) @ self.origin + cost.p @ self.origin)
+
+    def translated(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the given problem as one of the translated problem."""
+        return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
+
+    def restored(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the translated problem as one of the given problem."""
+        return Trajectory(trajectory.x + self.origin, trajectory.u) if self.moves else trajectory
+
+
+def translation_of(problem: OptimalControlProblem) -> Translation:
+    """Return a problem with its states counted from where they move; itself where they move near zero."""
+    return translated_by(problem, far_origin(problem))
+
+
+def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
+    """Return a problem with its states counted from an origin (n,), where its classes allow that."""
+    dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
+    if not origin.any() or dynamics is None or cost is None:
+        return Translation(problem, problem, np.zeros(problem.state_dim))
+    moved = replace(
+        problem,
+        dynamics=dynamics,
+        cost=cost,
+        state_set=translated_set(problem.state_set, origin),
+        initial_state=problem.initial_state.translated(origin),
+        terminal_state=problem.terminal_state.translated(origin),
+        stage_rows=[rows.translated(origin) for rows in problem.stage_rows],
+        origin=origin if problem.origin is None else problem.origin + origin,
+    )
+    return Translation(problem, moved, origin)
+
+
+def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
+    """Return one set for all times, or one per time, of x - origin."""
+    if isinstance(given, Sequence):
+        return [one.translated(origin) for one in given]
+    return given and given.translated(origin)
+
+
+def far_origin(problem: OptimalControlProblem) -> Array:
+    """Return the origin from which states are to be counted, (n,); zero in components that are near it.
+
+    A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
+    if it lies FAR times farther than these values differ. Spectra of a state that depend on its mean keep its zero.
+    """
+    places = np.array(list(_fixed_places(problem)))
+    known = np.isfinite(places)
+    first = np.argmax(known, axis=0)
+    middle, half = _middle(problem)
+    centre = np.where(known.any(0), np.take_along_axis(places, first[None], axis=0)[0], middle)
+    with np.errstate(invalid="ignore"):
+        highest, lowest = np.where(known, places, -np.inf).max(0), np.where(known, places, np.inf).min(0)
+        spread = np.where(known.any(0), highest - lowest, half)
+        far = np.isfinite(centre) & (np.abs(centre) > FAR * spread)
+    if not far.any():
+        return np.zeros(problem.state_dim)
+    return np.where(far & ~_about_zero(problem), centre, 0.0)
+
+
+def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
+    """Return where the data say that states are, (n,) each, in order of preference; nan where they do not."""
+    n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
+    found = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
+    references = np.broadcast_to(cost.x_ref, (T + 1, n))
+    found += [np.where(cost.weighs, part, np.nan) for part in (references[0], references.max(0), references.min(0))]
+    for norm in problem.cost.norms:
+        for i in range(n):
+            given = norm.references(i, True, T)
+            if given is not None and given[1].any():
+                values = np.broadcast_to(given[0] if given[0].ndim == 0 else given[0][..., i], T + 1)[given[1]]
+                found += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
+    return found
+
+
+def _middle(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return the middle of the first set that bounds a state on both sides, and half its width; nan without any."""
+    boxes = [*problem.ends, Box(problem.state_boxes.lower.max(0), problem.state_boxes.upper.min(0))]
+    middle = half = np.full(problem.state_dim, np.nan)
+    for box in reversed(boxes):
+        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+        lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
+        middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
+    return middle, half
+
+
+def _about_zero(problem: OptimalControlProblem) -> Mask:
+    """Return which states a frequency constraint limits by their distance from zero, (n,)."""
+    n, none = problem.state_dim, np.zeros((problem.horizon, problem.control_dim))
+    found = problem.state_stop[0].copy()
+    rest = np.zeros((problem.horizon + 1, n))
+    for term in problem.terms:
+        if not term.kind.is_spectrum:
+            continue
+        for i in range(n):
+            steady = rest + (np.arange(n) == i)
+            moved = term.map.values(steady, none) - term.map.values(rest, none)
+            sizes = term.map.sizes(steady, none)
+            found[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
+            if term.everywhere is not None:
+                found[i] |= bool(term.everywhere.map.signal(steady, none).any())
+    return found
+
+
+ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
