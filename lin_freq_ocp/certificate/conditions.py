@@ -21,6 +21,7 @@ from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
+    DATA_ROUNDING,
     ENDS_TOLERANCE,
     MAXIMISATION_REACH,
     MISFIT_SHARE,
@@ -63,6 +64,8 @@ class Condition:
         or a vector without components.
     peak : Peak or None
         Of a mask at every frequency: the largest magnitude relative to its limit, with proof.
+    rounding : float
+        Of states: the residual that the rounding of given data explains.
     """
 
     label: str
@@ -73,11 +76,18 @@ class Condition:
     time: int | None = None
     component: int | None = None
     peak: Peak | None = None
+    rounding: float = 0.0
 
     @property
     def passed(self) -> bool:
         """Whether the condition holds; what has overflowed does not."""
         return bool(self.residual <= self.tolerance * self.scale < np.inf)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the residual is rounding, of solvers or of data that does not hide what the component moves."""
+        rounding = self.rounding if self.rounding <= CONDITION_TOLERANCE * self.scale else 0.0
+        return bool(self.residual <= max(DATA_ROUNDING * self.scale, rounding))
 
     def within(self, tolerance: float) -> Condition:
         """Return the condition with another tolerance; exact conditions and that of regions keep theirs."""
@@ -106,7 +116,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
         *hamiltonian_maximum(extremal, least),
         frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
-        membership("S-x", "state in its set", x, problem.state_tube, least.x),
+        _of_states(membership("S-x", "state in its set", x, problem.state_tube, least.x), least),
         membership("S-u", "control in its set", u, problem.control_tube, least.u),
         normal_cone("N-x", "state multiplier in the normal cone", x, mu, problem.state_tube, level, least.x),
         normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
@@ -135,11 +145,16 @@ def non_triviality(extremal: Extremal) -> Condition:
 
 
 def state_equation(problem: OptimalControlProblem, trajectory: Trajectory, least: Floors) -> Condition:
-    """C-iii: x_{t+1} = f_t(x_t, u_t)."""
-    sizes = problem.equations.successor_sizes(trajectory.x, trajectory.u)
-    terms = np.abs(trajectory.x[1:]) + sizes
+    """C-iii: x_{t+1} = f_t(x_t, u_t); compared with what the component moves."""
+    scales = np.maximum(problem.equations.motion_sizes(trajectory.x, trajectory.u), least.x)
     residual = np.abs(state_residual(problem, trajectory))
-    return worst_condition("C-iii", "state equation", residual, _scales(terms, least.x))
+    return _of_states(worst_condition("C-iii", "state equation", residual, scales), least)
+
+
+def _of_states(condition: Condition, least: Floors) -> Condition:
+    """Return a condition of states with what rounding explains in its worst component."""
+    component = condition.component
+    return condition if component is None else replace(condition, rounding=float(least.rounding[component]))
 
 
 def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condition]:

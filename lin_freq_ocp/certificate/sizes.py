@@ -13,10 +13,12 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.tolerances import (
+    CONDITION_TOLERANCE,
     DATA_ROUNDING,
     GAP_TOLERANCE,
     INSIGNIFICANT_GAIN,
     SCALE_FLOOR,
+    STATE_ROUNDING,
     ZERO_COMPONENT,
 )
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
@@ -44,6 +46,7 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     sizes = np.maximum(known, needed)
     caused = gain @ sizes
     most = np.where(caused > 0, caused, needed[:n])
+    most = np.where(anchored[:n], gain[:, n:] @ sizes[n:], most)  # what A makes of large values is no move
     sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
     if alone.any():
@@ -135,7 +138,9 @@ def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Mo
 class Floors:
     """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
 
-    x (n,) and u (m,) are those of states and controls, in_x (n,) and in_u (m,) of multipliers in the adjoint equation
+    x (n,) and u (m,) are those of states and controls, x at least the rounding of states that do not move, over the
+    tolerance; ``rounding`` (n,) is that of states that move, of what A makes of them, and of the coordinates they are
+    given in. in_x (n,) and in_u (m,) of multipliers in the adjoint equation
     and in D_u H, and terms (dim,) of the values of each term. ``level`` is what multipliers times signals are compared
     with: S, but at least SCALE_FLOOR of what a stage costs with states and controls of their natural sizes; for
     eta_C = 0, which has no unit of cost, SCALE_FLOOR of the largest terms of the Hamiltonian.
@@ -147,6 +152,7 @@ class Floors:
     in_x: Array
     in_u: Array
     terms: tuple[Array, ...]
+    rounding: Array
 
 
 def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None) -> Floors:
@@ -166,4 +172,15 @@ def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: f
         priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
-    return Floors(SCALE_FLOOR * x, SCALE_FLOOR * u, level, stage / x, stage / u, terms)
+    rounding = _rounding(extremal)
+    resting = np.abs(extremal.trajectory.x).max(0) <= rounding
+    least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
+    rounding = np.where(resting, 0.0, rounding)
+    return Floors(least, SCALE_FLOOR * u, level, stage / x, stage / u, terms, rounding)
+
+
+def _rounding(extremal: Extremal) -> Array:
+    """Return what rounding of states, in the coordinates that they are given in, makes of the state equations, (n,)."""
+    problem, x = extremal.problem, np.abs(extremal.trajectory.x)
+    given = x if problem.origin is None else x + np.abs(problem.origin)
+    return STATE_ROUNDING * (given.max(0) + problem.equations.successor_sizes(given, extremal.trajectory.u).max(0))

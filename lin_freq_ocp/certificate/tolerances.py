@@ -17,6 +17,8 @@ INSIGNIFICANT_GAIN = 1e-14  # entries of a row of [A, B] below this part of its 
 ZERO_COMPONENT = 1e-20  # components that are nowhere larger are zero, as bounds of 1e20 and more are none
 DATA_ROUNDING = 1e-12  # deviations relative to sizes that solvers and printed data leave: a gap of their cost is none
 
+STATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of x and of A x + B u + d, of what these are made of
+
 # Bounds
 ARITHMETIC_ROUNDING = 16 * float(np.finfo(np.float64).eps)  # of a few operations in double precision, of what they add
 EIGENVALUE_ERROR = 1e-12  # by which a computed smallest eigenvalue of a correlation matrix may be too large

@@ -81,7 +81,8 @@ class Certificate:
     cost_scale : float
         S, the sum of the absolute values of the terms of the cost: what the gap is relative to.
     worth_of_residuals : float
-        Residuals of constraints times their multipliers: to first order, by how much they lower the cost.
+        Residuals of constraints times their multipliers: to first order, by how much they lower the cost. Infinite
+        where all multipliers are zero and residuals are more than rounding: such multipliers price nothing.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
         search over modes may add its own, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
@@ -137,7 +138,12 @@ class Certificate:
     @property
     def feasible(self) -> bool:
         """Whether every constraint of the problem holds within tolerance."""
-        return not any({condition.label, condition.name} & set(FEASIBILITY_LABELS) for condition in self.failed)
+        return not any(_of_feasibility(condition) for condition in self.failed)
+
+    @property
+    def violation(self) -> float:
+        """Return the largest residual of a constraint relative to its scale."""
+        return max(condition.relative for condition in self.conditions if _of_feasibility(condition))
 
     @property
     def globally_optimal(self) -> bool:
@@ -253,11 +259,25 @@ def judge(
             conditions=found.conditions,
             cost=problem.value(trajectory.x, trajectory.u),
             cost_scale=scale,
-            worth_of_residuals=found.cost_of_residuals,
+            worth_of_residuals=np.inf if _unpriced(problem, multipliers, found.conditions) else found.cost_of_residuals,
             bound=bound,
             borders=found.borders,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
+
+
+def _unpriced(problem: OptimalControlProblem, multipliers: Multipliers, conditions: tuple[Condition, ...]) -> bool:
+    """Whether multipliers that are all zero say nothing of what residuals beyond rounding are worth."""
+    parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x
+    if any(part.any() for part in (*parts, *multipliers.stage.values())):
+        return False
+    costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
+    exact = (condition.exact for condition in conditions if _of_feasibility(condition))
+    return not costs_nothing and not all(exact)
+
+
+def _of_feasibility(condition: Condition) -> bool:
+    return bool({condition.label, condition.name} & set(FEASIBILITY_LABELS))
 
 
 def _principle(conditions: tuple[Condition, ...]) -> str:

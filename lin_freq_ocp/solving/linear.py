@@ -32,6 +32,9 @@ SMALL_MARGIN = 1e-5
 """Margin of an infeasibility proof below which rounding of the data may be its reason: the sparse program may find a
 point that satisfies every constraint within the judge's tolerance."""
 
+REPLACED_VIOLATION = 1e-8
+"""Violation, relative to its scale, up to which an answer may replace one with less: what accurate solvers leave."""
+
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
 # Statuses of a first candidate after which the further ones are judged
@@ -249,7 +252,15 @@ def _better(outcome: Outcome, best: Outcome) -> bool:
     """Whether an answer replaces that of a method before it."""
     if best.status == Status.INFEASIBLE and outcome.status == Status.OPTIMAL:
         return True
-    return _rank(outcome) >= _rank(best) and outcome.status != Status.LIMIT and outcome.message != ONLY_PRACTICAL
+    counts = outcome.status != Status.LIMIT and outcome.message != ONLY_PRACTICAL
+    return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
+
+
+def _violates_more(outcome: Outcome, best: Outcome) -> bool:
+    """Whether an answer violates constraints by more, and not by rounding, than a feasible one before it."""
+    if outcome.certificate is None or best.certificate is None or not best.certificate.feasible:
+        return False
+    return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
 
 
 def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
@@ -260,7 +271,7 @@ def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcom
     for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
         if candidate is not None:
             found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
-            if found.status == Status.OPTIMAL:
+            if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
                 return replace(found, seconds=outcome.seconds)
     return outcome
 

@@ -191,7 +191,11 @@ class StateEquations(StandardDynamics):
 
     @abstractmethod
     def successor_sizes(self, x: Array, u: Array) -> Array:
-        """Return what residuals of ``successors`` are relative to, (T, n)."""
+        """Return what rounding errors of ``successors`` are relative to, (T, n)."""
+
+    def motion_sizes(self, x: Array, u: Array) -> Array:
+        """Return how much each state moves, (n,): what residuals count relative to, x (T+1, n) from where it moves."""
+        return np.maximum(np.abs(x).max(0), self.successor_sizes(x, u).max(0))
 
     @abstractmethod
     def pull_back(self, eta: Array) -> tuple[Array, Array]:

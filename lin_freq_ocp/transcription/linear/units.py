@@ -203,8 +203,11 @@ def _capped(reached: Array, tube: Box) -> Array:
 
 def _row_norms(matrix: sp.csc_array) -> Array:
     """Return the Euclidean norms of the rows of a matrix by columns; 1 for rows of zeros, which are in cones only."""
-    norms = np.sqrt(np.bincount(matrix.indices, matrix.data**2, minlength=matrix.shape[0]))
-    return np.where(norms > 0, norms, 1.0)
+    largest = np.zeros(matrix.shape[0])
+    np.maximum.at(largest, matrix.indices, np.abs(matrix.data))
+    largest = np.where(largest > 0, largest, 1.0)  # squares of the largest entries overflow
+    squares = np.bincount(matrix.indices, (matrix.data / largest[matrix.indices]) ** 2, minlength=matrix.shape[0])
+    return largest * np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
 def _scaled(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
