@@ -40,8 +40,8 @@ def solve_translated(
 def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
     """Return an outcome of the translated problem as one of the given problem.
 
-    Its states are rounded to the digits that the given coordinates have, and what was rounded is judged: the certificate
-    is that of the returned trajectory.
+    Its states are rounded to the digits that the given coordinates have. The certificate is that of the rounded
+    trajectory.
     """
     if not translation.moves:
         return outcome
@@ -62,11 +62,7 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
         if found != status:
             status, message = found, _rounded(translation)
     return replace(
-        outcome,
-        trajectory=trajectory,
-        certificate=after.raised(translation.cost),
-        status=status,
-        message=message,
+        outcome, trajectory=trajectory, certificate=after.raised(translation.cost), status=status, message=message
     )
 
 
@@ -85,8 +81,8 @@ def _rounded(translation: Translation) -> str:
     i = int(np.argmax(np.abs(translation.origin)))
     size = float(np.spacing(abs(translation.origin[i])))
     return (
-        f"{translation.given.state_names[i]} lies so far from zero that double precision rounds it by {size:.1e}, which "
-        "is worth more than the gap allows; count it from nearer"
+        f"{translation.given.state_names[i]} lies so far from zero that double precision rounds it by {size:.1e}. "
+        "This rounding is worth more than the gap allows; count it from nearer"
     )
 
 

@@ -63,27 +63,31 @@ def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float
 def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
     """Return what the Fourier-domain method solves at once, if the bound of all proves it, and whether Ctrl-C came."""
     states = [change.initial_state for change in changes.values() if change.references is None]
-    if again.kept is None or not again.spectral or len(states) < len(changes) or states[0] is None:
+    if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
         return {}, False
     if not judged_together(again.problem):
         return {}, False
-    started, starts = time.perf_counter(), np.array(states, dtype=np.float64)
-    found = again.kept.together(starts)
+    started = time.perf_counter()
+    located = again.located(next(iter(changes.values())).of(again.problem))
+    if located.kept is None:
+        return {}, False
+    translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
+    found = located.kept.together(starts)
     which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
     if found is None or not len(which):
         return {}, found is not None and found.interrupted
     signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
-    judged = verdicts(again.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
+    judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
     each, keys = (time.perf_counter() - started) / len(changes), list(changes)
     items = {
         keys[i]: Item(
             status=str(Status.OPTIMAL),
             proven=True,
-            cost=float(judged.costs[k]),
-            lower_bound=float(judged.bounds[k]),
+            cost=float(judged.costs[k]) + translation.cost,
+            lower_bound=float(judged.bounds[k]) + translation.cost,
             gap=float(judged.gaps[k]),
             seconds=each,
-            x=found.x[i],
+            x=found.x[i] + located.origin,
             u=found.u[i],
         )
         for k, i in enumerate(which)
