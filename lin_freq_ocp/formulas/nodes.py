@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import brief, positive_integer, real_array
+from lin_freq_ocp.arrays import Array, brief, positive_integer, real_array
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.formulas.operations import (
     MAXIMUM,
@@ -320,6 +320,12 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
         same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
         made[one] = one if same else _made_anew(one, arguments)
     return [made[one] for one in formulas]
+
+
+def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
+    """Return the formulas as functions of x - origin, origin (n,), and u."""
+    variables = [one for one in in_order(formulas) if one.kind == VARIABLE and one.data[0] < len(origin)]
+    return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
 
 
 def _made_anew(one: Formula, arguments: tuple[Formula, ...]) -> Formula:

@@ -258,6 +258,12 @@ class LinearDynamics(StateEquations):
         """Return the sums of the absolute values of the terms of f_t."""
         return self.magnitudes().successors(np.abs(x), np.abs(u))
 
+    def motion_sizes(self, x: Array, u: Array) -> Array:
+        """Return the largest |x_t|, and what B and d move in a step; not what A makes of large values that cancel."""
+        plain = self.magnitudes()
+        moved = times_vectors(plain.B, np.abs(u)) + plain.offset
+        return np.maximum(np.abs(x).max(0), moved.max(0))
+
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
         return self.magnitudes().pull_back(np.abs(eta))
@@ -282,8 +288,9 @@ class LinearDynamics(StateEquations):
         return self
 
     def translated(self, origin: Array) -> LinearDynamics:
-        """Return the dynamics of x - origin, whose offset is A origin + d - origin."""
-        return replace(self, offset=with_products(extended(self.offset) - origin, (self.A, origin)))
+        """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
+        growth = extended(self.A) - np.eye(self.state_dim)
+        return replace(self, offset=with_products(self.offset, (growth, origin)))
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""

@@ -12,7 +12,7 @@ import numpy as np
 from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, translated
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
@@ -254,6 +254,17 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         slopes = np.nan_to_num(np.abs([one.slopes for one in found.f]), nan=1.0, posinf=1.0).max(axis=(0, 1))
         constant = np.nan_to_num(np.abs([one.values[0] for one in found.f]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
+
+    def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
+        """Return the dynamics of x - origin, with the same modes."""
+        given = [(*mode.f, *mode.region, *mode.domain) for mode in self.modes]
+        found = iter(translated([one for formulas in given for one in formulas], origin))
+        modes = list[SmoothMode]()
+        for mode in self.modes:
+            images = [next(found) - float(value) for value in origin]
+            region, domain = ([next(found) for _ in part] for part in (mode.region, mode.domain))
+            modes.append(SmoothMode(images, region, domain, mode.name))
+        return replace(self, modes=modes)
 
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return the largest derivatives along a trajectory, (n, n) and (n, m), and the largest constants, (n,)."""

@@ -160,7 +160,7 @@ class Penalty(ABC):
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
-        """Return the constant of an affine map and a penalty, with as much of the constant in limits as there can be."""
+        """Return the constant of an affine map and a penalty, limits taking up the constant where they can."""
         return c, self
 
     def stacked(self, others: list[Penalty]) -> Penalty:

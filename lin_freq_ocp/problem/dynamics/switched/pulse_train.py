@@ -19,7 +19,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from lin_freq_ocp.arrays import assign, brief, positive_integer, positive_number
+from lin_freq_ocp.arrays import Array, assign, brief, positive_integer, positive_number
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -73,6 +73,10 @@ class PulseTrain(Dynamics):
     def standard_form(self) -> PiecewiseSmoothDynamics:
         """Return the two modes, up and down."""
         return self._modes
+
+    def translated(self, origin: Array) -> None:
+        """Return None: angles and levels count from zero."""
+        return None
 
     @cached_property
     def _modes(self) -> PiecewiseSmoothDynamics:
