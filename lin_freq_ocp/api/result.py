@@ -164,7 +164,8 @@ class Result(Outcome):
         UnsupportedError
             If the format does not hold a part of the problem; the message names its field.
         SolveError
-            If the solve ended without anything to prove, or its multipliers prove nothing.
+            If the solve ended without anything to prove, its multipliers prove nothing, or the certified cost lies
+            outside of the proven interval (a Hessian that is indefinite by rounding: docs/proof.md).
         ProblemError
             If the file cannot be written.
         """

@@ -63,10 +63,15 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     UnsupportedError
         If the format does not hold the problem.
     SolveError
-        If the outcome has nothing to prove, or its multipliers prove nothing.
+        If the outcome has nothing to prove, its multipliers prove nothing, or its cost lies outside of what is proven.
     """
-    if outcome.tree is not None:
-        return _of_tree(outcome, outcome.tree)
+    proof, enclosure = _of_linear(outcome) if outcome.tree is None else _of_tree(outcome, outcome.tree)
+    _require_cost(outcome, enclosure)
+    return proof, enclosure
+
+
+def _of_linear(outcome: Outcome) -> tuple[Proof, Enclosure]:
+    """Return a proof of an answer for linear dynamics, with a point if the checker accepts one."""
     bare, at = _without_point(outcome)
     found = None if outcome.ray is not None else _with_point(bare, outcome, at)
     proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
@@ -136,6 +141,21 @@ def _confirmed(proof: Proof, outcome: Outcome) -> Enclosure:
         return checked(proof.lines())
     except Failed as failed:
         raise SolveError(f"The multipliers prove nothing ({failed}).", outcome) from failed
+
+
+def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
+    """Raise SolveError unless the certified cost lies in a proven interval, up to the gap that certificates allow."""
+    certificate = outcome.certificate
+    if certificate is None or not certificate.feasible:
+        return
+    cost, slack = certificate.cost, certificate.allowed_gap
+    if not proven.lower - slack <= cost <= proven.upper + slack:
+        raise SolveError(
+            f"The certified cost {cost!r} lies outside of the proven interval, {proven}. The file states a Hessian "
+            "that is indefinite by rounding as one that is raised to be semidefinite, and here this moves the optimum: take "
+            "the rounding out of Q, R, S or P, or count the states from nearer to their references.",
+            outcome,
+        )
 
 
 def _claimed(proven: Enclosure) -> Enclosure:
