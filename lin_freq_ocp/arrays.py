@@ -89,7 +89,7 @@ def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
-def with_products(values: ArrayLike, *products: tuple[Array, Array]) -> Array:
+def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
     """Return values + matrix @ vector + ..., rounded once: large terms cancel in extended precision.
 
     values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.

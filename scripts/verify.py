@@ -1,7 +1,8 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
     python scripts/verify.py [--part known|convex|linear|spectral|structured|explain|mixed|flips|modes|nonsmooth|
-                                     units|limits|loop|frequencies|proofs]... [--problems N] [--seed 0] [--processes 2]
+                                     units|translation|limits|loop|frequencies|proofs]...
+                             [--problems N] [--seed 0] [--processes 2]
 
 First, the problems whose optimal values are known are solved by Clarabel, PIQP and OSQP: relative errors of the cost,
 and of Clarabel's answer the worst condition of the certificate and the gap.
@@ -22,6 +23,9 @@ Then random infeasible problems are explained, and everything that is said is tr
 Then random feasible problems of mixed features, against CVXPY on an independent model (verify_mixed.py).
 
 Then random continuous piecewise-affine problems: what the judge says of changing a mode is tried (verify_flips.py).
+
+Then the same problems in other units (verify_units.py), and with their states counted from 1e2 to 1e9 times their range
+away (verify_translation.py): verdicts, controls and costs must not change.
 
 Last, ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP (verify_modes.py), and Examples 2
 and 3 of the paper from cold starts, with a minute for every global bound, and SCIP on the short ones
@@ -55,6 +59,7 @@ import verify_nonsmooth
 import verify_proofs
 import verify_spectral
 import verify_structured
+import verify_translation
 import verify_units
 from rich.console import Console
 from rich.table import Table
@@ -67,7 +72,16 @@ from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, referenc
 # How many random problems each part solves unless told otherwise
 PROBLEMS = {
     **{"convex": 1000, "linear": 5000, "spectral": 900, "structured": 500},
-    **{"explain": 50, "mixed": 200, "flips": 200, "units": 2000, "loop": 10_000, "frequencies": 200, "proofs": 100},
+    **{
+        "explain": 50,
+        "mixed": 200,
+        "flips": 200,
+        "units": 2000,
+        "translation": 1000,
+        "loop": 10_000,
+        "frequencies": 200,
+        "proofs": 100,
+    },
 }
 WIDTH = 132  # columns of the tables, also where they are written into a file
 PARTS = ["known", *PROBLEMS, "modes", "nonsmooth", "limits"]
@@ -176,6 +190,8 @@ def main() -> int:
         good &= verify_flips.verify(console, seeds["flips"], options.processes)
     if "units" in parts:
         good &= verify_units.verify(console, seeds["units"], options.processes)
+    if "translation" in parts:
+        good &= verify_translation.verify(console, seeds["translation"], options.processes)
     if "modes" in parts:
         good &= verify_modes.verify(console)
     if "nonsmooth" in parts:

@@ -11,6 +11,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.translation import translation_of
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
 FINEST_GAP = 1e-6  # a gap that costs no more than SOLVER_ROUNDING counts as this
@@ -42,8 +43,10 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     A component is as large as its ends and references, else its bounds, else (a control) what other sets and rows
     allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
     what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for none.
+    States count from where they move.
     """
-    return completed_sizes(problem, given_sizes(problem))
+    near = translation_of(problem).problem
+    return completed_sizes(near, given_sizes(near))
 
 
 def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array, Array]:

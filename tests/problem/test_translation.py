@@ -1,0 +1,150 @@
+"""A problem with its states counted from elsewhere is the same problem."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.translation import far_origin, translated_by, translation_of
+
+ORIGIN = np.array([5.0, -3.0])
+SETS = {
+    "box": lfo.Box([-1, None], [1, 2]),
+    "polyhedron": lfo.sets.Polyhedron([[1.0, 2.0], [0.0, -1.0]], [3.0, np.inf]),
+    "ball": lfo.sets.Ball(2.0, centre=[0.5, 0.0]),
+    "ellipsoid": lfo.sets.Ellipsoid([[1.0, 0.5]], 1.5, centre=1.0),
+    "cone": lfo.sets.SecondOrderCone([[1.0, 0.0]], [0.1], [0.0, 2.0], 1.0),
+    "intersection": lfo.Box(-3, 3) & lfo.sets.Ball(2.0),
+    "everything": lfo.sets.Everything(),
+}
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_a_set_holds_the_same_points(kind):
+    points = np.random.default_rng(0).uniform(-4, 4, (200, 2))
+    moved = SETS[kind].translated(ORIGIN)
+    np.testing.assert_allclose(moved.violation(points - ORIGIN), SETS[kind].violation(points), atol=1e-13)
+
+
+def everything(**changed):
+    """Return a problem with all that moves along."""
+    T, rng = 6, np.random.default_rng(1)
+    given = {
+        "dynamics": lfo.LinearDynamics(rng.standard_normal((2, 2)), [[0.0], [1.0]], [0.1, 0.2]),
+        "horizon": T,
+        "cost": lfo.QuadraticCost(
+            Q=np.diag([1.0, 0.5]), R=1.0, S=[[0.1], [0.2]], q=[0.3, 0.0], p=[0.0, 0.7], x_ref=[1.0, 2.0]
+        )
+        + lfo.costs.L1Cost(x=[0.1, 0.0], terminal=0.2, x_ref=[0.5, 0.0])
+        + lfo.costs.LInfCost(x=1.0, u=0.1),
+        "control_set": lfo.Box(-2, 2),
+        "state_set": [lfo.sets.Soft(lfo.Box(-1, 1), 3.0), *[lfo.sets.Ball(6.0)] * T],
+        "initial_state": [1.0, 0.0],
+        "terminal_state": lfo.sets.LinkedEnds([[1.0, 0.0]], [[0.0, 1.0]], [0.5]) & lfo.Box(-9, 9),
+        "stage_rows": lfo.StageRows([[1.0, 1.0]], [[1.0]], [4.0], penalty=2.0),
+    }
+    return lfo.OptimalControlProblem(**{**given, **changed})
+
+
+def test_costs_terms_and_residuals_are_the_same():
+    given = everything()
+    translation = translated_by(given, ORIGIN)
+    assert translation.moves
+    rng = np.random.default_rng(2)
+    trajectory = lfo.Trajectory(3 * rng.standard_normal((7, 2)), rng.standard_normal((6, 1)))
+    moved, problem = translation.translated(trajectory), translation.problem
+    cost = problem.value(moved.x, moved.u) + translation.cost
+    assert cost == pytest.approx(given.value(trajectory.x, trajectory.u), rel=1e-13)
+    assert [term.name for term in problem.terms] == [term.name for term in given.terms]
+    for mine, theirs in zip(problem.terms, given.terms, strict=True):
+        ours, others = (
+            one.violation(x, u) for one, x, u in ((mine, moved.x, moved.u), (theirs, trajectory.x, trajectory.u))
+        )
+        np.testing.assert_allclose(ours, others, atol=1e-12)
+    successors = problem.linear.successors(moved.x, moved.u), given.linear.successors(trajectory.x, trajectory.u)
+    np.testing.assert_allclose(successors[0] + ORIGIN, successors[1], atol=1e-12)
+    restored = translation.restored(moved)
+    np.testing.assert_allclose(restored.x, trajectory.x, atol=1e-15 * 8)
+
+
+def test_offsets_are_rounded_once():
+    """A c + d - c, of numbers of 1e9, is right to the last digit of what is left."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.125], [0.0, 1.0]], [[0.0], [1.0]], [0.1, 0.0])
+    moved = dynamics.translated(np.array([1e9, 8.0]))
+    np.testing.assert_array_equal(moved.offset, [1.1, 0.0])
+
+
+def test_modes_move_along():
+    modes = [
+        lfo.AffineMode([[0.5]], [[1.0]], G=[[-1.0]], h=[-2.0]),
+        lfo.AffineMode([[0.5]], [[1.0]], G=[[1.0]], h=[2.0]),
+    ]
+    dynamics = lfo.PiecewiseAffineDynamics(modes).translated(np.array([100.0]))
+    x = np.array([[-99.0], [-97.0]])
+    assert dynamics.sequence_of(np.vstack([x, x[:1]]), np.zeros((2, 1))).tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("formula", ["abs(x_0) + x_0*u_0", "sin(x_0) + max(u_0, x_0)", "x_0**2 - u_0"])
+def test_formulas_move_along(formula):
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([formula], 1, 1)
+    moved = dynamics.translated(np.array([3.0]))
+    assert moved.mode_names == dynamics.mode_names
+    step, other = dynamics.stepper(5), moved.stepper(5)
+    for x, u in np.random.default_rng(3).uniform(-2, 2, (20, 2)):
+        np.testing.assert_allclose(
+            other(0, np.array([x - 3.0]), np.array([u])), step(0, np.array([x]), [u]) - 3.0, atol=1e-12
+        )
+
+
+def located(**changed):
+    """Return where states of a problem are counted from."""
+    return far_origin(everything(**{"cost": lfo.QuadraticCost(R=1.0), "terminal_state": None, **changed}))
+
+
+def test_states_count_from_where_the_data_say_that_they_are():
+    np.testing.assert_array_equal(located(initial_state=[1e6, 0.0]), [1e6, 0.0])
+    np.testing.assert_array_equal(located(initial_state=lfo.Box([1e6, 0], [1e6 + 2, 1])), [1e6 + 1, 0.0])
+    free = {"initial_state": None, "state_set": None}
+    np.testing.assert_array_equal(located(terminal_state=[0.0, 7e5], **free), [0.0, 7e5])
+    tracking = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0, x_ref=[2e6, 3e6])
+    np.testing.assert_array_equal(located(cost=tracking, **free), [2e6, 0.0])
+    bounded = lfo.Box([None, 4e6], [9.0, 4e6 + 1])
+    np.testing.assert_array_equal(located(initial_state=None, state_set=bounded), [0.0, 4e6 + 0.5])
+
+
+def test_states_that_move_from_afar_to_zero_count_from_zero():
+    np.testing.assert_array_equal(located(initial_state=[1e6, 0.0], terminal_state=[0.0, 0.0]), [0.0, 0.0])
+    to_zero = lfo.QuadraticCost(Q=1.0, R=1.0)
+    np.testing.assert_array_equal(located(initial_state=[1e6, 0.0], cost=to_zero), [0.0, 0.0])
+
+
+def test_a_bound_that_stands_for_none_places_no_state():
+    for bound in (1e12, 1e19):
+        free = located(initial_state=None, state_set=lfo.Box([-bound, -1.0], [bound, 1.0]))
+        np.testing.assert_array_equal(free, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "spectrum",
+    [lfo.stop_band(bins=[0], component=0), lfo.MagnitudeBound(1e7, bins=[0, 1], component=0)],
+    ids=["stop band", "mask"],
+)
+def test_a_state_whose_mean_is_limited_keeps_its_zero(spectrum):
+    given = {"initial_state": [1e6, 1e6], "state_set": None}
+    np.testing.assert_array_equal(located(state_spectrum=spectrum, **given), [0.0, 1e6])
+
+
+def test_a_state_whose_other_bins_are_limited_moves_along():
+    given = {"initial_state": [1e6, 0.0], "state_set": None, "state_spectrum": lfo.MagnitudeBound(1.0, bins=[2, 3])}
+    np.testing.assert_array_equal(located(**given), [1e6, 0.0])
+
+
+def test_a_cost_that_says_nothing_of_other_origins_keeps_the_problem():
+    class Own(lfo.costs.L1Cost):
+        def translated(self, origin):
+            return None
+
+    problem = everything(cost=lfo.QuadraticCost(R=1.0) + Own(u=0.1), initial_state=[1e6, 0.0], terminal_state=None)
+    assert not translation_of(problem).moves
+    assert translation_of(replace(problem, cost=lfo.QuadraticCost(R=1.0))).moves

@@ -1,0 +1,211 @@
+"""Verdicts, controls and costs do not depend on where zero is.
+
+The long check is scripts/verify.py --part translation.
+"""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.checks import translation
+
+SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
+UTM = 5.4e6  # a northing in metres
+METHODS = ("auto", "spectral", "structured", "convex")
+
+
+@pytest.mark.parametrize(
+    ("question", "seed"), [(question, seed) for question, seeds in SEEDS.items() for seed in seeds]
+)
+def test_the_same_problem_far_from_zero_has_the_same_answer(question, seed):
+    outcome = translation.check(seed, question)
+    assert outcome.passed, outcome
+
+
+def test_the_sample_has_every_class():
+    kinds = Counter(translation.check(seed, "solve").kind for seed in SEEDS["solve"])
+    assert len(kinds) >= 4
+
+
+def move(origin, distance=1.0, T=20, **changed):
+    """Return a double integrator that moves from an origin."""
+    given = {"cost": lfo.QuadraticCost(R=1.0), "control_set": lfo.Box(-1, 1), **changed}
+    dynamics = lfo.LinearDynamics([[1, 1.0], [0, 1]], [[0.5], [1.0]], sampling_time=1.0)
+    ends = {"initial_state": [origin, 0], "terminal_state": [origin + distance, 0]}
+    return lfo.OptimalControlProblem(dynamics, T, **{**given, **ends})
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("origin", [1e4, 1e6, 1e9])
+@pytest.mark.parametrize("band", [None, lfo.stop_band(bins=[8, 9, 10])], ids=["plain", "band"])
+def test_a_move_costs_the_same_from_everywhere(method, origin, band):
+    near, far = (lfo.solve(move(place, control_spectrum=band), method) for place in (0.0, origin))
+    assert far.status == near.status == "optimal"
+    assert far.certificate.globally_optimal
+    assert far.certificate.pmp == "satisfied"
+    np.testing.assert_allclose(far.cost, near.cost, rtol=1e-12)
+    np.testing.assert_allclose(far.control, near.control, atol=1e-9)
+    np.testing.assert_allclose(far.trajectory.x[-1], [origin + 1.0, 0.0], atol=1e-15 * origin)
+
+
+def test_a_state_that_misses_its_end_is_not_feasible_however_far_from_zero():
+    certificate = lfo.certify(move(UTM, 4.0), np.zeros((20, 1)))
+    assert not certificate.feasible
+    assert not certificate.globally_optimal
+
+
+@pytest.mark.parametrize("gain", [1e-4, 1e-8, 1e-9])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_small_gain_on_a_state_that_is_not_small(gain, method):
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[gain]]),
+        20,
+        lfo.QuadraticCost(R=1.0),
+        lfo.Box(-10, 10),
+        initial_state=[1.0],
+        terminal_state=[1.0 + 20 * gain],
+    )
+    result = lfo.solve(problem, method)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(10.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("gain", [1e6, 1e10, 1e14, 1e20, 1e100])
+def test_what_large_gains_make_of_a_state_is_no_scale_of_its_residuals(gain):
+    """x_1 - x_2 changes by B u alone, by 5e-2 at most: no control leads to (1, 0)."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[gain, gain], [gain, gain]], [[5e-5], [0.01]]),
+        10,
+        lfo.QuadraticCost(R=1.0),
+        lfo.Box(-5, 5),
+        initial_state=[0, 0],
+        terminal_state=[1, 0],
+    )
+    result = lfo.solve(problem, throw=False)
+    assert not result.status.solved
+    assert not lfo.certify(problem, np.zeros((10, 1))).feasible
+
+
+@pytest.mark.parametrize("origin", [0.0, 1e6, 1e9])
+def test_at_rest_nothing_moves_and_this_is_optimal(origin):
+    result = lfo.solve(move(origin, 0.0))
+    assert result.status == "optimal"
+    assert result.cost == 0.0
+    assert result.certificate.globally_optimal
+
+
+def test_rounding_that_hides_a_move_is_named():
+    """A move of 1 at 1e14, where neighbouring numbers are 1/64 apart."""
+    result = lfo.solve(move(1e14), throw=False)
+    assert result.status != "optimal"
+    assert "count it from nearer" in result.message
+    assert not result.certificate.globally_optimal
+
+
+def test_multipliers_of_zero_prove_nothing_of_an_end_that_is_missed_by_a_little():
+    """Decay to 1e-6 where 0.9e-6 is asked: within the tolerance of conditions, and not at rounding."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.1]], [[1.0]]), 6, lfo.QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.9e-6]
+    )
+    none = lfo.results.Multipliers(
+        1.0, np.zeros((6, 1)), np.zeros((7, 1)), np.zeros((6, 1)), np.zeros((4, 1)), np.zeros((4, 1))
+    )
+    at_rest = lfo.certify(problem, lfo.simulate(problem, np.zeros((6, 1))), none)
+    assert at_rest.feasible
+    assert not at_rest.globally_optimal
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(0.5 * 1e-14 / sum(0.01**k for k in range(6)), rel=1e-6)
+
+
+def test_a_loop_moves_far_from_zero_as_near_it():
+    near, far = (lfo.RecedingHorizon(move(place, 4.0)).run([place, 0.0], 6) for place in (0.0, UTM))
+    np.testing.assert_allclose(far.controls, near.controls, atol=1e-7)
+    assert set(far.statuses) == {"optimal"}
+
+
+def test_a_loop_that_was_set_up_elsewhere_begins_where_it_is_measured():
+    near = lfo.RecedingHorizon(move(0.0)).step([0.0, 0.0], references=None)
+    controller = lfo.RecedingHorizon(replace(move(UTM), initial_state=np.zeros(2)))
+    np.testing.assert_allclose(controller.step([UTM, 0.0]), near, atol=1e-9)
+
+
+def test_a_loop_that_travels_stays_accurate():
+    """1e7 m in steps of references: after them, a step is that from zero."""
+    tracking = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1, 1.0], [0, 1]], [[0.5], [1.0]], sampling_time=1.0),
+        10,
+        lfo.QuadraticCost(Q=1.0, R=1.0, P=1.0),
+        lfo.Box(-1, 1),
+    )
+    controller, fresh = lfo.RecedingHorizon(tracking), lfo.RecedingHorizon(tracking)
+    expected = fresh.step([0.0, 0.0], references={"x_ref": [3.0, 0.0]})
+    for place in (0.0, 1e3, 1e5, 1e7):
+        found = controller.step([place, 0.0], references={"x_ref": [place + 3.0, 0.0]})
+        np.testing.assert_allclose(found, expected, atol=1e-7)
+    assert set(controller.log.statuses) == {"optimal"}
+
+
+def test_many_problems_far_from_zero():
+    starts = np.array([[0.0, 0.0], [0.1, 0.0], [-0.2, 0.05]])
+    origin = np.array([UTM, 0.0])
+    near = lfo.solve_many(move(0.0), starts)
+    far = lfo.solve_many(move(UTM), starts + origin)
+    assert far.proven
+    np.testing.assert_allclose(far.controls, near.controls, atol=1e-8)
+    np.testing.assert_allclose(far.states, near.states + origin, atol=1e-8)
+    np.testing.assert_allclose(far.costs, near.costs, rtol=1e-8)
+
+
+def test_a_solver_takes_other_ends_and_references_far_from_zero():
+    cost = lfo.QuadraticCost(Q=np.diag([0.1, 0.0]), R=1.0)
+    near = lfo.Solver(move(0.0, cost=replace(cost, x_ref=[1.0, 0.0])))
+    far = lfo.Solver(move(UTM, cost=replace(cost, x_ref=[UTM + 1.0, 0.0])))
+    for start, end, reference in ((0.0, 1.0, 1.0), (0.5, 2.0, 0.0), (-1.0, 0.0, 3.0)):
+        answers = [
+            solver.solve([place + start, 0.0], [place + end, 0.0], {"x_ref": [place + reference, 0.0]})
+            for solver, place in ((near, 0.0), (far, UTM))
+        ]
+        assert [one.status for one in answers] == ["optimal", "optimal"]
+        assert answers[1].cost == pytest.approx(answers[0].cost, rel=1e-9)
+        np.testing.assert_allclose(answers[1].control, answers[0].control, atol=1e-7)
+
+
+def test_a_linear_cost_far_from_zero_counts_what_it_costs_there():
+    """max x_T: the cost is that at the origin, plus that of the move."""
+    problem = {place: replace(move(place), cost=lfo.QuadraticCost(R=1.0, p=[-0.1, 0.0])) for place in (0.0, UTM)}
+    free = {place: replace(one, terminal_state=None) for place, one in problem.items()}
+    near, far = (lfo.solve(one) for one in free.values())
+    assert far.cost - near.cost == pytest.approx(-0.1 * UTM, rel=1e-12)
+    assert far.lower_bound <= far.cost
+    assert far.gap == pytest.approx(near.gap, abs=1e-8)
+    np.testing.assert_allclose(far.control, near.control, atol=1e-8)
+
+
+def test_the_cure_of_an_infeasible_move_does_not_depend_on_zero():
+    cures = []
+    for place in (0.0, UTM):
+        with pytest.raises(lfo.errors.InfeasibleError) as caught:
+            lfo.solve(move(place, 9.0, T=4))
+        cures.append({cure.block: cure.amount for cure in caught.value.result.explanation.cures})
+    assert cures[0].keys() == cures[1].keys()
+    assert [cures[1][block] for block in cures[0]] == pytest.approx(list(cures[0].values()), rel=1e-4)
+
+
+def test_an_enclosure_without_the_certified_cost_is_refused():
+    """The proof is of a Hessian that is raised to be semidefinite; far along its null space, this costs."""
+    pytest.importorskip("flint")
+    direction = np.array([0.3, -0.7])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))),
+        3,
+        lfo.QuadraticCost(Q=np.outer(direction, direction), R=1.0),
+        lfo.Box(-1, 1),
+        initial_state=[7e6, 3e6],
+    )
+    result = lfo.solve(problem, throw=False)
+    with pytest.raises(lfo.errors.SolveError, match="outside of the proven interval"):
+        _ = result.enclosure
