@@ -152,7 +152,7 @@ def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
     if not proven.lower - slack <= cost <= proven.upper + slack:
         raise SolveError(
             f"The certified cost {cost!r} lies outside of the proven interval, {proven}. The file states a Hessian "
-            "that is indefinite by rounding as one that is raised to be semidefinite, and here this moves the optimum: take "
+            "that is indefinite by rounding as one that is raised to be semidefinite, and this moves the optimum. Take "
             "the rounding out of Q, R, S or P, or count the states from nearer to their references.",
             outcome,
         )

@@ -19,8 +19,7 @@ from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options
-from lin_freq_ocp.solving.translated import solve_translated
+from lin_freq_ocp.solving.solve import require_options, solve_translated
 from lin_freq_ocp.status import Status
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
@@ -30,10 +29,10 @@ TRAVEL = 100.0  # largest moves of a state after which states are counted from w
 class Located:
     """A problem with its states counted from an origin, and what solves of it share."""
 
-    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array):
+    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, linear: bool):
+        origin = far_origin(changed)
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
-        linear = isinstance(problem.dynamics.standard_form, LinearDynamics)
         self.kept = Kept(self.translation.problem) if linear else None
         self.exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
 
@@ -89,7 +88,7 @@ class Repeated:
             travelled = np.where(start.fixed, np.abs(start.lower - self._located.origin), 0.0)
             if not ((self._moves > 0) & (travelled > TRAVEL * self._moves)).any():
                 return self._located
-        self._located = Located(self.problem, changed, far_origin(changed))
+        self._located = Located(self.problem, changed, self.linear)
         return self._located
 
     def excluded(self, change: Change) -> bool:
