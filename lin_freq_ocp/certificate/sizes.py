@@ -155,10 +155,13 @@ class Floors:
     rounding: Array
 
 
-def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None) -> Floors:
+def floors(
+    extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None, origin: Array | None = None
+) -> Floors:
     """Return the least scales along a trajectory whose components have these sizes, (n,) and (m,), and whose S is cost.
 
-    The default are those of the extremal's own problem; of a problem with modes, the extremal knows the average only.
+    ``origin`` (n,) is where the states count from. The default are those of the extremal's own problem; of a problem
+    with modes, the extremal knows the average only.
     """
     problem, T = extremal.problem, extremal.problem.horizon
     x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
@@ -172,15 +175,15 @@ def floors(extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: f
         priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
-    rounding = _rounding(extremal)
+    rounding = _rounding(extremal, problem.origin if origin is None else origin)
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
     return Floors(least, SCALE_FLOOR * u, level, stage / x, stage / u, terms, rounding)
 
 
-def _rounding(extremal: Extremal) -> Array:
+def _rounding(extremal: Extremal, origin: Array | None) -> Array:
     """Return what rounding of states, in the coordinates that they are given in, makes of the state equations, (n,)."""
     problem, x = extremal.problem, np.abs(extremal.trajectory.x)
-    given = x if problem.origin is None else x + np.abs(problem.origin)
+    given = x if origin is None else x + np.abs(origin)
     return STATE_ROUNDING * (given.max(0) + problem.equations.successor_sizes(given, extremal.trajectory.u).max(0))

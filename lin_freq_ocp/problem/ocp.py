@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer, real_array
+from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
@@ -63,9 +63,6 @@ class OptimalControlProblem(ProblemData):
         Frequency constraints on linear outputs of states and controls.
     name : str
         For tables and pictures.
-    origin : (n,), optional
-        Of a problem whose states are counted from elsewhere (``problem/translation.py``): where x = 0 lies in the given
-        coordinates, which are rounded there. Default: nowhere else.
 
     Raises
     ------
@@ -110,7 +107,6 @@ class OptimalControlProblem(ProblemData):
         stage_rows: StageRows | Sequence[StageRows] | None = None,
         output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None = None,
         name: str = "",
-        origin: ArrayLike | None = None,
     ):
         if not isinstance(dynamics, Dynamics):
             expected = "LinearDynamics, FrequencyResponse, PiecewiseAffineDynamics or PiecewiseSmoothDynamics"
@@ -137,7 +133,6 @@ class OptimalControlProblem(ProblemData):
             stage_rows=row_families(stage_rows, n, m, T),
             output_spectrum=output_spectrum,
             name=name,
-            origin=None if origin is None else real_array("origin", origin),
         )
         _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked and cached
         if dynamics.mode_names:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -37,7 +37,11 @@ class ProblemData:
     stage_rows: tuple[StageRows, ...]
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
-    origin: Array | None = field(compare=False)
+
+    @property
+    def origin(self) -> Array | None:
+        """Return where zero states lie in the coordinates that they were given in (``translation.py``); None: there."""
+        return self.__dict__.get("_origin")
 
     @property
     def state_dim(self) -> int:

@@ -7,16 +7,20 @@ tolerance sees numbers of 5e6; counted from the start of the move, it is the sam
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.arrays import Array, Mask, assign
+from lin_freq_ocp.errors import BandWarning, LinFreqOCPError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, SetOrSets
+from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
 FAR = 10.0  # distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
 
 
@@ -54,20 +58,29 @@ def translation_of(problem: OptimalControlProblem) -> Translation:
 
 
 def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
-    """Return a problem with its states counted from an origin (n,), where its classes allow that."""
+    """Return a problem with its states counted from an origin (n,), where its classes allow that.
+
+    Nothing is checked again.
+    """
     dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
     if not origin.any() or dynamics is None or cost is None:
         return Translation(problem, problem, np.zeros(problem.state_dim))
-    moved = replace(
-        problem,
+    moved = copy(problem)
+    assign(
+        moved,
         dynamics=dynamics,
-        cost=cost,
+        cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
         state_set=translated_set(problem.state_set, origin),
         initial_state=problem.initial_state.translated(origin),
         terminal_state=problem.terminal_state.translated(origin),
-        stage_rows=[rows.translated(origin) for rows in problem.stage_rows],
-        origin=origin if problem.origin is None else problem.origin + origin,
+        stage_rows=tuple(rows.translated(origin) for rows in problem.stage_rows),
+        _origin=origin if problem.origin is None else problem.origin + origin,
     )
+    for name in OF_STATES:
+        moved.__dict__.pop(name, None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BandWarning)  # the given problem has said so
+        _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
 
 
@@ -82,7 +95,8 @@ def far_origin(problem: OptimalControlProblem) -> Array:
     """Return the origin from which states are to be counted, (n,); zero in components that are near it.
 
     A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
-    if it lies FAR times farther than these values differ. Spectra of a state that depend on its mean keep its zero.
+    if it lies FAR times farther than these values differ, and than it drifts from there over the horizon without
+    control. Spectra of a state that depend on its mean keep its zero.
     """
     places = np.array(list(_fixed_places(problem)))
     known = np.isfinite(places)
@@ -95,6 +109,8 @@ def far_origin(problem: OptimalControlProblem) -> Array:
         far = np.isfinite(centre) & (np.abs(centre) > FAR * spread)
     if not far.any():
         return np.zeros(problem.state_dim)
+    centre = np.nan_to_num(centre)
+    far &= np.abs(centre) > FAR * _drift(problem, centre)
     return np.where(far & ~_about_zero(problem), centre, 0.0)
 
 
@@ -115,13 +131,22 @@ def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
 
 def _middle(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return the middle of the first set that bounds a state on both sides, and half its width; nan without any."""
-    boxes = [*problem.ends, Box(problem.state_boxes.lower.max(0), problem.state_boxes.upper.min(0))]
     middle = half = np.full(problem.state_dim, np.nan)
-    for box in reversed(boxes):
+    for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
         lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
         middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
     return middle, half
+
+
+def _drift(problem: OptimalControlProblem, place: Array) -> Array:
+    """Return how far states move from a place (n,) over the horizon if they go on as in the first step, (n,)."""
+    try:
+        step = problem.dynamics.given[0].stepper(problem.horizon)
+        moved = step(0, place, np.zeros(problem.control_dim)) - place
+    except LinFreqOCPError:  # no mode holds there, or there are no steps
+        return np.zeros(problem.state_dim)
+    return problem.horizon * np.nan_to_num(np.abs(moved))
 
 
 def _about_zero(problem: OptimalControlProblem) -> Mask:

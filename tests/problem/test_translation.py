@@ -99,7 +99,9 @@ def test_formulas_move_along(formula):
 
 def located(**changed):
     """Return where states of a problem are counted from."""
-    return far_origin(everything(**{"cost": lfo.QuadraticCost(R=1.0), "terminal_state": None, **changed}))
+    at_rest = lfo.LinearDynamics(np.eye(2), [[0.0], [1.0]])
+    given = {"dynamics": at_rest, "cost": lfo.QuadraticCost(R=1.0), "terminal_state": None}
+    return far_origin(everything(**{**given, **changed}))
 
 
 def test_states_count_from_where_the_data_say_that_they_are():
@@ -145,6 +147,18 @@ def test_a_cost_that_says_nothing_of_other_origins_keeps_the_problem():
         def translated(self, origin):
             return None
 
-    problem = everything(cost=lfo.QuadraticCost(R=1.0) + Own(u=0.1), initial_state=[1e6, 0.0], terminal_state=None)
+    at_rest = lfo.LinearDynamics(np.eye(2), [[0.0], [1.0]])
+    problem = everything(
+        dynamics=at_rest, cost=lfo.QuadraticCost(R=1.0) + Own(u=0.1), initial_state=[1e6, 0.0], terminal_state=None
+    )
     assert not translation_of(problem).moves
     assert translation_of(replace(problem, cost=lfo.QuadraticCost(R=1.0))).moves
+
+
+def test_where_the_dynamics_move_a_state_by_themselves_it_counts_from_zero():
+    """Decay from afar: the state comes near zero, or moves by much of its distance."""
+    for growth in (0.1, 0.9, 1.1):
+        dynamics = lfo.LinearDynamics(growth * np.eye(2), [[0.0], [1.0]])
+        np.testing.assert_array_equal(located(dynamics=dynamics, initial_state=[1e6, 0.0]), [0.0, 0.0])
+    about = lfo.LinearDynamics(0.1 * np.eye(2), [[0.0], [1.0]], [0.9e6, 0.0])  # decay to 1e6
+    np.testing.assert_array_equal(located(dynamics=about, initial_state=[1e6, 0.0]), [1e6, 0.0])

@@ -43,7 +43,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     gaps = times_at_gaps(problem, trajectory, arrays, active)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
-    least = floors(extremal, sizes)
+    least = floors(extremal, sizes, origin=problem.origin)
     own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)

@@ -169,6 +169,8 @@ def _levels(result: Outcome) -> FileTable:
 
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
     tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
+    for table in tables:
+        del table["rounding"]  # of the judge alone
     return [{key: value for key, value in table.items() if key != "peak" or value is not None} for table in tables]
 
 

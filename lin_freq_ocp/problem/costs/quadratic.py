@@ -246,9 +246,8 @@ class QuadraticCost(Cost):
     @property
     def weighs(self) -> Mask:
         """Return which states cost something by their deviation from the reference, (n,)."""
-        n = len(self.P)
-        rows = np.concatenate([part.reshape(-1, n, part.shape[-1]) for part in (self.Q, self.S, self.P)], axis=-1)
-        return np.asarray(rows.any(axis=(0, 2)))
+        rows = (part.reshape(-1, *part.shape[-2:]).any(axis=(0, 2)) for part in (self.Q, self.S, self.P))
+        return np.asarray(np.logical_or.reduce(list(rows)))
 
     def translated(self, origin: Array) -> QuadraticCost:
         return replace(self, x_ref=np.where(self.weighs, self.x_ref - origin, 0.0))
