@@ -75,33 +75,36 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     """Return multipliers with eta_C = 0 that are not all zero, or None if none were found.
 
     They exist where A'y = 0 for some y in N. The linear program maximises the product with a fixed random vector, with
-    all entries within [-1, 1].
+    all entries within [-1, 1]; if that is zero, as for half of all rays, with the vector that has the other sign where
+    entries may have either.
     """
     transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE)
+    at = scaling.scaled_primal(transcription.point(trajectory))
+    cone = _normal_cone(program, at, ACTIVE, at_edges=True)  # prices of gaps would lose against the product
     count, variables = len(cone.lower), program.A.shape[1]
     signs = np.sign(cone.lower) + np.sign(cone.upper)
     free = (cone.lower < 0) & (cone.upper > 0)
     rng = np.random.default_rng(0)
-    towards = rng.uniform(0.5, 1.0, count) * np.where(free, rng.choice([-1.0, 1.0], count), signs)
+    sizes, either = rng.uniform(0.5, 1.0, count), rng.choice([-1.0, 1.0], count)
     gradients = sp.csc_array(program.A.T @ cone.basis)
-    towards = np.where(abs(gradients).sum(0) > 0, towards, 0.0)  # the radius of a ball has no gradient
+    sizes = np.where(abs(gradients).sum(0) > 0, sizes, 0.0)  # the radius of a ball has no gradient
     curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity = sp.eye_array(count, format="csr")
-    search = Program(
-        P=sp.csc_array((count, count)),
-        q=cone.prices - towards,
-        constant=0.0,
-        A=sp.csc_array(sp.vstack([gradients, identity, -identity[curved]])),
-        lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
-        upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
-        rows={},
-        cones=consecutive(cone.polars, variables + count),
-    )
-    solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
-    if solution.z is None or np.abs(solution.z).max() < NONTRIVIAL:
-        return None
-    return transcription.multipliers(scaling.dual(cone.basis @ solution.z), 0.0)
+    for sign in (1.0, -1.0):
+        search = Program(
+            P=sp.csc_array((count, count)),
+            q=cone.prices - sizes * np.where(free, sign * either, signs),
+            constant=0.0,
+            A=sp.csc_array(sp.vstack([gradients, identity, -identity[curved]])),
+            lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
+            upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
+            rows={},
+            cones=consecutive(cone.polars, variables + count),
+        )
+        solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
+        if solution.z is not None and np.abs(solution.z).max() >= NONTRIVIAL:
+            return transcription.multipliers(scaling.dual(cone.basis @ solution.z), 0.0)
+    return None
 
 
 @dataclass(frozen=True)
@@ -161,11 +164,11 @@ def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False
         if s[0] - tail > near:
             continue
         if at_edges and tail > near:
-            block, low = np.append(-1.0, s[1:] / tail)[:, None], 0.0
+            block, low, price = np.append(-1.0, s[1:] / tail)[:, None], 0.0, np.zeros(1)
         else:
-            block, low = np.eye(len(s)), -np.inf
+            block, low, price = np.eye(len(s)), -np.inf, -GAP_PRICE * s
             polars.append(slice(count, count + len(s)))
-            prices = np.append(prices, -GAP_PRICE * s)
+        prices = np.append(prices, price)
         row, column = np.nonzero(np.ones_like(block))
         columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=(len(slack), block.shape[1])))
         lower = np.append(lower, np.full(block.shape[1], low))

@@ -182,9 +182,9 @@ def test_certificates_of_modes_are_valid_json(case):
 def test_words_tell_what_holds_at_borders():
     good, bad = (lfo.certify(kinks.peak(), [[1.0], [4.0]]), lfo.certify(kinks.valley(), [[-1.0], [4.0]]))
     assert "modes meet at t = 1; joint inclusion holds; flip-stationary; printed form holds" in str(good.borders)
-    assert "not flip-stationary; flip t = 1 to rising (rate 22, verified)" in str(bad.borders)
+    assert "not flip-stationary; flip t = 1 to rising (rate 12, verified)" in str(bad.borders)
     assert "Modes meet at t = 1. There the dynamics have no single derivative." in verdict(good)
-    assert "towards “rising” at t = 1 (rate 22, and the cost does fall there, which was verified)" in " ".join(
+    assert "towards “rising” at t = 1 (rate 12, and the cost does fall there, which was verified)" in " ".join(
         verdict(bad)
     )
     assert "a search over their sequences" in " ".join(verdict(good))
