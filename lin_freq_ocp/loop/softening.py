@@ -23,6 +23,7 @@ from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
 from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.translation import translation_of
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
 FIELDS = ("state_set", "terminal_state", "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum")
@@ -57,8 +58,9 @@ def softened(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> 
 
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
     """Return by how much soft constraints of a problem are exceeded, the sum over time, by their names."""
-    found: dict[str, float] = {}
-    for term in problem.terms:
+    found, near = dict[str, float](), translation_of(problem)
+    trajectory = near.translated(trajectory)
+    for term in near.problem.terms:
         if not term.hard and not term.kind.is_cost:
             by = float((term.cost(trajectory.x, trajectory.u) / np.max(term.penalty.weights)).sum())
             size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))

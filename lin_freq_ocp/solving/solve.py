@@ -47,8 +47,9 @@ def solve_judged(
     begin = None if start is None else start_of(problem, start)
     request = Request(np.inf if time_limit is None else time_limit, progress, begin)
     allowed = tolerance or getattr(found, "tolerance", None)
-    outcome = solve_translated(found, translation_of(problem), request, allowed)
-    outcome = with_few_fractional(outcome, tolerance)
+    translation = translation_of(problem)
+    outcome = with_few_fractional(solve_translated(found, translation, request, allowed), tolerance)
+    outcome = restored_outcome(translation, outcome, allowed)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 
@@ -75,19 +76,17 @@ def require_options(
 def solve_translated(
     method: Method, translation: Translation, request: Request, tolerance: float | None = None
 ) -> Outcome:
-    """Solve the translated problem by a method, and return the outcome for the given problem.
+    """Solve the translated problem by a method.
 
-    The request is one of the given problem, but for what it keeps of earlier solves.
+    Start and progress of the request are those of the given problem; what it keeps of earlier solves is not.
     """
-    if not translation.moves:
-        return solved_by(method, translation.given, request, tolerance)
     start, progress = request.start, request.progress
     request = replace(
         request,
         start=None if start is None else _translated_start(translation, start),
         progress=None if progress is None else _raised_report(progress, translation.cost),
     )
-    return restored_outcome(translation, solved_by(method, translation.problem, request, tolerance), tolerance)
+    return solved_by(method, translation.problem, request, tolerance)
 
 
 def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
@@ -111,7 +110,8 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
     after = _judged_again(translation, trajectory, outcome.multipliers, before, allowed_residual(tolerance))
     status, message = outcome.status, outcome.message
     if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
-        found = after.status_within(max(before.gap or 0.0, 0.0) + GAP_TOLERANCE)
+        gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
+        found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
         if found != status:
             status, message = found, _rounded(translation)
     return replace(

@@ -19,7 +19,7 @@ from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options, solve_translated
+from lin_freq_ocp.solving.solve import require_options, restored_outcome, solve_translated
 from lin_freq_ocp.status import Status
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
@@ -128,7 +128,9 @@ class Repeated:
         if tree is not None:
             tree.begins(located.translation.problem if change.starts_elsewhere else None)
         request = Request(limit, start=begin, again=again, tree=tree)
-        outcome = solve_translated(self.method, translation, request, getattr(self.method, "tolerance", None))
+        tolerance: float | None = getattr(self.method, "tolerance", None)
+        outcome = solve_translated(self.method, translation, request, tolerance)
+        outcome = restored_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})
