@@ -62,9 +62,12 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
 
     Nothing is checked again.
     """
+    none = Translation(problem, problem, np.zeros(problem.state_dim))
+    if not origin.any():
+        return none
     dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
-    if not origin.any() or dynamics is None or cost is None:
-        return Translation(problem, problem, np.zeros(problem.state_dim))
+    if dynamics is None or cost is None:
+        return none
     moved = copy(problem)
     assign(
         moved,
@@ -98,15 +101,16 @@ def far_origin(problem: OptimalControlProblem) -> Array:
     if it lies FAR times farther than these values differ, and than it drifts from there over the horizon without
     control. Spectra of a state that depend on its mean keep its zero.
     """
-    places = np.array(list(_fixed_places(problem)))
-    known = np.isfinite(places)
-    first = np.argmax(known, axis=0)
-    middle, half = _middle(problem)
-    centre = np.where(known.any(0), np.take_along_axis(places, first[None], axis=0)[0], middle)
-    with np.errstate(invalid="ignore"):
-        highest, lowest = np.where(known, places, -np.inf).max(0), np.where(known, places, np.inf).min(0)
-        spread = np.where(known.any(0), highest - lowest, half)
-        far = np.isfinite(centre) & (np.abs(centre) > FAR * spread)
+    places = _fixed_places(problem)
+    centre, highest, lowest = places[0], places[0], places[0]
+    for place in places[1:]:
+        centre = np.where(np.isnan(centre), place, centre)
+        highest, lowest = np.fmax(highest, place), np.fmin(lowest, place)
+    spread, unknown = highest - lowest, np.isnan(centre)
+    if unknown.any():
+        middle, half = _middle(problem)
+        centre, spread = np.where(unknown, middle, centre), np.where(unknown, half, spread)
+    far = np.abs(centre) > FAR * spread
     if not far.any():
         return np.zeros(problem.state_dim)
     centre = np.nan_to_num(centre)
@@ -118,8 +122,10 @@ def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
     """Return where the data say that states are, (n,) each, in order of preference; nan where they do not."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     found = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
-    references = np.broadcast_to(cost.x_ref, (T + 1, n))
-    found += [np.where(cost.weighs, part, np.nan) for part in (references[0], references.max(0), references.min(0))]
+    references = [cost.x_ref]
+    if cost.x_ref.ndim == 2:
+        references = [cost.x_ref[0], cost.x_ref.max(0), cost.x_ref.min(0)]
+    found += [np.where(cost.weighs, reference, np.nan) for reference in references]
     for norm in problem.cost.norms:
         for i in range(n):
             given = norm.references(i, True, T)

@@ -243,9 +243,9 @@ class QuadraticCost(Cost):
             u_ref=reference("u_ref", m, T),
         )
 
-    @property
+    @cached_property
     def weighs(self) -> Mask:
-        """Return which states cost something by their deviation from the reference, (n,)."""
+        """Which states cost something by their deviation from the reference, (n,)."""
         rows = (part.reshape(-1, *part.shape[-2:]).any(axis=(0, 2)) for part in (self.Q, self.S, self.P))
         return np.asarray(np.logical_or.reduce(list(rows)))
 
