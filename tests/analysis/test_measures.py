@@ -172,7 +172,7 @@ def test_a_trajectory_of_another_problem_is_not_measured():
 def test_stated_sizes_come_from_ends_then_references_then_bounds():
     made = problem(
         state_set=Box([-9.0, -7.0], [5.0, 3.0]),
-        initial_state=[0.5, 0.0],
+        initial_state=[0.0, 0.0],
         terminal_state=Box([-2.0, None], [1.0, None]),
         control_set=Box(-3.0, None),
     )
