@@ -10,8 +10,8 @@ import hashlib
 import platform
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import ParamSpec, Protocol, TypeVar, cast
 
@@ -74,19 +74,40 @@ class Kernels:
         """Compile everything, or take it from the cache; a terminal is told when that takes long."""
         if self.loaded:
             return
-        compiles, start = not self.ready, time.perf_counter()
-        if compiles:
-            self._forget()
-            _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
+        if self.ready:
+            self._load()
+            return
+        start = time.perf_counter()
+        _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
+        with self._locked():
+            if not self.ready:  # no other process has compiled it meanwhile
+                self._forget()
+            self._load()
+            if self._record is not None:
+                with suppress(OSError):
+                    self._record.touch()
+        _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+
+    def _load(self) -> None:
+        """Compile each function, or take it from the cache."""
         for kernel, given in self._kernels:
             with suppress(OSError):  # the code is there, only the cache could not be written
                 kernel.compile(given)
             kernel.disable_compile()
-        if compiles:
-            if self._record is not None:
-                with suppress(OSError):
-                    self._record.touch()
-            _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+
+    @contextmanager
+    def _locked(self) -> Generator[None]:
+        """Wait for another process that compiles the same; where files cannot be locked, both compile."""
+        with ExitStack() as stack:
+            if self._folder is not None:
+                with suppress(ImportError, OSError):  # Windows has no fcntl; a folder may be unwritable
+                    import fcntl
+
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    file = stack.enter_context((self._folder / f"{self._sources[0].stem}.lock").open("w"))
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                    stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also where a forked process has the file
+            yield
 
     @property
     def loaded(self) -> bool:
