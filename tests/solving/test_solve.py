@@ -125,7 +125,7 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.errors.NumericalError, match="residuals are too large"):
-            lfo.solve(lfo.library.pendulum(), method="convex")
+            lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
 
     def test_a_false_ray_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
@@ -133,7 +133,7 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
-            lfo.solve(lfo.library.pendulum(), method="convex")
+            lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
         assert not caught.value.proven
 
     @pytest.mark.parametrize("method", ["auto", "spectral", "convex"])
