@@ -1,3 +1,4 @@
+import gc
 import os
 
 import pytest
@@ -9,11 +10,24 @@ from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
+COMPILED = ("test_small.py", "test_paths.py")
+"""The tests that wait longest for numba."""
+
 
 def pytest_configure():
     """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with what compiles: one worker does it while the others test, and these find the code in the cache."""
+    items.sort(key=lambda item: item.path.name not in COMPILED)
+
+
+def pytest_collection_finish():
+    """Exempt what was imported from garbage collection: it lives until the end, and every full collection visits it."""
+    gc.freeze()
 
 
 def judged_problem(name):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 
 
@@ -32,7 +33,7 @@ def test_a_comparison_replays_by_the_response(wave, tmp_path):
 def test_what_cannot_hold_is_explained_with_the_least_change(wave):
     problem = replace(wave, state_set=lfo.Box(-0.01, 0.01), control_set=lfo.Box(-500.0, 500.0))
     with pytest.raises(InfeasibleError, match="proven by a rigorous ray"):
-        lfo.solve(problem)
+        raise_for(lfo.solve(problem, throw=False))
     explanation = lfo.explain(problem)
     assert set(explanation.family) == {"state bound on velocity [m/s]", "control bound on force [N]"}
     cured = replace(problem, state_set=lfo.Box(-0.01 - explanation.cures[0].amount, 0.01 + explanation.cures[0].amount))

@@ -19,7 +19,7 @@ def amplitude(samples, modes, h=0.01):
     frequency, damping = np.asarray(modes).T
     root = np.sqrt(1 - damping**2)
     z = np.exp(2 * np.pi * frequency * (-damping + 1j * root) * h)
-    return np.abs((z - 1) / root * (z[:, None] ** np.arange(len(samples))[::-1] @ samples))
+    return np.abs((z - 1) / root * np.polyval(samples, z))
 
 
 def grid(box, count):

@@ -390,7 +390,7 @@ def test_the_result_of_mixed_features_is_valid(seed):
 
 def test_the_result_of_a_solve_without_solution_is_valid():
     with pytest.raises(lfo.errors.InfeasibleError) as caught:
-        lfo.solve(lfo.library.double_integrator(cutoff_hz=0.3))
+        lfo.solve(lfo.library.double_integrator(horizon=20, sampling_time=0.25, cutoff_hz=0.3))
     summary = printed(result_summary(caught.value.result))
     assert summary["conflict"]
     assert summary["explanation"]["cures"]

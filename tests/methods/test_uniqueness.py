@@ -221,7 +221,7 @@ def test_the_radius_of_a_ball_alone_is_no_multiplier():
 
 
 def test_without_a_trajectory_there_is_nothing_to_say():
-    result = lfo.solve(lfo.library.pendulum(control_bound=1.0), throw=False)
+    result = lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1.0), throw=False)
     with pytest.raises(lfo.errors.SolveError, match="without a trajectory"):
         _ = result.uniqueness
 

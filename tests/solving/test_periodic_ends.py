@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 
@@ -116,9 +117,9 @@ def test_a_contradiction_is_proven_and_explained(method):
     problem = double_integrator(
         control_set=lfo.Box(0.1, 8), state_set=lfo.Box(-100, 100)
     )  # the velocity grows at every step
-    with pytest.raises(InfeasibleError, match="periodic ends"):
-        lfo.solve(problem, method=method)
     result = lfo.solve(problem, method=method, throw=False)
+    with pytest.raises(InfeasibleError, match="periodic ends"):
+        raise_for(result)
     proof = prove_infeasible(problem, result.ray)
     assert proof is not None
     assert proof.bound.kind == "rigorous"

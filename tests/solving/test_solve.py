@@ -81,7 +81,7 @@ class TestEndings:
     @pytest.mark.parametrize(("method", "solver"), [("auto", "spectral"), ("convex", "convex, clarabel")])
     def test_infeasible(self, method, solver):
         with pytest.raises(lfo.errors.InfeasibleError, match=r"control bound on force \[N\]") as caught:
-            lfo.solve(lfo.library.pendulum(control_bound=1.0), method=method)
+            lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1.0), method=method)
         result = caught.value.result
         assert result.solver == solver
         assert result.status == "infeasible"
@@ -91,7 +91,7 @@ class TestEndings:
 
     @pytest.mark.parametrize("backend", ["osqp", "qpsolvers:piqp", "qpsolvers:highs"])
     def test_infeasible_whichever_backend_met_it(self, backend):
-        result = lfo.solve(lfo.library.pendulum(control_bound=1.0), backend=backend, throw=False)
+        result = lfo.solve(lfo.library.pendulum(horizon=60, control_bound=1.0), backend=backend, throw=False)
         assert (result.status, result.backend) == ("infeasible", backend)
         assert result.conflict
 
@@ -125,7 +125,7 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.errors.NumericalError, match="residuals are too large"):
-            lfo.solve(lfo.library.pendulum(), method="convex")
+            lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
 
     def test_a_false_ray_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
@@ -133,7 +133,7 @@ class TestEndings:
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
         with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
-            lfo.solve(lfo.library.pendulum(), method="convex")
+            lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
         assert not caught.value.proven
 
     @pytest.mark.parametrize("method", ["auto", "spectral", "convex"])

@@ -95,7 +95,7 @@ def case_of(seed: int) -> tuple[str, lfo.OptimalControlProblem]:
     band = bands.get(kind, lfo.low_pass(w0))
     w = np.linspace(0, np.pi, 4001)
     inside = w <= w0 if kind == "high pass" else abs(w - w0) < 0.3 if kind == "notch" else w >= w0
-    limit = level * float(np.abs(np.exp(-1j * np.outer(w[inside], np.arange(len(signal)))) @ signal).max())
+    limit = level * float(np.abs(np.polyval(signal[::-1], np.exp(-1j * w[inside]))).max())
     given = (
         [[w0, limit], [(w0 + np.pi) / 2, limit * rng.uniform(0.2, 2)], [np.pi, limit]] if kind == "points" else limit
     )
@@ -119,7 +119,7 @@ def with_held_mask(
     problem, first = replace(problem, dynamics=dynamics), rng.uniform(0.05, 1.5)
     signal = lfo.solve(problem).trajectory.u[:, 0]
     f = np.linspace(first, first + 1, 4001)
-    values = np.sinc(f) * (np.exp(-2j * np.pi * np.outer(f, np.arange(len(signal)))) @ signal)
+    values = np.sinc(f) * np.polyval(signal[::-1], np.exp(-2j * np.pi * f))
     limit = 10.0 ** rng.uniform(-1.5, 0) * float(np.abs(values).max())
     points = [[first, limit], [first + 0.4, limit * rng.uniform(0.2, 2)], [first + 1.3, limit * rng.uniform(0.2, 2)]]
     given, band = points if kind == "held points" else limit, lfo.low_pass(cutoff_hz=first)
@@ -171,7 +171,7 @@ def frequencies(limits: Limits, points: int) -> np.ndarray:
 def largest(signal: np.ndarray, everywhere: Frequencies, kind: str, points: int) -> float:
     """Return the largest |V|/l on a grid of so many points for each sample."""
     w = frequencies(everywhere.limits, points * len(signal))
-    spectrum = factors(w, kind) * (np.exp(-1j * np.outer(w, np.arange(len(signal)))) @ signal)
+    spectrum = factors(w, kind) * np.polyval(signal[::-1], np.exp(-1j * w))
     return float((np.abs(spectrum) / everywhere.limits.at(w)).max())
 
 

@@ -1,6 +1,7 @@
 """When loops are compiled, and what is said of it."""
 
 import sys
+from threading import Event, Thread
 
 import pytest
 
@@ -58,6 +59,34 @@ def test_changes_of_inlined_functions_are_seen(tmp_path, source):
     assert not stale.exists()
     assert foreign.exists()
     assert len(list(tmp_path.glob("*.complete"))) == 1
+
+
+def test_who_comes_second_waits_and_takes_what_the_first_compiled(tmp_path, source):
+    """Threads stand in for processes: each opens the locked file by itself."""
+    pytest.importorskip("fcntl", reason="files are locked on POSIX only")
+    started, goes_on, code = Event(), Event(), tmp_path / "loops.sum-1.py311.nbi"
+
+    class Slow(Kernel):
+        def compile(self, signature):
+            code.touch()
+            started.set()
+            assert goes_on.wait(60)
+            super().compile(signature)
+
+    later = Kernel(tmp_path)
+    first = Thread(target=Kernels((str(source),), (Slow(tmp_path), ())).prepare)
+    second = Thread(target=Kernels((str(source),), (later, ())).prepare)
+    first.start()
+    assert started.wait(60)
+    second.start()
+    second.join(0.2)
+    assert second.is_alive()
+    assert not later.signatures
+    goes_on.set()
+    for thread in (first, second):
+        thread.join(60)
+    assert later.signatures
+    assert code.exists()  # the second has not forgotten it
 
 
 def test_a_terminal_is_told_once(tmp_path, source, capsys, monkeypatch):

@@ -10,8 +10,8 @@ import hashlib
 import platform
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import ParamSpec, Protocol, TypeVar, cast
 
@@ -28,6 +28,8 @@ REALS = tuple(types.Array(types.float64, dimensions, "C", readonly=True) for dim
 WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in range(4))
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
 WRITTEN_INDICES = types.Array(types.intp, 1, "C")
+
+FASTMATH = {"contract", "nsz"}
 
 
 class _Statistics(Protocol):
@@ -50,8 +52,14 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
         return _compiled(function, False)
 
 
+def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
+    """Return a function that becomes part of its only caller: compiled alone as well, it would take twice as long."""
+    decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
+    return cast("Callable[Arguments, Value]", decorate(function))
+
+
 def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, fastmath={"contract", "nsz"}, error_model="numpy")
+    decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
@@ -74,19 +82,40 @@ class Kernels:
         """Compile everything, or take it from the cache; a terminal is told when that takes long."""
         if self.loaded:
             return
-        compiles, start = not self.ready, time.perf_counter()
-        if compiles:
-            self._forget()
-            _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
+        if self.ready:
+            self._load()
+            return
+        start = time.perf_counter()
+        _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
+        with self._locked():
+            if not self.ready:  # no other process has compiled it meanwhile
+                self._forget()
+            self._load()
+            if self._record is not None:
+                with suppress(OSError):
+                    self._record.touch()
+        _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+
+    def _load(self) -> None:
+        """Compile each function, or take it from the cache."""
         for kernel, given in self._kernels:
             with suppress(OSError):  # the code is there, only the cache could not be written
                 kernel.compile(given)
             kernel.disable_compile()
-        if compiles:
-            if self._record is not None:
-                with suppress(OSError):
-                    self._record.touch()
-            _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+
+    @contextmanager
+    def _locked(self) -> Generator[None]:
+        """Wait for another process that compiles the same; where files cannot be locked, both compile."""
+        with ExitStack() as stack:
+            if self._folder is not None:
+                with suppress(ImportError, OSError):  # Windows has no fcntl; a folder may be unwritable
+                    import fcntl
+
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    file = stack.enter_context((self._folder / f"{self._sources[0].stem}.lock").open("w"))
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                    stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also where a forked process has the file
+            yield
 
     @property
     def loaded(self) -> bool:

@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
 from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors, path_lengths
 from lin_freq_ocp.methods.structured.kkt.compiled import rows as vectors
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
+from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.path_cones import (
     cones_margin,
     cones_product,
@@ -77,7 +77,7 @@ def subtract_cone_adjoint(G: Array, z: Array, out: Array) -> None:
                 out[m, e] -= G[i, m, e] * z[i, e]
 
 
-@jit
+@inlined
 def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Array) -> None:
     """Write the residuals of a point and the numbers beside tau, kappa and the steps."""
     (w, p, z, s), (r_w, r_p, r_s), tau = point, residuals, numbers[TAU]
@@ -97,7 +97,7 @@ def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Ar
     numbers[MU] = (dot(s.ravel(), z.ravel()) + tau * numbers[KAPPA]) / ((data.linear + 1) * w.shape[1] + 1)
 
 
-@jit
+@inlined
 def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
     """Return how the run ends at a point, or -1; tolerances of the point, and of the bound that it proves.
 
@@ -115,7 +115,7 @@ def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear:
     return DECIDED if split and numbers[OF_PRIMAL] <= CLEAR_RESIDUAL else -1
 
 
-@jit
+@inlined
 def path_directed(
     data: PathData,
     factors: PathFactors,
@@ -154,7 +154,7 @@ def path_directed(
     return dw, dp, dz, ds, cones_product(linear, of_s, of_z), (dtau, dkappa, inverse)
 
 
-@jit
+@inlined
 def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
     """Move the point by predictor and corrector; return the length of the step."""
     (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
@@ -189,7 +189,7 @@ def move_within(linear: int, v: Array) -> None:
         v[: linear + 1] += max(1.0, MOVED * size) - least
 
 
-@jit
+@inlined
 def path_begin(data: PathData, point: Point, width: int) -> None:
     """Write the first point, from the solution at W = 1."""
     (w, p, z, s), linear = point, data.linear

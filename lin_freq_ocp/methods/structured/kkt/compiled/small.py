@@ -16,7 +16,7 @@ from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
 from lin_freq_ocp.methods.structured.kkt.compiled import cones, loops, rows
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, jit
+from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.cones import margin, product, quotient, scale, scaled, steepest
 from lin_freq_ocp.methods.structured.kkt.compiled.factors import cholesky, cholesky_solve
 from lin_freq_ocp.methods.structured.kkt.compiled.loops import factor, solve
@@ -77,7 +77,7 @@ Factors = tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, A
 the responses y to them, and with these eta and lam0."""
 
 
-@jit
+@inlined
 def measure(
     data: Data, point: tuple[Array, Array, Array], residuals: tuple[Array, Array, Array], numbers: Array
 ) -> None:
@@ -155,7 +155,7 @@ def solved(data: Data, factors: Factors, of_y: Array, of_z: Array, y: Array, z: 
             z[at + rows + i] += weights[i] * (dy[places[first[i]]] - f[i])
 
 
-@jit
+@inlined
 def subtract_product(data: Data, factors: Factors, y: Array, z: Array, of_y: Array, of_z: Array) -> None:
     """Subtract (P y + A'z, A y - W^2 z) from (of_y, of_z)."""
     A, B, H, _, _, G, times, ends, free, first, places, entries, weights = data
@@ -189,7 +189,7 @@ def solution(data: Data, factors: Factors, of_y: Array, of_z: Array, refine: boo
     return y, z
 
 
-@jit
+@inlined
 def factored(data: Data, s: Array, z: Array) -> Factors:
     """Return the factors at the scaling of s and z, of which only the rows of stages count."""
     A, B, H, _, b, G, times, ends, free, first, places, entries, weights = data
@@ -227,7 +227,7 @@ def factored(data: Data, s: Array, z: Array) -> Factors:
     return K, L, Ac, P, P0, w, eta, scaled(ends, w, eta, rows, 1), S, Y, N
 
 
-@jit
+@inlined
 def directed(
     data: Data,
     factors: Factors,
@@ -295,7 +295,7 @@ def move_inside(ends: Indices, v: Array, start: int) -> None:
             v[start + ends[j]] += move
 
 
-@jit
+@inlined
 def begin(data: Data, constant: tuple[Array, Array], point: tuple[Array, Array, Array]) -> None:
     """Write the first point, from the solution at W = 1."""
     (y, z, s), start = point, len(data.b) - len(data.weights) - len(data.G)
@@ -309,7 +309,7 @@ def begin(data: Data, constant: tuple[Array, Array], point: tuple[Array, Array, 
     move_inside(data.ends, z, start)
 
 
-@jit
+@inlined
 def step(
     data: Data,
     factors: Factors,
