@@ -75,19 +75,13 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
         worth = sum(map(np.abs, products)) + _worth_of_bounds(given, tubes)
         gaps = np.divide(costs - bounds, scale, out=np.full(len(scale), np.inf), where=scale > 0)
         proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & _inside(problem, starts)
-        return Verdicts(costs, bounds, gaps, proven & _priced(given) & _feasible(problem, given, residual, tubes))
+        return Verdicts(costs, bounds, gaps, proven & _feasible(problem, given, residual, tubes))
 
 
 def _inside(problem: OptimalControlProblem, starts: Array) -> Mask:
     """Return which initial states (N, n) lie in the state set of their time."""
     lower, upper = problem.state_boxes.lower[0], problem.state_boxes.upper[0]
     return ((lower <= starts) & (starts <= upper)).all(1)
-
-
-def _priced(given: Extremals) -> Mask:
-    """Return which trajectories have multipliers that are not all zero: such price no residual."""
-    parts = (given.eta, given.mu, given.nu, given.rho_u)
-    return np.any([part.any(axis=(1, 2)) for part in parts], axis=0)
 
 
 def _slopes(problem: OptimalControlProblem, given: Extremals) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:

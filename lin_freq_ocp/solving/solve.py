@@ -24,6 +24,8 @@ from lin_freq_ocp.solving.method import Method, Progress, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
+COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
+
 
 def solve_judged(
     problem: OptimalControlProblem,
@@ -113,7 +115,9 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
         gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
         found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
         if found != status:
-            status, message = found, _rounded(translation)
+            status, message = found, ""
+    if status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR):
+        message = "; ".join(filter(None, [message, _rounding(translation, trajectory)]))
     return replace(
         outcome, trajectory=trajectory, certificate=after.raised(translation.cost), status=status, message=message
     )
@@ -129,14 +133,14 @@ def _judged_again(
     return replace(after, descent=before.descent)
 
 
-def _rounded(translation: Translation) -> str:
-    """Say which state is rounded by how much."""
-    i = int(np.argmax(np.abs(translation.origin)))
-    size = float(np.spacing(abs(translation.origin[i])))
-    return (
-        f"{translation.given.state_names[i]} lies so far from zero that double precision rounds it by {size:.1e}. "
-        "This rounding is worth more than the gap allows; count it from nearer"
-    )
+def _rounding(translation: Translation, trajectory: Trajectory) -> str:
+    """Return which state is rounded by how much, where that may be why an answer is not optimal; else nothing."""
+    size, moves = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
+    i = int(np.argmax(np.divide(size, moves, out=np.zeros(len(size)), where=moves > 0)))
+    if size[i] <= COARSE * moves[i]:
+        return ""
+    name = translation.given.state_names[i]
+    return f"{name} lies so far from zero that double precision rounds it by {size[i]:.1e}: count it from nearer"
 
 
 def _translated_start(translation: Translation, start: Start) -> Start:

@@ -11,6 +11,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks import translation
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.solving import linear
+from lin_freq_ocp.solving.judging import judged
+from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.status import Status
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
@@ -97,6 +102,43 @@ def test_at_rest_nothing_moves_and_this_is_optimal(origin):
     assert result.certificate.globally_optimal
 
 
+def test_where_nothing_moves_rounding_is_no_residual():
+    """Rotations about a point far away: in double precision, the point that rests there wanders by its last digits."""
+    A, centre = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([1e9 + 0.3, -7e8 / 3])
+    dynamics = lfo.LinearDynamics(A, [[0.0], [1.0]], centre - A @ centre)
+    ends = {"initial_state": centre, "terminal_state": centre}
+    problem = lfo.OptimalControlProblem(dynamics, 20, lfo.QuadraticCost(R=1.0), lfo.Box(-1, 1), **ends)
+    trajectory = lfo.simulate(problem, np.zeros((20, 1)))
+    assert (trajectory.x != centre).any()
+    assert lfo.certify(problem, trajectory).feasible
+
+
+def test_no_answer_is_replaced_by_one_that_violates_more(monkeypatch):
+    """Of two methods, the first ends at the optimum without a proof, the second beside it with one."""
+    problem = move(0.0)
+    first = solve_judged(problem, "spectral")
+    x = first.trajectory.x.copy()
+    x[10:] += [3e-7, 0.0]
+    beside = Candidate("optimal", lfo.Trajectory(x, first.trajectory.u), first.multipliers)
+    second = judged(problem, beside, "structured", None, None)
+    assert second.certificate.feasible
+
+    def ending(outcome):
+        class Method:
+            def __init__(self, *options):
+                pass
+
+            def solve(self, problem, request):
+                return outcome
+
+        return Method
+
+    monkeypatch.setattr(linear, "Spectral", ending(replace(first, status=Status.LOCALLY_OPTIMAL)))
+    for name in ("Structured", "Convex"):
+        monkeypatch.setattr(linear, name, ending(replace(second, status=Status.OPTIMAL)))
+    np.testing.assert_array_equal(lfo.solve(problem).trajectory.x, first.trajectory.x)
+
+
 def test_rounding_that_hides_a_move_is_named():
     """A move of 1 at 1e14, where neighbouring numbers are 1/64 apart."""
     result = lfo.solve(move(1e14), throw=False)
@@ -152,8 +194,9 @@ def test_a_loop_that_travels_stays_accurate():
 def test_many_problems_far_from_zero():
     starts = np.array([[0.0, 0.0], [0.1, 0.0], [-0.2, 0.05]])
     origin = np.array([UTM, 0.0])
-    near = lfo.solve_many(move(0.0), starts)
-    far = lfo.solve_many(move(UTM), starts + origin)
+    costs = [lfo.QuadraticCost(Q=0.1, R=1.0, P=0.1, x_ref=[place, 0.0]) for place in (0.0, UTM)]
+    near = lfo.solve_many(move(0.0, cost=costs[0]), starts)
+    far = lfo.solve_many(move(UTM, cost=costs[1]), starts + origin)
     assert far.proven
     np.testing.assert_allclose(far.controls, near.controls, atol=1e-8)
     np.testing.assert_allclose(far.states, near.states + origin, atol=1e-8)

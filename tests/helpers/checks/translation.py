@@ -20,7 +20,7 @@ from helpers.random_units import Change, drawn, problem
 
 QUESTIONS = ("solve", "certify", "step", "minimum time")
 COST_AGREEMENT = 1e-7  # difference of two costs, relative to what the terms of the cost add up to
-ROUNDING = 50 * float(np.finfo(float).eps)  # of data and states, times the distance: what may become of it in a cost
+ROUNDING = 200 * float(np.finfo(float).eps)  # of data and states, times the distance: what may become of it in a cost
 CONTROL_AGREEMENT = 1e-3  # difference of two controls, relative to the largest: costs are flat at an optimum
 ROUNDED = "count it from nearer"  # in the message of an answer that rounding has spoilt
 
