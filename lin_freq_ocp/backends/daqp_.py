@@ -12,7 +12,6 @@ It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import daqp
@@ -23,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
@@ -52,9 +52,9 @@ CLAIMS = {
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; what it stops with early has no bound."""
-    started, found = time.perf_counter(), list[Solution]()
+    started, found = now(), list[Solution]()
     for curvature in BINARY_CURVATURES:
-        left = None if time_limit is None else time_limit - (time.perf_counter() - started)
+        left = None if time_limit is None else time_limit - (now() - started)
         if left is None or left > 0:
             found.append(_attempt(program, curvature, left, gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):

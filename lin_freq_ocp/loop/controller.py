@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -22,6 +21,7 @@ from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
@@ -72,7 +72,7 @@ class Controller:
         x = self.measured("state", state, self.problem.state_dim)
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
-        started = time.perf_counter()
+        started = now()
         hard, soft = self._answers(x, preview)
         outcome = hard if soft is None else soft
         answered = outcome.status.solved or (outcome.trajectory is not None and outcome.primal)
@@ -90,7 +90,7 @@ class Controller:
             cost=float("nan") if outcome.cost is None or not answered else outcome.cost,
             gap=float("nan") if certificate is None or certificate.gap is None else certificate.gap,
             satisfied=certificate is not None and certificate.pmp == "satisfied",
-            solve_seconds=time.perf_counter() - started - certified,
+            solve_seconds=now() - started - certified,
             certify_seconds=certified,
             excess=excess(outcome.problem, plan) if soft is not None else {},
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +17,8 @@ from typing import ParamSpec, Protocol, TypeVar, cast
 import numba
 from llvmlite import binding
 from numba import types
+
+from lin_freq_ocp.system.clock import now
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -74,7 +75,7 @@ class Kernels:
         """Compile everything, or take it from the cache; a terminal is told when that takes long."""
         if self.loaded:
             return
-        compiles, start = not self.ready, time.perf_counter()
+        compiles, start = not self.ready, now()
         if compiles:
             self._forget()
             _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
@@ -86,7 +87,7 @@ class Kernels:
             if self._record is not None:
                 with suppress(OSError):
                     self._record.touch()
-            _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+            _tell(f"lin_freq_ocp: compiled in {now() - start:.0f} s")
 
     @property
     def loaded(self) -> bool:
