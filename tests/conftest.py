@@ -4,9 +4,11 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
+from lin_freq_ocp.system.clock import use_clock
 from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
 
@@ -14,6 +16,13 @@ def pytest_configure():
     """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def clock():
+    """Give every test a clock by which a look takes a microsecond: no limit is over because the machine is slow."""
+    with use_clock(Clock(1e-6)):
+        yield
 
 
 def judged_problem(name):

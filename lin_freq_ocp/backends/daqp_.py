@@ -34,6 +34,7 @@ REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cos
 # too low by 5e-6.
 FEASIBILITY = 1e-7
 INFINITE = 1e30  # as DAQP has it
+LEAST_TIME = 1e-6  # seconds given to DAQP when none is left: it says that its limit was reached
 EQUATION, BINARY = 5, 16  # kinds of rows
 
 CLAIMS = {
@@ -55,8 +56,9 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     started, found = now(), list[Solution]()
     for curvature in BINARY_CURVATURES:
         left = None if time_limit is None else time_limit - (now() - started)
-        if left is None or left > 0:
-            found.append(_attempt(program, curvature, left, gap))
+        if found and left is not None and left <= 0:
+            break
+        found.append(_attempt(program, curvature, None if left is None else max(left, LEAST_TIME), gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
             break
     answers = [solution for solution in found if solution.claim is not Claim.FAILED]
