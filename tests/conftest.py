@@ -1,6 +1,7 @@
 import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
@@ -16,12 +17,14 @@ def pytest_configure():
     """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+    settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("any machine")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def clock():
-    """Give every test a clock by which a look takes a microsecond: no limit is over because the machine is slow."""
-    with use_clock(Clock(1e-6)):
+    """Give all tests a clock by which a look takes two milliseconds: limits are over after as many on any machine."""
+    with use_clock(Clock(2e-3)):
         yield
 
 
