@@ -293,7 +293,7 @@ def least_squares(program, tolerance, time_limit):
 
 
 def test_a_new_solver_is_one_registration(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.backends.base._REGISTER", dict(base._REGISTER))
+    monkeypatch.setattr("lin_freq_ocp.backends.base.REGISTER", dict(base.REGISTER))
     register("toy", lambda member: least_squares)
     problem = OptimalControlProblem(
         dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),

@@ -20,7 +20,8 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import norm, signals
-from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch
+from lin_freq_ocp.methods.nonsmooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum
 from lin_freq_ocp.solving import smooth as solve_smooth
 from lin_freq_ocp.system.clock import use_clock
 
@@ -402,11 +403,14 @@ def test_the_time_is_kept():
 
 
 class OneStart(LocalSearch):
-    """A local search that looks at one start only, in the second mode at all times."""
+    """A local search that looks at one start only, with half the control and in the second mode at all times."""
 
     def run(self):
-        start, _ = next(self._starts())
-        self._try(start, np.ones(self.problem.horizon, dtype=np.intp))
+        problem = self.problem
+        start = lfo.simulate(problem, 0.5 * (problem.control_tube.lower + problem.control_tube.upper))
+        self.best, self.tried = local_optimum(problem, start, np.ones(problem.horizon, dtype=np.intp)), 1
+        if self.progress is not None:
+            self.progress(SmoothProgress(self.best.cost, -np.inf, self.tried))
         return self
 
 
