@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
+import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.system.clock import now, use_clock
 
@@ -34,3 +37,11 @@ def test_after_an_error_the_clock_before_is_back():
         with pytest.raises(ZeroDivisionError), use_clock(Clock(1.0)):
             raise ZeroDivisionError
         assert now() == 3.0
+
+
+def test_nothing_else_in_the_package_reads_the_time():
+    package = Path(lfo.__file__).parent
+    readers = [
+        path for path in package.rglob("*.py") if re.search(r"^import time$|^from time ", path.read_text(), re.M)
+    ]
+    assert [str(path.relative_to(package)) for path in readers] == ["system/clock.py"]
