@@ -2,12 +2,15 @@ import gc
 import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
+from lin_freq_ocp.system.clock import use_clock
 from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
 COMPILED = ("test_small.py", "test_paths.py")
@@ -18,6 +21,15 @@ def pytest_configure():
     """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+    settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("any machine")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def clock():
+    """Give all tests a clock by which a look takes two milliseconds: limits are over after as many on any machine."""
+    with use_clock(Clock(2e-3)):
+        yield
 
 
 def pytest_collection_modifyitems(items):

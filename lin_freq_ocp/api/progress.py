@@ -6,13 +6,14 @@ It is shown by IPython, which every notebook has; where there is no notebook, no
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from html import escape
 from importlib import import_module
 from multiprocessing import parent_process
 from typing import ParamSpec, Protocol
+
+from lin_freq_ocp.system.clock import now
 
 FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line is shown, and from one change to the next
 
@@ -31,13 +32,13 @@ class Line:
     """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
 
     def __init__(self):
-        self._next, self._handle = time.monotonic() + FIRST_SECONDS, None
+        self._next, self._handle = now() + FIRST_SECONDS, None
 
     def show(self, text: str) -> None:
         """Show a text, unless the last was shown just now."""
-        if time.monotonic() < self._next:
+        if now() < self._next:
             return
-        self._next = time.monotonic() + BETWEEN_SECONDS
+        self._next = now() + BETWEEN_SECONDS
         bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"}
         if self._handle is None:
             self._handle: Handle | None = import_module("IPython.display").display(bundle, raw=True, display_id=True)

@@ -96,7 +96,9 @@ class RecedingHorizon:
     delay : {0, 1}
         1: the control of a step acts one step after its measurement. Before the first it is zero.
     time_limit : float, optional
-        Seconds for each solve. A step without an answer in this time continues the plan of the step before.
+        Seconds for each solve. A step without an answer in this time applies the better of two: the point that it has
+        reached, and the plan of the step before, replayed from the measured state. A feasible one is better than one
+        that is not, then the one of lower cost; of two others the one that violates the constraints less.
 
     Raises
     ------
@@ -165,7 +167,7 @@ class RecedingHorizon:
         ProblemError
             If a measurement, a reference or a bound does not fit the problem. Nothing is recorded then.
         InfeasibleError, LimitError, NumericalError, UnboundedError
-            If there is no plan, and none of the step before; with ``.result``.
+            If there is neither a plan nor what may take its place (see ``time_limit``); with ``.result``.
         """
         step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
         if step is None:

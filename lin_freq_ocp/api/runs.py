@@ -112,9 +112,9 @@ def rerun(run: SavedRun) -> Rerun:
     except Exception as caught:
         error = caught
     summary = None if result is None else result_summary(result)
-    now = _outcome(summary, None if error is None else described(error))
+    now = outcome_fields(summary, None if error is None else described(error))
     here = environment(run.options.get("backend"))
-    return Rerun(result, error, _outcome(run.summary, run.error), now, run.environment, here)
+    return Rerun(result, error, outcome_fields(run.summary, run.error), now, run.environment, here)
 
 
 def rerun_summary(comparison: Rerun) -> FileTable:
@@ -124,7 +124,8 @@ def rerun_summary(comparison: Rerun) -> FileTable:
     return finite(summary | {"differences": list(comparison.differences), "environment": versions})
 
 
-def _outcome(summary: Mapping[str, object] | None, error: Mapping[str, object] | None) -> FileTable:
+def outcome_fields(summary: Mapping[str, object] | None, error: Mapping[str, object] | None) -> FileTable:
+    """Return what two runs are compared by, of a summary or error as a file holds them, whoever wrote it."""
     given = summary or {}
     seconds = [value for value in _table(given.get("seconds")).values() if isinstance(value, (int, float))]
     return {

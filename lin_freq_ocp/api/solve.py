@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -14,6 +13,7 @@ from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 EXPLAIN_SECONDS = 5.0  # for the explanation of an infeasible problem, unless a time limit leaves less
 
@@ -109,11 +109,11 @@ def solve(
     >>> result.status, result.certificate.globally_optimal
     ('optimal', True)
     """
-    started = time.perf_counter()
+    started = now()
     limits = backend, tolerance, gap, node_limit
     with reporting(progress, str) as report:
         outcome = solve_judged(problem, method, time_limit, report, start, *limits, executor, global_bound)
-    return answered(outcome, throw, None if time_limit is None else time_limit - (time.perf_counter() - started))
+    return answered(outcome, throw, None if time_limit is None else time_limit - (now() - started))
 
 
 def answered(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:

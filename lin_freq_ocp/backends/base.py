@@ -57,7 +57,7 @@ class _Entry:
     example: str | None
 
 
-_REGISTER: dict[str, _Entry] = {}
+REGISTER: dict[str, _Entry] = {}
 
 
 def register(
@@ -82,12 +82,12 @@ def register(
     example : str, optional
         Of what follows ``name:``, where something must.
     """
-    _REGISTER[name] = _Entry(load, package, binaries, cones, example)
+    REGISTER[name] = _Entry(load, package, binaries, cones, example)
 
 
 def names(binaries: bool = False) -> list[str]:
     """Return the registered names of solvers for programs with or without binaries."""
-    return [name for name, entry in _REGISTER.items() if entry.binaries == binaries]
+    return [name for name, entry in REGISTER.items() if entry.binaries == binaries]
 
 
 def backend(name: str, binaries: bool = False) -> Solver:
@@ -96,7 +96,7 @@ def backend(name: str, binaries: bool = False) -> Solver:
     Raises UnsupportedError if there is none, and MissingExtraError if its package is not installed.
     """
     family, _, member = name.partition(":")
-    entry = _REGISTER.get(family)
+    entry = REGISTER.get(family)
     if entry is None or entry.binaries != binaries or bool(member) != (entry.example is not None):
         raise UnsupportedError(f"backend: got {name!r}; expected {_expected(binaries)}.")
     if entry.package is not None and find_spec(entry.package) is None:
@@ -118,7 +118,7 @@ def backend(name: str, binaries: bool = False) -> Solver:
 
 
 def _expected(binaries: bool) -> str:
-    entries = [(name, _REGISTER[name].example) for name in names(binaries)]
+    entries = [(name, REGISTER[name].example) for name in names(binaries)]
     listed = [f"'{name}'" if example is None else f"'{name}:NAME'" for name, example in entries]
     examples = [f" (such as '{name}:{example}')" for name, example in entries if example]
     purpose = " for a mixed-integer program" if binaries else "".join(examples)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.program import Program, StandardForm
 
 CLAIMS = {
@@ -47,7 +47,7 @@ def solve_form(
     ``enough`` is asked after every iteration, and ends the solve with the claim STOPPED; linear systems are then solved
     without refinement, which takes half as long and is exact enough for a first few digits.
     """
-    end = np.inf if time_limit is None else time.perf_counter() + time_limit
+    end = np.inf if time_limit is None else now() + time_limit
     cones = [clarabel.ZeroConeT(form.equations), clarabel.NonnegativeConeT(form.inequalities)]
     cones += [clarabel.SecondOrderConeT(count) for count in form.cones]
     P, q, settings = COST_FACTOR * form.P, COST_FACTOR * form.q, _settings(tolerance, time_limit)
@@ -58,7 +58,7 @@ def solve_form(
         def ends(info: clarabel.DefaultInfo) -> bool:
             costs = info.cost_primal / COST_FACTOR, info.cost_dual / COST_FACTOR
             stopped[0] = enough is not None and enough(*costs, max(info.res_primal, info.res_dual))
-            return stopped[0] or noted.is_set() or time.perf_counter() > end
+            return stopped[0] or noted.is_set() or now() > end
 
         run.set_termination_callback(ends)
         answer = run.solve()

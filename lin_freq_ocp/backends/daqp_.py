@@ -12,7 +12,6 @@ It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import daqp
@@ -23,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
@@ -34,6 +34,7 @@ REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cos
 # too low by 5e-6.
 FEASIBILITY = 1e-7
 INFINITE = 1e30  # as DAQP has it
+LEAST_TIME = 1e-6  # seconds given to DAQP when none is left: it says that its limit was reached
 EQUATION, BINARY = 5, 16  # kinds of rows
 
 CLAIMS = {
@@ -52,11 +53,12 @@ CLAIMS = {
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; what it stops with early has no bound."""
-    started, found = time.perf_counter(), list[Solution]()
+    started, found = now(), list[Solution]()
     for curvature in BINARY_CURVATURES:
-        left = None if time_limit is None else time_limit - (time.perf_counter() - started)
-        if left is None or left > 0:
-            found.append(_attempt(program, curvature, left, gap))
+        left = None if time_limit is None else time_limit - (now() - started)
+        if found and left is not None and left <= 0:
+            break
+        found.append(_attempt(program, curvature, None if left is None else max(left, LEAST_TIME), gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
             break
     answers = [solution for solution in found if solution.claim is not Claim.FAILED]

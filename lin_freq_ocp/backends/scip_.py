@@ -8,7 +8,6 @@ quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the o
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
@@ -21,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.program import Program, SingleBounds
 
 FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
@@ -54,7 +54,7 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
-    started = time.perf_counter()
+    started = now()
     rows = program.single_bounds()
     if rows.excess > EXCLUDED:
         return NO_POINT
@@ -66,7 +66,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
 
 def remaining(time_limit: float | None, started: float) -> float | None:
     """Return what is left of a limit, at least so much that SCIP says that it was reached."""
-    return None if time_limit is None else max(time_limit - (time.perf_counter() - started), LEAST_TIME)
+    return None if time_limit is None else max(time_limit - (now() - started), LEAST_TIME)
 
 
 def optimised(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 # Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
@@ -59,7 +59,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
         )
     if time_limit is not None:
         positive_number("time_limit", time_limit)
-    search = _Search(problem, np.inf if time_limit is None else time.perf_counter() + time_limit)
+    search = _Search(problem, np.inf if time_limit is None else now() + time_limit)
     result = search.solved(problem)
     if result.status != Status.INFEASIBLE:
         raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
@@ -86,11 +86,11 @@ class _Search:
         return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._left())
 
     def _left(self) -> float | None:
-        return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
+        return None if self.end == np.inf else max(self.end - now(), LEAST_TIME)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
         """Whether a variant has a solution; None where that is not known, as where the time is over."""
-        if time.perf_counter() > self.end:
+        if now() > self.end:
             return None
         return DECIDED.get(self.solved(problem).status)
 
@@ -107,7 +107,7 @@ class _Search:
 
     def _infeasible(self, kept: list[Block]) -> bool:
         """Whether these blocks alone are known to have no solution."""
-        if time.perf_counter() > self.end:
+        if now() > self.end:
             self.sure = False
             return False
         found = self.feasible(without(self.problem, [block for block in self.blocks if block not in kept]))
@@ -116,4 +116,4 @@ class _Search:
 
     def cure(self, block: Block) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
-        return None if time.perf_counter() > self.end else least_cure(self.problem, block, self.feasible, self._left())
+        return None if now() > self.end else least_cure(self.problem, block, self.feasible, self._left())

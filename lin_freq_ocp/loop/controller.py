@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -12,16 +11,19 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.loop.choice import better
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
 from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import SetOrSets
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
@@ -72,26 +74,26 @@ class Controller:
         x = self.measured("state", state, self.problem.state_dim)
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
-        started = time.perf_counter()
+        started = now()
         hard, soft = self._answers(x, preview)
-        outcome = hard if soft is None else soft
-        answered = outcome.status.solved or (outcome.trajectory is not None and outcome.primal)
-        plan = outcome.trajectory if answered else None if hard.status in NO_SOLUTION else self._later_plan()
+        outcome, solved = hard if soft is None else soft, now()
+        plan = self._plan(outcome)
         if plan is None:
             return None, outcome
+        own, compared = plan is outcome.trajectory, now() - solved
         certified = sum(one.seconds.get("certify", 0.0) for one in (hard, soft) if one is not None)
-        certificate, parts = outcome.certificate if answered else None, ((self._hard, hard), (self._soft, soft))
+        certificate, parts = outcome.certificate if own else None, ((self._hard, hard), (self._soft, soft))
         step = Step(
             state=x,
             control=plan.u[0].copy(),
             status=hard.status,
-            source=_source(outcome, answered, soft is not None),
+            source=_source(outcome, own, soft is not None),
             method=outcome.solver,
-            cost=float("nan") if outcome.cost is None or not answered else outcome.cost,
+            cost=outcome.problem.value(plan.x, plan.u),
             gap=float("nan") if certificate is None or certificate.gap is None else certificate.gap,
             satisfied=certificate is not None and certificate.pmp == "satisfied",
-            solve_seconds=time.perf_counter() - started - certified,
-            certify_seconds=certified,
+            solve_seconds=solved - started - certified,
+            certify_seconds=certified + compared,
             excess=excess(outcome.problem, plan) if soft is not None else {},
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
@@ -101,6 +103,23 @@ class Controller:
         self._steps.append(step)
         self._applied.append(step.control)
         return step, outcome
+
+    def _plan(self, outcome: Outcome) -> Trajectory | None:
+        """Return the plan of a step: the point of its answer, or, without an answer, the last plan if it is better."""
+        own = outcome.trajectory
+        last = None if outcome.status.solved or outcome.status in NO_SOLUTION else self._last_plan_in(outcome.problem)
+        if last is None:
+            return own if outcome.status.solved or outcome.primal else None
+        tolerance: float | None = getattr(self._hard.method, "tolerance", None)
+        return last if own is None else better(outcome.problem, own, last, tolerance)
+
+    def _last_plan_in(self, problem: OptimalControlProblem) -> Trajectory | None:
+        """Return the trajectory of the last plan's controls in the problem of a step; None if there is none."""
+        plan = self._steps[-1].plan if self._steps else None
+        try:
+            return plan and simulate(problem, _later(plan.u))
+        except LinFreqOCPError:  # no mode holds where it leads, or it overflows
+            return None
 
     def _answers(self, x: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
         """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
@@ -150,7 +169,7 @@ class Controller:
             last = self._step(len(plan.u) - 1, plan.x[-1], plan.u[-1])
         except LinFreqOCPError:  # no mode holds there
             return None
-        return Trajectory(np.vstack([plan.x[1:], last]), np.vstack([plan.u[1:], plan.u[-1:]]))
+        return Trajectory(np.vstack([plan.x[1:], last]), _later(plan.u))
 
     def measured(self, field: str, value: ArrayLike, size: int) -> Array:
         """Return a vector of this size; ProblemError if it is none, or not finite."""
@@ -160,8 +179,13 @@ class Controller:
         return found
 
 
-def _source(outcome: Outcome, answered: bool, is_soft: bool) -> Source:
-    if not answered:
+def _later(controls: Array) -> Array:
+    """Return controls from the second on, the last one twice."""
+    return np.vstack([controls[1:], controls[-1:]])
+
+
+def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
+    if not own:
         return Source.PREVIOUS_PLAN
     if is_soft:
         return Source.SOFTENED

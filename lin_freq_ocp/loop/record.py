@@ -19,8 +19,8 @@ class Source(StrEnum):
 
     PLAN = "plan"  # of the problem of this step
     SOFTENED = "softened problem"  # as that of this step has no solution
-    BEST_POINT = "best point"  # at the limit, with every constraint satisfied
-    PREVIOUS_PLAN = "previous plan"  # as this step has no plan
+    BEST_POINT = "best point"  # where the solve of this step ended without an answer
+    PREVIOUS_PLAN = "previous plan"  # of which the rest is better than that point, or there is no such point
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Step:
     method : str
         Of the answer.
     cost, gap : float
-        Of the plan, and how far it can be above the optimum, relative; nan if it is not known.
+        Of the plan, and how far it can be above the optimum, relative; the gap is nan if it is not known.
     satisfied : bool
         Whether the conditions of the maximum principle hold.
     excess : dict

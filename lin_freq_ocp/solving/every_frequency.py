@@ -10,7 +10,6 @@ References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programmin
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +28,7 @@ from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.text.phrases import plural
 
 EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
@@ -55,11 +55,11 @@ def solve_at_every_frequency(
 ) -> Outcome:
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
-    end = time.perf_counter() + request.time_limit
+    end = now() + request.time_limit
     frequencies = {term.name: term.map.places for term in problem.terms if term.everywhere is not None}
     seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
-        left = seconds_left(end, time.perf_counter())
+        left = seconds_left(end, now())
         relaxed = at_frequencies(problem, frequencies, relaxed=True)
         found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}

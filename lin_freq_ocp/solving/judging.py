@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
 LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
@@ -32,7 +32,7 @@ def judged(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
     """Judge the point, ray or direction of a candidate, from which its status follows."""
-    clock = time.perf_counter()
+    clock = now()
     status, message, certificate = Status(candidate.status), candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
@@ -46,7 +46,7 @@ def judged(
         status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
     ray = candidate.ray if status == Status.INFEASIBLE else _diverged(candidate)
     proof = None if ray is None else prove_infeasible(problem, ray)
-    seconds = {**candidate.seconds, "certify": time.perf_counter() - clock}
+    seconds = {**candidate.seconds, "certify": now() - clock}
     if proof is not None:
         message = "proven by a rigorous ray" if proof.bound.kind == "rigorous" else ONLY_PRACTICAL
         return Outcome(

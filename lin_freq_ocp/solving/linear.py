@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +24,7 @@ from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 
@@ -67,7 +67,7 @@ class Convex:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve the program, and judge the answer."""
-        end = time.perf_counter() + request.time_limit
+        end = now() + request.time_limit
         excluded = _excluded_at_ends(problem, "convex", self.tolerance)
         if excluded is not None:
             return excluded
@@ -113,7 +113,7 @@ class Spectral:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve in the Fourier domain, and judge the answer."""
-        end = time.perf_counter() + request.time_limit
+        end = now() + request.time_limit
         excluded = _excluded_at_ends(problem, "spectral", self.tolerance)
         if excluded is not None:
             return excluded
@@ -154,7 +154,7 @@ class Structured:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve over stages, and judge the answer."""
-        end = time.perf_counter() + request.time_limit
+        end = now() + request.time_limit
         excluded = _excluded_at_ends(problem, "structured", self.tolerance)
         if excluded is not None:
             return excluded
@@ -211,7 +211,7 @@ class LinearAuto:
         """Solve with the methods in turn until an answer is proven."""
         if self.backend != "auto":
             return Convex(self.backend, self.tolerance).solve(problem, request)
-        end = time.perf_counter() + request.time_limit
+        end = now() + request.time_limit
         best: Outcome | None = None
         refusals = list[str]()
         for method in self._in_turn(problem):
@@ -283,7 +283,7 @@ def _excluding(problem: OptimalControlProblem, ray: Multipliers) -> bool:
 
 
 def _left(end: float) -> float | None:
-    return seconds_left(end, time.perf_counter())
+    return seconds_left(end, now())
 
 
 def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: float | None) -> Outcome | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -24,6 +23,7 @@ from lin_freq_ocp.solving.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
@@ -45,9 +45,9 @@ class _Search:
         """Search, and judge the best sequence's trajectory and the tree."""
         require_convex(problem)
         limits = _limits(self.gap, self.node_limit, request)
-        started = time.perf_counter()
+        started = now()
         found = self._searched(problem, limits, request)
-        seconds = {"setup": found.setup, "solve": time.perf_counter() - started - found.setup}
+        seconds = {"setup": found.setup, "solve": now() - started - found.setup}
         return _judged(problem, self.shorthand, found, self.gap, seconds, started + request.time_limit)
 
     def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
@@ -140,15 +140,15 @@ class MixedInteger:
         require_convex(problem)
         backend = "scip" if self.backend == "auto" else self.backend
         limits = _limits(self.gap, self.node_limit, request)
-        end = time.perf_counter() + limits.seconds
+        end = now() + limits.seconds
         claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
         left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
-        clock = time.perf_counter()
+        clock = now()
         outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
-        late = time.perf_counter() > end  # the search's own limit was what was left
+        late = now() > end  # the search's own limit was what was left
         if late and outcome.message and not outcome.interrupted:
             outcome = replace(outcome, message=f"time limit of {limits.seconds:g} s")
-        seconds = {**claim.seconds, "solve": claim.seconds["solve"] + time.perf_counter() - clock}
+        seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
         result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
         found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
         certificate, agreed = result.certificate, False
@@ -171,7 +171,7 @@ def _judged(
     seconds: dict[str, float],
     end: float,
 ) -> Outcome:
-    clock = time.perf_counter()
+    clock = now()
     left = max(end - clock, LEAST_TIME)
     end = clock + left
     trajectory, multipliers, certificate = None, None, None
@@ -183,7 +183,7 @@ def _judged(
             first = weighted(problem, trajectory, outcome.sequence, candidate.multipliers)
             certificate, multipliers = best_multipliers(problem, trajectory, first)
     proof = tree_bound(problem, outcome.tree, end)
-    unproven = time.perf_counter() > end
+    unproven = now() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
@@ -202,7 +202,7 @@ def _judged(
         status=status,
         method=method,
         backend=None,
-        seconds={**seconds, "certify": time.perf_counter() - clock},
+        seconds={**seconds, "certify": now() - clock},
         trajectory=trajectory,
         multipliers=multipliers,
         certificate=certificate,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -27,6 +26,7 @@ from lin_freq_ocp.solving.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"
@@ -79,16 +79,16 @@ class Nonsmooth:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search for local optima, judge the best, and bound the cost from below."""
         require_convex(problem)
-        started = time.perf_counter()
+        started = now()
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
-        solved = time.perf_counter()
+        solved = now()
         best = search.best
         found = None if best is None or not best.feasible else polished(problem, best)
         found = found if request.start is None else _not_above(problem, request.start, found)
         status, message = _status(search, found)
         if self.global_bound:
             limited = request.time_limit < np.inf
-            left = request.time_limit - (time.perf_counter() - started) if limited else GLOBAL_SECONDS
+            left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
             found, status, message = self._bounded(search, found, left, status, message)
         trajectory, multipliers, certificate = (None, None, None) if found is None else found
         return Outcome(
@@ -96,7 +96,7 @@ class Nonsmooth:
             status=status,
             method="nonsmooth",
             backend=None,
-            seconds={"setup": 0.0, "solve": solved - started, "certify": time.perf_counter() - solved},
+            seconds={"setup": 0.0, "solve": solved - started, "certify": now() - solved},
             trajectory=trajectory,
             multipliers=multipliers,
             certificate=certificate,
@@ -110,7 +110,7 @@ class Nonsmooth:
     ) -> tuple[Judged | None, Status, str]:
         """Return the answer, or a better answer that the bound leads to, with its status and message."""
         if status == Status.LOCALLY_OPTIMAL and found is not None:
-            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, time.perf_counter() + left)
+            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
             message = bounding.run() if left > 0 else UNBOUNDED
             return bounding.found, bounding.found[2].status_within(bounding.gap), message
         if found is None and not search.message and left > 0 and _excluded(search.problem, left):
@@ -233,7 +233,7 @@ class _Bounding:
 def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
     try:
-        deadline = time.perf_counter() + seconds
+        deadline = now() + seconds
         levels = value_bounds(
             problem, no_multipliers(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
         )

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.system.clock import use_clock
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 DYNAMICS = lfo.LinearDynamics(A, B, sampling_time=0.1, control_names=["force [N]"])
@@ -104,7 +106,7 @@ def test_what_was_applied_counts_in_place_of_what_was_planned():
     controller = lfo.RecedingHorizon(problem(control_spectrum=spectrogram))
     controller.step([1.0, 0.0])
     controller.step([1.0, 0.0], applied=[0.05])
-    past = controller._controller._steps[-1].plan.u[:3, 0]
+    past = controller.log.steps[-1].plan.u[:3, 0]
     assert abs(0.05 - past[0] + past[1] - past[2]) <= 0.3 + 1e-6  # bin 2 of the first window
 
 
@@ -259,16 +261,19 @@ def test_an_unknown_method_is_refused_at_once():
 
 
 def test_without_time_the_last_plan_goes_on():
-    controller = lfo.RecedingHorizon(problem(), "structured")
-    controller.step([1.0, 0.0])
-    plan = controller._controller._steps[-1].plan
-    controller._controller._limit = 1e-9
-    late = controller.step(plan.x[1])
-    np.testing.assert_allclose(late, plan.u[1])
-    assert controller.log.sources[-1] == "previous plan"
-    assert controller.log.statuses[-1] == "limit"
-    with pytest.raises(lfo.errors.LimitError):
-        lfo.RecedingHorizon(problem(), "structured", time_limit=1e-9).step([1.0, 0.0])
+    """The clock stands still during the first step; in the second, every look at it takes longer than the limit."""
+    clock = Clock()
+    with use_clock(clock):
+        controller = lfo.RecedingHorizon(problem(), "structured", time_limit=1.0)
+        controller.step([1.0, 0.0])
+        plan = controller.log.steps[-1].plan
+        clock.per_look = 2.0
+        late = controller.step(plan.x[1])
+        np.testing.assert_allclose(late, plan.u[1])
+        assert controller.log.sources == ("plan", "previous plan")
+        assert controller.log.statuses == ("optimal", "limit")
+        with pytest.raises(lfo.errors.LimitError):
+            lfo.RecedingHorizon(problem(), "structured", time_limit=1.0).step([1.0, 0.0])
 
 
 def test_dynamics_with_modes_run_in_a_loop():

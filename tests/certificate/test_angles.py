@@ -63,11 +63,13 @@ def test_amplitudes_may_have_no_limit(third):
 @pytest.mark.parametrize("seed", range(5))
 def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     rng, bound = np.random.default_rng(seed), loose(12)
-    count = 200
+    count = 100
     steps = np.array([[0.5, 0.5, -0.5], [0.5, -0.5, 0.5]])[rng.integers(2, size=count)]
     centre = np.sort(rng.uniform(0.05, 1.5, (count, 3)), axis=1)
     radius = np.minimum(rng.uniform(0, 0.05, (count, 3)), 0.05)
-    boxes = bound._bounded(Boxes(steps, centre, radius, np.full(count, -np.inf)))
+    bound.boxes = Boxes(steps, centre, radius, np.full(count, -np.inf))
+    assert bound.halve(np.inf)
+    boxes, count = bound.boxes, 2 * count
     assert len(boxes.bound) == count
     least = np.full(count, np.inf)
     for _ in range(50):

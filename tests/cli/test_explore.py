@@ -20,10 +20,10 @@ def test_ctrl_c_ends_the_server_with_its_status():
         try:
             url = process.stdout.readline().strip()
             assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", url)
-            with urllib.request.urlopen(url, timeout=60) as page:
+            with urllib.request.urlopen(url, timeout=600) as page:
                 assert b"double_integrator" in page.read()
             os.kill(process.pid, signal.SIGINT)
-            _, err = process.communicate(timeout=60)
+            _, err = process.communicate(timeout=600)
         finally:
             process.kill()
     assert (process.returncode, err) == (130, "")

@@ -13,7 +13,7 @@ from lin_freq_ocp.explorer.page import static_page
 from lin_freq_ocp.explorer.server import ExploreServer
 from lin_freq_ocp.explorer.session import Session
 
-PATIENCE = 60  # seconds
+PATIENCE = 600  # seconds, after which something hangs
 
 
 def new_session():

@@ -18,8 +18,7 @@ from scipy.io import savemat
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
-from lin_freq_ocp.api.runs import Rerun, rerun_summary
-from lin_freq_ocp.api.runs import _outcome as outcome
+from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
 from lin_freq_ocp.interchange import files
 from lin_freq_ocp.interchange.files import MOST_ENTRIES
 from lin_freq_ocp.interchange.results.summary import to_json
@@ -218,7 +217,7 @@ def test_spoiled_runs(cart, tmp_path):
 
 def shown(path):
     saved = lfo.load_run(path)
-    then, now = outcome(saved.summary, saved.error), outcome(None, None)
+    then, now = outcome_fields(saved.summary, saved.error), outcome_fields(None, None)
     seen = Rerun(None, None, then, now, saved.environment, {})
     to_json(rerun_summary(seen))
     str(seen)

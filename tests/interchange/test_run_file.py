@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
 from lin_freq_ocp.api.runs import SAME_COST, Rerun
@@ -21,6 +22,7 @@ from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dump_run
 from lin_freq_ocp.methods.convex import sparse_program as convex
+from lin_freq_ocp.system.clock import use_clock
 
 CART = lfo.OptimalControlProblem(
     dynamics=lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -91,12 +93,19 @@ def test_a_run_comes_back_and_is_repeated(tmp_path, options):
     assert again.cost == pytest.approx(result.cost, rel=1e-12)
 
 
+@pytest.fixture
+def ticking():
+    """Give a clock by which two looks take two seconds."""
+    with use_clock(Clock(1.0)):
+        yield
+
+
 @pytest.mark.parametrize(
     ("problem", "options", "error", "status"),
     [
         (WEAK, {}, lfo.errors.InfeasibleError, "infeasible"),
         (DRIFTING, {}, lfo.errors.UnboundedError, "unbounded"),
-        (lfo.library.pendulum(), {"time_limit": 1e-3}, lfo.errors.LimitError, "limit"),
+        (lfo.library.pendulum(), {"time_limit": 2.0}, lfo.errors.LimitError, "limit"),
         (
             lfo.library.pendulum(),
             {"tolerance": 10.0, "method": "convex", "backend": "osqp"},
@@ -105,7 +114,7 @@ def test_a_run_comes_back_and_is_repeated(tmp_path, options):
         ),
     ],
 )
-def test_the_result_of_an_error_can_be_dumped(tmp_path, problem, options, error, status):
+def test_the_result_of_an_error_can_be_dumped(tmp_path, ticking, problem, options, error, status):
     with pytest.raises(error) as caught:
         lfo.solve(problem, **options)
     caught.value.result.dump(tmp_path / "run.zip")
@@ -164,11 +173,11 @@ def folder(tmp_path, monkeypatch):
         (("cart.toml",), 0, "optimal"),
         (("weak.toml",), 1, "infeasible"),
         (("drifting.toml",), 1, "unbounded"),
-        (("pendulum", "--time-limit", "1e-3"), 3, "limit"),
+        (("pendulum", "--time-limit", "2"), 3, "limit"),
         (("cart.toml", "--backend", "osqp", "--tolerance", "1e-7"), 0, "optimal"),
     ],
 )
-def test_what_is_dumped_is_repeated(folder, arguments, status, word):
+def test_what_is_dumped_is_repeated(folder, ticking, arguments, status, word):
     ended, out, err = run("solve", *arguments, "--dump", "run.zip", "--json")
     assert (ended, err) == (status, "")
     assert lfo.load_run("run.zip").summary == parsed(out)

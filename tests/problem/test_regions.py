@@ -276,7 +276,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert point is not None
     assert point[1] == pytest.approx(0.25)
     assert square.inner_point(0.76) is None
-    monkeypatch.setattr(polyhedra, "_projected", lambda *given: None)
+    monkeypatch.setattr(polyhedra, "PROJECTIONS", 0)
     assert halves(0.0, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
     assert halves(0.0, 0.1).gap is not None
 

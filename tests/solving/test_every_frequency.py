@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import measured_solution
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.system.clock import use_clock
 
 MASK = lfo.MagnitudeBound
 PEAK_OF_CLASSICAL = 29.343  # of the double integrator's bang-off-bang control, at frequency 0
@@ -292,8 +294,11 @@ def test_solutions_and_problems_are_written_and_read(solved, tmp_path):
     assert np.array_equal(limit, points.control_spectrum.limit)
 
 
-def test_a_time_limit_keeps_what_was_found():
-    result = lfo.solve(masked(), time_limit=1e-3, throw=False)
+@pytest.mark.parametrize("looks", [10, 40, 80])
+def test_a_time_limit_keeps_what_was_found(looks):
+    """A whole solve looks at the clock 170 times."""
+    with use_clock(Clock(1.0)):
+        result = lfo.solve(masked(), time_limit=float(looks), throw=False)
     assert result.status in ("limit", "numerical_error")
     assert isinstance(result.trajectory, (Trajectory, type(None)))
 

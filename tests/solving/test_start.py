@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.system.clock import use_clock
 
 HORIZON, STEP = 30, 0.1
 SLIDE, STICK = 0, 1
@@ -84,11 +86,12 @@ def test_a_start_changes_no_optimum():
         assert lfo.solve(problem, start=start).cost == pytest.approx(best, rel=1e-6)
 
 
-@pytest.mark.parametrize("seconds", [1e-9, 0.5])
-def test_the_local_search_ends_no_worse_than_its_start(obvious, seconds):
+@pytest.mark.parametrize("looks", [1, 100])
+def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
     """The modes of the formulas have an order of their own; the trajectory is the same."""
     problem = block(smooth=True)
-    result = lfo.solve(problem, method="nonsmooth", time_limit=seconds, start=obvious.trajectory, throw=False)
+    with use_clock(Clock(1.0)):
+        result = lfo.solve(problem, "nonsmooth", time_limit=float(looks), start=obvious.trajectory, throw=False)
     assert result.certificate.feasible
     assert result.cost <= obvious.cost * (1 + 1e-5)
 
@@ -97,8 +100,9 @@ def test_the_local_search_takes_controls_and_modes_first(obvious):
     problem, tried = block(smooth=True), []
     modes = problem.smooth_pieces.sequence_of(obvious.trajectory.x, obvious.trajectory.u)
     for start in (obvious.trajectory.u, modes):
-        limits = {"time_limit": 1.0, "throw": False, "progress": tried.append}
-        result = lfo.solve(problem, method="nonsmooth", start=start, **limits)
+        limits = {"time_limit": 200.0, "throw": False, "progress": tried.append}
+        with use_clock(Clock(1.0)):
+            result = lfo.solve(problem, method="nonsmooth", start=start, **limits)
         assert result.cost <= obvious.cost * (1 + 1e-5)
     assert np.isfinite(tried[0].cost)  # as early as that, there is a trajectory
 

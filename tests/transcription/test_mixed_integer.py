@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +12,13 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
+from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.methods.modes import mixed
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
+from lin_freq_ocp.system.clock import use_clock
 from lin_freq_ocp.transcription.modes.big_m import excesses
 from lin_freq_ocp.transcription.modes.mixed_integer import big_m_program
 from lin_freq_ocp.transcription.program import Block
@@ -259,13 +260,23 @@ def test_what_has_no_trajectory_is_infeasible(backend):
 
 @each_backend
 def test_a_time_limit_is_kept_and_said(backend):
-    problem, started = library.buck_affine(horizon=30), time.perf_counter()
-    outcome = solve_miqp(problem, backend, time_limit=0.5)
+    """The clock stands still while the program is set up; solvers get the millisecond that is always left to them."""
+    problem = library.buck_affine(horizon=30)
+    with use_clock(Clock()):
+        outcome = solve_miqp(problem, backend, time_limit=1e-9)
     assert outcome.status == "limit"
-    assert time.perf_counter() - started < 10
     assert "limit" in outcome.message or "stopped early" in outcome.message
     if outcome.sequence is not None:
         assert resolved(problem, outcome).candidate.status in ("optimal", "infeasible")
+
+
+@each_backend
+def test_a_solver_whose_limit_is_over_before_it_begins_says_so(backend):
+    """Its own set-up takes the time: every look at the clock takes longer than the limit."""
+    program = big_m_program(library.buck_affine(horizon=12)).program
+    with use_clock(Clock(1.0)):
+        found = solver_named(backend, binaries=True)(program, 1e-6, 0.5)
+    assert found.claim is Claim.LIMIT
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
@@ -275,19 +286,17 @@ def test_ctrl_c_stops_scip_with_the_best_point_so_far():
     def send():
         while not stop.wait(0.01):
             if signal.getsignal(signal.SIGINT) is not before:
-                time.sleep(0.5)
                 os.kill(os.getpid(), signal.SIGINT)
                 return
 
     sender = threading.Thread(target=send)
     sender.start()
     try:
-        outcome = solve_miqp(problem, "scip", time_limit=60)
+        outcome = solve_miqp(problem, "scip")
     finally:
         stop.set()
         sender.join()
     assert outcome.status == "interrupted"
-    assert outcome.seconds["solve"] < 20
     assert outcome.sequence is None or outcome.sequence.shape == (20,)
     assert signal.getsignal(signal.SIGINT) is before
 

@@ -69,7 +69,7 @@ def value_bounds(
     Of the multipliers, eta is not used. The cost is that of a trajectory, inf if none is known: D is a bound for any
     value, but never more than cost - gap / 2. ``scale`` is S, for the loss expected of the first level. ``progress`` is
     called with the number of the level and how much of it is done, from 0 to 1. OutOfTimeError is raised at the
-    deadline, by ``time.perf_counter``; UnsupportedError for more than three states or unbounded components.
+    deadline, by ``clock.now``; UnsupportedError for more than three states or unbounded components.
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
     scale = scale or max(abs(cost), gap)

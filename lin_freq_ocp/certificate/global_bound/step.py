@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
@@ -23,6 +22,7 @@ from lin_freq_ocp.certificate.global_bound.tolerances import (
 )
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
+from lin_freq_ocp.system.clock import now
 
 
 class OutOfTimeError(Exception):
@@ -161,7 +161,7 @@ class Step:
         for i, mode in enumerate(self._modes):
             rows = np.flatnonzero(boxes.mode == i)
             for start in range(0, len(rows), MAX_PAIRS // 8):
-                if time.perf_counter() > self._deadline:
+                if now() > self._deadline:
                     raise OutOfTimeError
                 found.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
         parts, *arrays = zip(*found, strict=True)

@@ -15,7 +15,6 @@ cost of every trajectory. Only masks and multipliers are taken from the search.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +35,7 @@ from lin_freq_ocp.geometry.box_quadratic import box_minimiser
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.system.clock import now
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class TreeBound:
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
     """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
 
-    Leaves that are not reached until ``end``, by ``time.perf_counter``, prove nothing.
+    Leaves that are not reached until ``end``, by ``clock.now``, prove nothing.
     """
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
@@ -88,7 +88,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
         if stages is None:
             bounds[index] = np.inf
         else:
-            late = time.perf_counter() > end
+            late = now() > end
             bounds[index] = -np.inf if node.proof is None or late else judge.bound(stages, node.proof)
     value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,6 +14,7 @@ from lin_freq_ocp.errors import LinFreqOCPError
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 ERROR = "error"  # status of what was not solved: it is no problem, or its worker died
 UNSOLVED = "unsolved"  # status of what Ctrl-C left
@@ -67,7 +67,7 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
         return {}, False
     if not judged_together(again.problem):
         return {}, False
-    started = time.perf_counter()
+    started = now()
     located = again.located(next(iter(changes.values())).of(again.problem))
     if located.kept is None:
         return {}, False
@@ -78,7 +78,7 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
         return {}, found is not None and found.interrupted
     signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
     judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
-    each, keys = (time.perf_counter() - started) / len(changes), list(changes)
+    each, keys = (now() - started) / len(changes), list(changes)
     items = {
         keys[i]: Item(
             status=str(Status.OPTIMAL),
@@ -97,19 +97,19 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
 
 
 def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
-    started = time.perf_counter()
+    started = now()
     if again.excluded(change):
         message = "proven by a rigorous ray of another initial state"
-        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=time.perf_counter() - started)
+        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=now() - started)
     try:
         outcome = again.solve(change, time_limit)
     except LinFreqOCPError as error:
-        return Item(ERROR, message=str(error), seconds=time.perf_counter() - started)
+        return Item(ERROR, message=str(error), seconds=now() - started)
     if outcome.interrupted:
         raise KeyboardInterrupt
     if change.references is None:
         again.keep(outcome)
-    return item_of(outcome, time.perf_counter() - started)
+    return item_of(outcome, now() - started)
 
 
 def item_of(outcome: Outcome, seconds: float) -> Item:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 import warnings
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from lin_freq_ocp.errors import BandWarning, LinFreqOCPError
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 ERROR = "error"  # status of a point that was not solved: its description is bad, or its worker died
 INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
@@ -47,17 +47,17 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     ``attempt`` counts how often the point was lost before: a scheduler that keeps answers must not take it for the
     same task.
     """
-    started, bands = time.perf_counter(), list[str]()
+    started, bands = now(), list[str]()
     try:
         with one_blas_thread():  # linear algebra does not depend on how many workers there are
             with _band_warnings(bands):
                 problem = problem_at(source, parameters)
             result = solve_judged(problem, **options)
     except LinFreqOCPError as error:
-        return failed_point(parameters, str(error), time.perf_counter() - started)
+        return failed_point(parameters, str(error), now() - started)
     except Exception as error:  # a function that builds problems may raise anything: the others are solved
-        return failed_point(parameters, f"{type(error).__name__}: {error}", time.perf_counter() - started)
-    row = failed_point(parameters, None, time.perf_counter() - started)
+        return failed_point(parameters, f"{type(error).__name__}: {error}", now() - started)
+    row = failed_point(parameters, None, now() - started)
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED if result.interrupted else result.status
     row["proven"], row["lower_bound"] = _proven(result), _finite(result.lower_bound)

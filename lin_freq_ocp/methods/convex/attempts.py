@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +12,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
 from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
@@ -51,13 +51,13 @@ class Solves:
     solver: Solver
     tolerance: float | None  # asked by the user
     asked: float  # of the solver
-    end: float  # by time.perf_counter
+    end: float  # by clock.now
     target: float  # residuals at which an answer is not improved
 
     @property
     def left(self) -> float | None:
         """The seconds that are left, or None for no limit."""
-        return None if self.end == np.inf else max(self.end - time.perf_counter(), LEAST_TIME)
+        return None if self.end == np.inf else max(self.end - now(), LEAST_TIME)
 
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, and measure."""
@@ -146,7 +146,7 @@ def better_of(one: Attempt, other: Attempt) -> Attempt:
 
 def over(solves: Solves) -> bool:
     """Whether there is no time left."""
-    return time.perf_counter() >= solves.end
+    return now() >= solves.end
 
 
 def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:

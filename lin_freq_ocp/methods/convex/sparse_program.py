@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -16,6 +15,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import ACCURATE, SOLVED_TOLERANCE, Attempt, Solves, better_of, over
 from lin_freq_ocp.methods.convex.retries import further
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import (
@@ -56,7 +56,7 @@ def convex_candidates(
         yield from map(absorbed.candidate, found)
         return
     solver = backend(backend_name)
-    started = time.perf_counter()
+    started = now()
     rows = dense_rows(problem)
     if time_limit is not None and rows.seconds > time_limit + GRACE:
         program = f"a program of {rows.variables} variables with {rows.count} dense rows"
@@ -65,7 +65,7 @@ def convex_candidates(
         return
     transcription = LinearTranscription(problem)
     scaling = natural_scaling(transcription)
-    ready = time.perf_counter()
+    ready = now()
     end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
         message = f"time limit of {time_limit:.3g} s, over before the solver began"
@@ -76,10 +76,10 @@ def convex_candidates(
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
     solves = Solves(transcription, solver, tolerance, asked, end, target)
     best = _best(solves, scaling)
-    seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
+    seconds = {"setup": ready - started, "solve": now() - ready}
     yield replace(best.candidate, seconds=seconds)
     for candidate in further(solves, scaling, best):
-        yield replace(candidate, seconds={**seconds, "solve": time.perf_counter() - ready})
+        yield replace(candidate, seconds={**seconds, "solve": now() - ready})
 
 
 def _best(solves: Solves, scaling: Scaling) -> Attempt:

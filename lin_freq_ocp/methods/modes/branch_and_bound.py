@@ -8,7 +8,6 @@ gap of the best sequence found; its multipliers prove that.
 from __future__ import annotations
 
 import heapq
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -34,6 +33,7 @@ from lin_freq_ocp.methods.modes.search import (
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
@@ -57,7 +57,7 @@ class BranchAndBound:
     compiled_from: int = COMPILED_FROM
 
     def __post_init__(self):
-        self._started = time.perf_counter()
+        self._started = now()
         self._relaxation = self.relaxation(self.problem)
         self._first_level = self._relaxation.level
         self._arrays = self._relaxation.reach.arrays
@@ -68,7 +68,7 @@ class BranchAndBound:
         self._cost, self._scale = np.inf, 0.0
         self._tried: set[bytes] = set()
         self._solved, self._next_rounding = 0, 0
-        self._setup = time.perf_counter() - self._started
+        self._setup = now() - self._started
 
     def run(
         self,
@@ -111,7 +111,7 @@ class BranchAndBound:
     def _loop(self) -> str:
         """Split nodes until none is open; return which limit stopped the search, or an empty string."""
         while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
-            message = self.limits.reached(time.perf_counter() - self._started, self._solved)
+            message = self.limits.reached(now() - self._started, self._solved)
             if message:
                 return message
             self._split(*self._next())
@@ -153,7 +153,7 @@ class BranchAndBound:
                 open_.append((bound, index, reach))
         self._nodes, self._duals = nodes, duals
         for bound, index, reach in sorted(open_, key=lambda one: one[:2]):
-            message = self.limits.reached(time.perf_counter() - self._started, self._solved)
+            message = self.limits.reached(now() - self._started, self._solved)
             if message:
                 return message
             if bound < self._cutoff:
@@ -223,7 +223,7 @@ class BranchAndBound:
         """Solve sequences until one is the best so far."""
         before, modes = self._best, np.arange(len(self.problem.piecewise.modes))
         for sequence in sequences:
-            if self._best is not before or time.perf_counter() - self._started > self.limits.search_seconds:
+            if self._best is not before or now() - self._started > self.limits.search_seconds:
                 return
             if sequence.tobytes() not in self._tried:
                 self._tried.add(sequence.tobytes())
@@ -289,5 +289,5 @@ class BranchAndBound:
 
     def _report(self, bound: float) -> None:
         if self.progress is not None:
-            seconds = time.perf_counter() - self._started
+            seconds = now() - self._started
             self.progress(SearchProgress(self._cost, bound, self._solved, len(self._heap), seconds))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from lin_freq_ocp.methods.modes.search import (
     relaxed,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 
@@ -36,14 +36,14 @@ def enumerate_sequences(
     UnsupportedError
         If there are more than MOST_SEQUENCES.
     """
-    started, relaxation = time.perf_counter(), ModeRelaxation(problem)
+    started, relaxation = now(), ModeRelaxation(problem)
     nodes, duals, leaves = _all_sequences(relaxation, started + limits.search_seconds)
-    setup = time.perf_counter() - started
+    setup = now() - started
     best, cost, interrupted, solved = None, np.inf, False, 0
     message = limits.reached(setup, solved)
     try:
         for index, reach in leaves:
-            seconds = time.perf_counter() - started
+            seconds = now() - started
             message = limits.reached(seconds, solved)
             if message:
                 break
@@ -69,7 +69,7 @@ def _all_sequences(
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
     unsplit: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
     leaves: list[tuple[int, Reach]] = []
-    while unsplit and time.perf_counter() <= end:
+    while unsplit and now() <= end:
         parent, reach = unsplit.pop()
         several = reach.allowed.sum(axis=1) > 1
         if not several.any():

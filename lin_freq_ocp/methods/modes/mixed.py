@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from lin_freq_ocp.backends.base import Solution, backend
 from lin_freq_ocp.methods.claims import DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.mixed_integer import MixedInteger, big_m_program
 
 # Violation of rows of order 1 by a point with rounded binaries: a solver's 1e-6 in the row and in each binary
@@ -27,16 +26,16 @@ def solve_miqp(
     """
     solver = backend(solver_name, binaries=True)
     require_convex(problem)
-    started = time.perf_counter()
+    started = now()
     try:
         mixed = big_m_program(problem, np.inf if time_limit is None else started + time_limit)
     except TimeoutError:
-        seconds = {"setup": time.perf_counter() - started, "solve": 0.0}
+        seconds = {"setup": now() - started, "solve": 0.0}
         return SolverClaim("limit", None, None, None, None, f"time limit of {time_limit:.3g} s", seconds)
-    ready = time.perf_counter()
+    ready = now()
     left = None if time_limit is None else max(time_limit - (ready - started), LEAST_TIME)
     solution = solver(mixed.program, gap, left)
-    seconds = {"setup": ready - started, "solve": time.perf_counter() - ready}
+    seconds = {"setup": ready - started, "solve": now() - ready}
     return _outcome(mixed, solution, seconds)
 
 

@@ -7,7 +7,6 @@ whose worker was lost is searched here.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
 from dataclasses import replace
@@ -20,6 +19,7 @@ from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.clock import now
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError)  # raised by a future whose worker died or was cut off
 PARTS = 32  # enough to keep a few workers busy to the end; few, as parts do not share better sequences
@@ -33,12 +33,12 @@ def search_in_parts(
     start: Indices | None = None,
 ) -> SearchOutcome:
     """Search with the workers of an executor; as ``BranchAndBound.run``."""
-    started = time.perf_counter()
+    started = now()
     first = BranchAndBound(problem, limits, progress=progress)
     outcome = first.run(start, until_open=PARTS)
     if outcome.message or not first.open_nodes:
         return outcome
-    left = replace(limits, seconds=limits.seconds - (time.perf_counter() - started))
+    left = replace(limits, seconds=limits.seconds - (now() - started))
     futures = {
         executor.submit(search_part, problem, reach, outcome.sequence, left): (root, reach)
         for root, reach in first.open_nodes
@@ -53,7 +53,7 @@ def search_in_parts(
             except LOST:
                 found[root] = search_part(problem, reach, outcome.sequence, left)
             if progress is not None:
-                progress(_progress(outcome, found, len(futures), time.perf_counter() - started))
+                progress(_progress(outcome, found, len(futures), now() - started))
     except KeyboardInterrupt:
         message, interrupted = "interrupted", True
         for future in futures:

@@ -7,7 +7,6 @@ closed by that bound only.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -18,6 +17,7 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.path_relaxation import PathMember, PathRelaxation
 from lin_freq_ocp.transcription.modes.paths import PathProgram, path_form
 
@@ -129,7 +129,7 @@ def _by_clarabel(
     """Return the node if Clarabel solves it to a tolerance, or ``enough`` ends it and its bound holds."""
     from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
 
-    program, left = member.program, end - time.perf_counter()
+    program, left = member.program, end - now()
     assert program is not None
     if left <= 0:
         return Relaxed(member.reach, -np.inf)

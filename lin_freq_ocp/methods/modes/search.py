@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +14,7 @@ from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed, multipliers_of
 from lin_freq_ocp.methods.modes.path_node import relaxed_path
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation
@@ -100,7 +100,7 @@ def relaxed(
     With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
     below it is solved. ``compiled`` allows compiled code. Raises KeyboardInterrupt where the solver was interrupted.
     """
-    if time.perf_counter() > end:
+    if now() > end:
         return Relaxed(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
         answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
@@ -113,7 +113,7 @@ def relaxed(
     if cutoff is not None and relaxation.proves:
         attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), several)))
     for tolerance, enough in attempts:
-        left = end - time.perf_counter()
+        left = end - now()
         if left <= 0:
             break
         solution = solve_form(member.form, tolerance, None if left == np.inf else left, enough)

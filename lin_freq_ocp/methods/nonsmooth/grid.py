@@ -6,7 +6,6 @@ constraints couple all times; their multipliers, as functions of time, are in th
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -19,6 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.system.clock import now
 
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator
@@ -63,7 +63,7 @@ def grid_trajectories(
         value = last + price * missed
         following: list[RegularGridInterpolator] = []
         for t in range(problem.horizon - 1, -1, -1):
-            if time.perf_counter() > deadline:
+            if now() > deadline:
                 return
             following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
             total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)

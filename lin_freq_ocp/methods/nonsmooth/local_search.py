@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.system.clock import now
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
@@ -75,7 +75,7 @@ class LocalSearch:
     interrupted: bool = False
 
     def __post_init__(self):
-        self._end = time.perf_counter() + self.seconds
+        self._end = now() + self.seconds
         self._known: set[tuple[bytes, bytes]] = set()
         self._units = stated_sizes(self.problem)[1]
         self._smooth = is_smooth(self.problem)
@@ -163,7 +163,7 @@ class LocalSearch:
         if self.interrupted:
             self.message = "interrupted"
             return True
-        if time.perf_counter() <= self._end:
+        if now() <= self._end:
             return False
         self.message = f"time limit of {self.seconds:g} s"
         return True

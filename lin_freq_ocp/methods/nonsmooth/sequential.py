@@ -10,7 +10,6 @@ regions have a price, so that every program has a solution. A step is taken if i
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,6 +22,7 @@ from lin_freq_ocp.methods.nonsmooth.system import jets_of
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import natural_scaling
 from lin_freq_ocp.transcription.program import Program, Scaling
@@ -66,7 +66,7 @@ def local_optimum(
 ) -> LocalOptimum | None:
     """Return the local optimum of a mode sequence from a trajectory, which need not be feasible, or the last point.
 
-    None if no program could be solved, as where a piece is not defined; ``end`` is by ``time.perf_counter``.
+    None if no program could be solved, as where a piece is not defined; ``end`` is by ``clock.now``.
     """
     best: LocalOptimum | None = None
     for price in prices:
@@ -74,7 +74,7 @@ def local_optimum(
         if found is None:
             return best
         best = found
-        if best.feasible or time.perf_counter() > end:
+        if best.feasible or now() > end:
             break
     return best
 
@@ -100,7 +100,7 @@ def _descended(
     radius, taken, steps = FIRST_RADIUS, None, 0
     multipliers: Multipliers | None = None
     while point is not None and steps < MOST_STEPS and radius > SMALLEST_RADIUS:
-        if time.perf_counter() > end:
+        if now() > end:
             break
         steps += 1
         step = _step(point, price, radius)

@@ -11,7 +11,6 @@ fail, the infeasibility alone is reduced first, by steps to the nearest point of
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -32,6 +31,7 @@ from lin_freq_ocp.methods.structured.kkt.side import Side
 from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System
 from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.system.clock import now
 
 FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the cost is 10
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER
@@ -70,7 +70,7 @@ class Answer:
 
 @dataclass(eq=False)
 class Barrier:
-    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by time.perf_counter."""
+    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by clock.now."""
 
     model: SmoothModel
     loops: Loops
@@ -112,15 +112,15 @@ class Barrier:
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
                 entries = Filter(entries.first)
-            clock = time.perf_counter()
+            clock = now()
             if clock + last > self.end:
                 return End.TIME
             after = self._stepped(local, entries, mu) or self._restored(local, entries, mu)
             if after is None:
-                return End.TIME if time.perf_counter() > self.end else End.STALLED
+                return End.TIME if now() > self.end else End.STALLED
             local = after
             self._steps += 1
-            last = time.perf_counter() - clock  # the next one takes about as long
+            last = now() - clock  # the next one takes about as long
         return End.STALLED
 
     def _at(self, point: Point, objective: Objective | None = None) -> Local | None:
@@ -184,7 +184,7 @@ class Barrier:
         point = local.point
         for _ in range(MOST_RESTORING):
             here = self._at(_without_equations(point), near)
-            if here is None or time.perf_counter() > self.end:
+            if here is None or now() > self.end:
                 return None
             if here.theta <= target:
                 after = self._at(here.point)

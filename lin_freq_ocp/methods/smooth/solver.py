@@ -26,7 +26,7 @@ def smooth_optimum(
 ) -> tuple[LocalOptimum | None, End]:
     """Return the local optimum near a trajectory, or the last point, and how the iteration ended.
 
-    None if the map is not defined at the start. ``end`` is by ``time.perf_counter``. ``warm``: the start is believed to
+    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is believed to
     be near, and worth many steps.
     """
     model = SmoothModel.at(problem, start)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -32,6 +31,7 @@ from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.program import Residuals
 
 
@@ -160,14 +160,11 @@ class SpectralSolver:
             if value is not None:
                 positive_number(field, value)
         with self._turn:
-            started = time.perf_counter()
+            started = now()
             problem, lti = self._with(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
-                message, both = (
-                    "an end lies outside the state set",
-                    {"setup": 0.0, "solve": time.perf_counter() - started},
-                )
+                message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
                 return SpectralSolution("infeasible", ray=ray, message=message, seconds=both, problem=problem)
             if warm_start is not None:
                 self._require_own(warm_start)
@@ -238,7 +235,7 @@ class SpectralSolver:
 
     def _set_up(self, units: Units) -> None:
         """Compute everything that does not depend on data, in the given units."""
-        started = time.perf_counter()
+        started = now()
         with one_blas_thread():
             self._units, self._lti = units, lti_problem(self.problem, units)
             try:
@@ -251,7 +248,7 @@ class SpectralSolver:
         self._solves = 0
         self._ends_model: EndsModel | None = None
         self._last_rows: Rows | None = None
-        self.setup_seconds = time.perf_counter() - started
+        self.setup_seconds = now() - started
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
         if first is None:
@@ -361,7 +358,7 @@ class SpectralSolver:
             ray=multipliers if infeasible else None,
             residuals=measured,
             message=message,
-            seconds={"setup": self.setup_seconds, "solve": time.perf_counter() - started},
+            seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,

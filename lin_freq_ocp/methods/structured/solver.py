@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -22,6 +21,7 @@ from lin_freq_ocp.methods.structured.model.stages import Stages
 from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.system.memory import require_memory
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
@@ -47,21 +47,21 @@ def solve_structured(
     """
     require_convex(problem)
     _require_memory(problem)
-    started = time.perf_counter()
+    started = now()
     targets = _targets(tolerance, time_limit)
     end, assembly = targets.end, (prepared or Prepared()).assembly(problem)
     recursions = loops(compiled, patient=time_limit is None)
-    setup = time.perf_counter() - started
+    setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
-    if time_limit is not None and time.perf_counter() + needed > end:
+    if time_limit is not None and now() + needed > end:
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
     while True:
         answer = _solved(assembly, recursions, targets, excludes)
-        seconds = {"setup": setup, "solve": time.perf_counter() - started - setup}
+        seconds = {"setup": setup, "solve": now() - started - setup}
         yield _candidate(answer, assembly.recovery, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
-        if revised is None or time.perf_counter() + needed > end:
+        if revised is None or now() + needed > end:
             return
         assembly = revised
 
@@ -77,7 +77,7 @@ def solve_again(
     if not known:
         return None
     require_convex(problem)
-    started, targets = time.perf_counter(), _targets(tolerance, time_limit)
+    started, targets = now(), _targets(tolerance, time_limit)
     assembly, recursions = prepared.assembly(problem), loops(patient=time_limit is None)
     stages, near = assembly.stages, prepared.near
     if near is None or stages.cones or stages.coupling.balls:
@@ -86,13 +86,13 @@ def solve_again(
         return None
     responses, system = prepared.responses(assembly, recursions), System(stages, recursions)
     answer = solve_active(system, responses, targets, assembly.point(near))
-    seconds = {"setup": 0.0, "solve": time.perf_counter() - started}
+    seconds = {"setup": 0.0, "solve": now() - started}
     return None if answer is None else _candidate(answer, assembly.recovery, seconds)
 
 
 def _targets(tolerance: float | None, time_limit: float | None) -> Targets:
     """Return what a solve that begins now is to reach."""
-    end = np.inf if time_limit is None else time.perf_counter() + time_limit
+    end = np.inf if time_limit is None else now() + time_limit
     return Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
 
 

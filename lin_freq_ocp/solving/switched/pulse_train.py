@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -21,6 +20,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.smooth import no_multipliers, polished
 from lin_freq_ocp.solving.switched.local_angles import local_angles
 from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 GAP = 1e-6  # default of the relative gap to prove
 NEAR = 0.05  # half width of a box [rad] from which a local search starts at its centre
@@ -51,7 +51,7 @@ class Angles:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Halve boxes until the bound is that of the best local optimum found near them, and judge it."""
-        search = _Search(problem, self.gap, time.perf_counter(), request)
+        search = _Search(problem, self.gap, now(), request)
         message, interrupted = "", False
         try:
             message = search.run()
@@ -76,7 +76,7 @@ class _Search:
         """Return why the search stopped early, or an empty string."""
         end = self._started + self._request.time_limit
         while self._bound.value < self._cutoff:
-            if time.perf_counter() > end:
+            if now() > end:
                 return f"time limit of {self._request.time_limit:g} s"
             if not self._bound.halve(self._cutoff):
                 return "too many boxes of angles"
@@ -116,7 +116,7 @@ class _Search:
 
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""
-        solved, problem = time.perf_counter(), self._problem
+        solved, problem = now(), self._problem
         found = None if self._best is None else polished(problem, self._local(*self._best))
         trajectory, multipliers, certificate = (None, None, None) if found is None else found
         if certificate is not None:
@@ -130,7 +130,7 @@ class _Search:
             status=status,
             method=Angles.shorthand,
             backend=None,
-            seconds={"setup": 0.0, "solve": solved - self._started, "certify": time.perf_counter() - solved},
+            seconds={"setup": 0.0, "solve": solved - self._started, "certify": now() - solved},
             trajectory=trajectory,
             multipliers=multipliers,
             certificate=certificate,

@@ -10,7 +10,6 @@ Every bound is a small linear program in units of the half widths of the box; th
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +24,7 @@ from lin_freq_ocp.geometry.polyhedra import minimiser
 from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.system.clock import now
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6
@@ -80,13 +80,13 @@ class _Stage:
 
 
 def require_time(end: float) -> None:
-    """Raise TimeoutError if ``time.perf_counter`` is beyond the end."""
-    if time.perf_counter() > end:
+    """Raise TimeoutError if ``clock.now`` is beyond the end."""
+    if now() > end:
         raise TimeoutError
 
 
 def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
-    """Return the excesses of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``time.perf_counter``).
+    """Return the excesses of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """

@@ -6,7 +6,6 @@ slacks in spite of errors of the small QP.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -30,6 +29,7 @@ from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
+from lin_freq_ocp.system.clock import now
 
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
@@ -328,11 +328,11 @@ class Exchange:
 
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
     """Return a function that says why to stop, or None."""
-    end = np.inf if seconds is None else time.perf_counter() + seconds
+    end = np.inf if seconds is None else now() + seconds
 
     def stop(needed: float = 0.0) -> str | None:
         if interrupted():
             return "interrupted"
-        return "time limit" if time.perf_counter() + needed > end else None
+        return "time limit" if now() + needed > end else None
 
     return stop

@@ -8,14 +8,13 @@ number of wrong rows, single ones change (block principal pivoting; Judice and P
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Errors, Point, Targets
 from lin_freq_ocp.methods.structured.kkt.row_responses import RowResponses, flat
 from lin_freq_ocp.methods.structured.kkt.system import INEQUALITIES, STAGES, System, Values
+from lin_freq_ocp.system.clock import now
 
 MOST_STEPS = 50  # of which few are needed near the answer; as many cost less than the embedding
 TRIES = 5  # steps that do not lower the number of wrong rows before single ones change
@@ -33,7 +32,7 @@ def solve_active(system: System, responses: RowResponses, targets: Targets, near
     fewest, tries = len(limits) + 1, TRIES
     for step in range(1, MOST_STEPS + 1):
         rows = np.flatnonzero(active)
-        if time.perf_counter() > targets.end or not responses.prepare(rows, targets.end):
+        if now() > targets.end or not responses.prepare(rows, targets.end):
             return None
         multipliers, change = responses.multipliers(rows, alone[rows])
         excess = np.where(present & ~active, np.maximum(alone + change - ROUNDING, 0.0), 0.0)

@@ -17,7 +17,6 @@ In the end y/tau is optimal, or tau -> 0: b'z < 0 is a ray that proves infeasibi
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -30,6 +29,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
 from lin_freq_ocp.methods.structured.model.cones import Cone, into
+from lin_freq_ocp.system.clock import now
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible
@@ -65,7 +65,7 @@ class End(Enum):
 
 @dataclass(frozen=True)
 class Targets:
-    """Relative residuals and gap to reach, and when to stop, by time.perf_counter."""
+    """Relative residuals and gap to reach, and when to stop, by clock.now."""
 
     residual: float = 1e-10
     gap: float = 1e-9
@@ -186,11 +186,11 @@ class Embedding:
         best: Answer | None = None
         least, progress = np.inf, 0
         try:
-            clock = time.perf_counter()
+            clock = now()
             point = self._first_point()
-            last = time.perf_counter() - clock  # a step takes about as long
+            last = now() - clock  # a step takes about as long
             for step in count():
-                clock = time.perf_counter()
+                clock = now()
                 found = self.measured(point)
                 self._refined |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
                 if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
@@ -206,7 +206,7 @@ class Embedding:
                 if clock + last > self.targets.end:
                     return replace(best, end=End.TIME)
                 point = self._next(point, found)
-                last = time.perf_counter() - clock
+                last = now() - clock
         except KeyboardInterrupt:
             if best is None:
                 raise

@@ -8,8 +8,6 @@ once. A row a of G with the multiplier 1 adds -P G_a' to y. The rows that are ac
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
@@ -25,6 +23,7 @@ from lin_freq_ocp.methods.structured.kkt.system import (
     System,
     Values,
 )
+from lin_freq_ocp.system.clock import now
 
 MOST_NUMBERS = 5e6  # that are kept: 40 MB
 
@@ -49,7 +48,7 @@ class RowResponses:
         if self._count + len(new) > len(self._answers):
             return False
         for row in new:
-            if time.perf_counter() > end:
+            if now() > end:
                 return False
             unit = [np.zeros(shape) for shape in shapes]
             _add(unit, np.array([row]), np.ones(1))

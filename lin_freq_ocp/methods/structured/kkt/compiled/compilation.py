@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
-import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -18,6 +17,8 @@ from typing import ParamSpec, Protocol, TypeVar, cast
 import numba
 from llvmlite import binding
 from numba import types
+
+from lin_freq_ocp.system.clock import now
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -85,7 +86,7 @@ class Kernels:
         if self.ready:
             self._load()
             return
-        start = time.perf_counter()
+        start = now()
         _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
         with self._locked():
             if not self.ready:  # no other process has compiled it meanwhile
@@ -94,7 +95,7 @@ class Kernels:
             if self._record is not None:
                 with suppress(OSError):
                     self._record.touch()
-        _tell(f"lin_freq_ocp: compiled in {time.perf_counter() - start:.0f} s")
+        _tell(f"lin_freq_ocp: compiled in {now() - start:.0f} s")
 
     def _load(self) -> None:
         """Compile each function, or take it from the cache."""
