@@ -1,5 +1,6 @@
 import gc
 import os
+import sys
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -15,9 +16,15 @@ COMPILED = ("test_small.py", "test_paths.py")
 
 
 def pytest_configure():
-    """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
+    """Give each process one BLAS thread, children included: with several, workers wait for threads of one another.
+
+    Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
+    package anew, and every run rewrites the assertions of all tests.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 def pytest_collection_modifyitems(items):
