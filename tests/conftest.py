@@ -38,6 +38,14 @@ def pytest_collection_finish():
     gc.set_threshold(50_000, 50, 100)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _coarse_images():
+    """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
+        yield
+
+
 def judged_problem(name):
     """The three problems on which every condition of the theorem is made to fail."""
     if name == "velocity bound":
