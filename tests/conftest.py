@@ -1,5 +1,6 @@
 import gc
 import os
+import sys
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,9 +19,15 @@ COMPILED = ("test_small.py", "test_paths.py")
 
 
 def pytest_configure():
-    """One BLAS thread per process, children included: with several, workers wait for the threads of one another."""
+    """Give each process one BLAS thread, children included: with several, workers wait for threads of one another.
+
+    Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
+    package anew, and every run rewrites the assertions of all tests.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any machine")
 
@@ -38,8 +45,17 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Exempt what was imported from garbage collection: it lives until the end, and every full collection visits it."""
+    """Collect garbage less often, and never what was imported: it lives until the end."""
     gc.freeze()
+    gc.set_threshold(50_000, 50, 100)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _coarse_images():
+    """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
+        yield
 
 
 def judged_problem(name):

@@ -27,13 +27,6 @@ from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, compari
 from lin_freq_ocp.text.phrases import NOTHING, number
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _coarse_images():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
-        yield
-
-
 def quietly(name: str) -> list[float]:
     """Return all numbers of the headline."""
     return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(findings.finding(case(name))))]

@@ -83,13 +83,6 @@ CASES = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _coarse_images():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
-        yield
-
-
 @cache
 def case(name: str) -> Comparison:
     if name == "wall":

@@ -68,6 +68,11 @@ def check(seed: int, question: str | None = None) -> Outcome:
     return Outcome(seed, kind, question, distance, first[:-1], second[:-1], *differences, said)
 
 
+def kind_of(seed: int) -> str:
+    """Return the kind of the problem that is drawn."""
+    return _problem(np.random.default_rng([seed, 2]), seed)[0]
+
+
 def _problem(rng: np.random.Generator, seed: int):
     """Return the kind of a problem, the problem, and a function of the origin that its states are counted from."""
     data = drawn(seed)
