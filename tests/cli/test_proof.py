@@ -21,10 +21,10 @@ def test_a_proof_is_written_and_confirmed(tmp_path, monkeypatch, capsys):
 
 def test_an_infeasible_problem_has_a_proof_too(tmp_path, monkeypatch, capsys):
     file = tmp_path / "run.proof"
-    status, _, _ = run(
+    status, _, err = run(
         "solve", "double_integrator", "--set", "cutoff_hz=0.3", "--time-limit", "1", "--proof", str(file)
     )
-    assert status == 1
+    assert status == 1, err
     monkeypatch.setattr(sys, "argv", ["lfo-check", str(file)])
     assert lfo_check.main() == 0
     assert capsys.readouterr().out.splitlines()[-1] == "INFEASIBLE"

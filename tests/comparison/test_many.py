@@ -139,7 +139,7 @@ def test_executors_find_the_same(serial, monkeypatch):
     monkeypatch.setattr(many_module, "SENT", 5)
     with ThreadPoolExecutor(2) as pool:
         assert_same(lfo.solve_many(PENDULUM, STARTS, executor=pool), serial)
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster, Client(cluster) as client:
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as cluster, Client(cluster) as client:
         assert_same(lfo.solve_many(PENDULUM, STARTS, executor=client.get_executor()), serial)
 
 

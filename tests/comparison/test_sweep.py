@@ -29,7 +29,7 @@ FORTY = {"cutoff_hz": np.linspace(0.3, 4.0, 20), "speed_bound": [0.25, 0.4]}
 def client(tmp_path_factory):
     """Two worker processes, as a cluster has them."""
     folder = str(tmp_path_factory.mktemp("cluster"))
-    options = {"processes": True, "dashboard_address": None, "local_directory": folder}
+    options = {"processes": True, "dashboard_address": ":0", "local_directory": folder}
     with LocalCluster(n_workers=2, threads_per_worker=1, **options) as cluster, Client(cluster) as client:
         yield client
 

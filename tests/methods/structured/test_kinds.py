@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import lin_freq_ocp as lfo
@@ -35,3 +37,15 @@ def test_every_kind_of_ray_proves(kind, compiled):
     found = next(solve_structured(problem, compiled=compiled))
     assert found.status == "infeasible"
     assert prove_infeasible(problem, found.ray) is not None
+
+
+@pytest.mark.parametrize("further", [0.0, 7e-6])
+def test_an_end_that_is_just_out_of_reach_is_no_fault(further, compiled):
+    """Its ray excludes by a margin of rounding, so that nobody believes it; the iteration ends all the same."""
+    reached = [0.692307717524814, -0.0923076847425558]  # of [1, 0], as near as the low pass lets it come
+    problem = replace(
+        lfo.library.double_integrator(cutoff_hz=0.3),
+        terminal_state=lfo.Box([reached[0] + further, reached[1]], [2 - reached[0], -reached[1]]),
+    )
+    found = next(solve_structured(problem, excludes=lambda ray: False, compiled=compiled))
+    assert found.status in ("infeasible", "numerical_error")

@@ -49,6 +49,7 @@ ROUGH_RAY = 1e-5  # the same where the iteration stalled
 EXPECTED = 3.0  # residual after a step, in units of what Newton's method leaves, from which systems are refined
 LEAST_TERMS = 1e-4  # of the objective's absolute terms where y is 1: what the gap is relative to, at least
 VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
+LEAST_TAU = 1e-100  # below which a ray that is not believed gets no better; soon after, the square of tau is zero
 
 
 class End(Enum):
@@ -201,7 +202,7 @@ class Embedding:
                 if ended is not None:
                     return ended
                 stalled = step - progress > STALLED and not self._vanishing(point)
-                if stalled or step == MOST_STEPS or not np.isfinite(found.errors.primal):
+                if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(found.errors.primal):
                     return self._rough_ray(point, found, step) or best
                 if clock + last > self.targets.end:
                     return replace(best, end=End.TIME)
