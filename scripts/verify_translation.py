@@ -22,7 +22,7 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
         counts = [f"{sum(not one.passed for one in some)} of {len(some)}" for some in cells]
         solved = [one for one in own if one.question == "solve"]
         statuses = ", ".join(f"{name} {count}" for name, count in Counter(str(one.first[0]) for one in solved).items())
-        rounded = str(sum(one.says_rounded for one in own))
+        rounded = str(sum(one.rounded and one.first != one.second for one in own))
         table.add_row(kind, *counts, statuses, rounded, f"{max(one.cost_difference for one in own):.1e}")
     console.print(table)
     failed = [one for one in outcomes if not one.passed]
