@@ -17,7 +17,8 @@ class Status(StrEnum):
     LOCALLY_OPTIMAL
         The maximum principle is satisfied with normal multipliers; no global bound proves more.
     INFEASIBLE
-        No trajectory satisfies all constraints: proven.
+        No trajectory satisfies all constraints: proven; ``result.bound`` is "numerical" where the proof excludes
+        trajectories of practical size alone.
     INFEASIBLE_CLAIMED
         A solver says that there is no trajectory; no proof of it holds.
     UNBOUNDED

@@ -1,5 +1,6 @@
 import gc
 import os
+import signal
 import sys
 
 import pytest
@@ -23,7 +24,12 @@ def pytest_configure():
 
     Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
     package anew, and every run rewrites the assertions of all tests.
+
+    A suite that a script starts in the background ignores Ctrl-C, as do the commands that it starts; the tests of
+    Ctrl-C need the handler of Python.
     """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     threadpool_limits(1, user_api="blas")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -24,6 +24,7 @@ class Claim(Enum):
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
     LIMIT = "stopped at a limit"
+    TIME_LIMIT = "stopped at the time limit"
     STOPPED = "stopped as asked"
     INTERRUPTED = "interrupted"
     FAILED = "failed"

@@ -21,7 +21,7 @@ CLAIMS = {
     "AlmostPrimalInfeasible": Claim.INFEASIBLE,
     "DualInfeasible": Claim.UNBOUNDED,
     "AlmostDualInfeasible": Claim.UNBOUNDED,
-    "MaxTime": Claim.LIMIT,
+    "MaxTime": Claim.TIME_LIMIT,
     "MaxIterations": Claim.LIMIT,
     "InsufficientProgress": Claim.SOLVED,  # stopped at rounding level; the residuals decide
     "CallbackTerminated": Claim.INTERRUPTED,
@@ -65,10 +65,10 @@ def solve_form(
     claim, message = CLAIMS.get(str(answer.status), Claim.FAILED), str(answer.status)
     if claim is Claim.INTERRUPTED and not noted.is_set():
         # its own clock begins after its set-up
-        claim, message = (Claim.STOPPED, message) if stopped[0] else (Claim.LIMIT, "MaxTime")
+        claim, message = (Claim.STOPPED, message) if stopped[0] else (Claim.TIME_LIMIT, "MaxTime")
     z, dual = np.array(answer.x), np.array(answer.z)
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
-        return Solution(claim if claim is Claim.LIMIT else Claim.FAILED, None, None, message)
+        return Solution(claim if claim is Claim.TIME_LIMIT else Claim.FAILED, None, None, message)
     return Solution(claim, z, dual / COST_FACTOR, message)
 
 

@@ -47,7 +47,7 @@ CLAIMS = {
     -4: (Claim.LIMIT, "iteration limit"),
     -5: (Claim.FAILED, "not convex"),
     -6: (Claim.FAILED, "equations depend on each other"),
-    -7: (Claim.LIMIT, "time limit"),
+    -7: (Claim.TIME_LIMIT, "time limit"),
 }
 
 

@@ -23,7 +23,7 @@ CLAIMS = {
     "dual infeasible": Claim.UNBOUNDED,
     "dual infeasible inaccurate": Claim.UNBOUNDED,
     "maximum iterations reached": Claim.LIMIT,
-    "run time limit reached": Claim.LIMIT,
+    "run time limit reached": Claim.TIME_LIMIT,
     "interrupted": Claim.INTERRUPTED,
 }
 

@@ -68,7 +68,7 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
         except qpsolvers.exceptions.QPError as error:
             return Solution(Claim.FAILED, None, None, str(error))
     late = time_limit is not None and now() - start >= time_limit
-    missed = Claim.LIMIT if late else Claim.FAILED
+    missed = Claim.TIME_LIMIT if late else Claim.FAILED
     parts = [answer.x, answer.y if count else np.zeros(0), answer.z if form.inequalities else np.zeros(0)]
     x, y, z = (np.full(1, np.nan) if part is None else np.asarray(part) for part in parts)
     if not all(np.isfinite(part).all() for part in (x, y, z)):

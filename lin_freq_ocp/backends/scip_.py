@@ -41,7 +41,7 @@ CLAIMS = {
     "gaplimit": Claim.SOLVED,
     "infeasible": Claim.INFEASIBLE,
     "unbounded": Claim.UNBOUNDED,
-    "timelimit": Claim.LIMIT,
+    "timelimit": Claim.TIME_LIMIT,
     "memlimit": Claim.LIMIT,
     "nodelimit": Claim.LIMIT,
     "totalnodelimit": Claim.LIMIT,

@@ -26,6 +26,7 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those near or of practical size
 NEVER_NEGATIVE = "a cost that is never negative"  # what the bound 0 follows from
 
 
@@ -100,12 +101,12 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     problem = extremal.problem
     cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
-    proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, "rigorous")
+    proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     if cost - proven.value <= allowed:
         return proven
     nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
-        other, _ = _evaluate(extremal, curvatures, nearby, cost, "rigorous")
+        other, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
         proven = other if other.value > proven.value else proven
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
@@ -114,7 +115,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     x, u = trajectory_sizes(problem, extremal.trajectory)
     largest = NUMERICAL_REACH * x, NUMERICAL_REACH * u
     near = _cut(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
-    numerical, _ = _evaluate(extremal, curvatures, near, cost, "numerical")
+    numerical, _ = _evaluate(extremal, curvatures, near, cost, NUMERICAL)
     return numerical if numerical.value - proven.value > allowed else proven
 
 
@@ -125,13 +126,13 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
     components stay below ``largest``, (n,) and (m,).
     """
     uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
-    proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, "rigorous")
+    proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, RIGOROUS)
     if proven.value == -np.inf:
-        proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, "rigorous")
+        proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, RIGOROUS)
     if proven.value > 0:
         return proven
     practical = _cut(extremal.problem, uncurved, largest, "what is practical")
-    return _evaluate(extremal, uncurved, practical, 0.0, "numerical")[0]
+    return _evaluate(extremal, uncurved, practical, 0.0, NUMERICAL)[0]
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
 from lin_freq_ocp.problem.frequencies import at_frequencies
@@ -113,7 +113,7 @@ def exclusion(problem: OptimalControlProblem, ray: Multipliers) -> Exclusion | N
     """Return what a ray proves of other initial states; None unless it excludes the problem's own, a point, clearly."""
     bound = _bound(problem, ray)
     start = problem.initial_box
-    if not start.fixed.all() or bound.kind != "rigorous" or proof_margin(problem, ray) <= CLEAR_MARGIN:
+    if not start.fixed.all() or bound.kind != RIGOROUS or proof_margin(problem, ray) <= CLEAR_MARGIN:
         return None
     return Exclusion(start.lower, -extremal_at(problem, _rest(problem), ray).in_x[0].astype(np.float64), bound.value)
 

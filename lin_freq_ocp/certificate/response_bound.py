@@ -25,6 +25,8 @@ from scipy import fft
 from lin_freq_ocp.arrays import Array, extended, times_vectors
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
+    NUMERICAL,
+    RIGOROUS,
     Bound,
     box_minimum,
     cost_is_never_negative,
@@ -54,14 +56,14 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     extremal = _passed(extremal)
     cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
     tube = problem.control_tube
-    proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, "rigorous", "the stated bounds")
+    proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
     if proven.value < 0 and cost_is_never_negative(problem) and problem.quadratic.nonconvexity() is None:
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
     near = _cut(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
     sets = f"{NUMERICAL_REACH:g} times the trajectory"
-    numerical = _evaluate(extremal, response, curvature, near, cost, "numerical", sets)
+    numerical = _evaluate(extremal, response, curvature, near, cost, NUMERICAL, sets)
     return numerical if numerical.value - proven.value > allowed else proven
 
 
@@ -72,11 +74,11 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
     if response is None:
         return ray_bound(extremal, largest)
     flat, tube = np.zeros(problem.control_dim), problem.control_tube
-    proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, "rigorous", "the stated bounds")
+    proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, RIGOROUS, "the stated bounds")
     if proven.value > 0:
         return proven
     near = _cut(problem, largest[1])
-    return _evaluate(extremal, response, flat, near, 0.0, "numerical", "what is practical")
+    return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "what is practical")
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:

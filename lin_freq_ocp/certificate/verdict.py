@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
@@ -156,7 +156,7 @@ class Certificate:
         A numerical bound proves nothing outside its box. The cost of residuals must not be more than the gap, nor may
         the cost be below the bound by more: then residuals lower it.
         """
-        if self.bound is None or self.gap is None or self.bound.kind != "rigorous" or not self.feasible:
+        if self.bound is None or self.gap is None or self.bound.kind != RIGOROUS or not self.feasible:
             return False
         return abs(self.gap) <= gap and self.worth_of_residuals <= gap * self.cost_scale
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Generic, TypeVar
 
+from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.many.repeated import Repeated
@@ -26,7 +27,8 @@ from lin_freq_ocp.report.findings import finding
 from lin_freq_ocp.report.proof import verdict
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
-from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
 from lin_freq_ocp.text.phrases import number
 
 SOLVE_SECONDS = 10.0  # for one answer
@@ -154,7 +156,7 @@ def answer_data(outcome: Outcome) -> Data:
     return {
         "status": outcome.status,
         "message": outcome.message,
-        "practical": outcome.message == ONLY_PRACTICAL,
+        "practical": outcome.status == Status.INFEASIBLE and outcome.bound == NUMERICAL,
         "cost": outcome.cost,
         "words": {
             "cost": number(outcome.cost, 6),

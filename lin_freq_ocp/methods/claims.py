@@ -16,6 +16,7 @@ STATUS = {
     Claim.INFEASIBLE: "infeasible",
     Claim.UNBOUNDED: "unbounded",
     Claim.LIMIT: "limit",
+    Claim.TIME_LIMIT: "limit",
     Claim.INTERRUPTED: "interrupted",
     Claim.FAILED: "failed",
 }

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.analysis.level_rows import with_few_between
+from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -15,10 +16,11 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 from lin_freq_ocp.system.clock import now
 
+ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
 LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
 
@@ -48,15 +50,14 @@ def judged(
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": now() - clock}
     if proof is not None:
-        message = "proven by a rigorous ray" if proof.bound.kind == "rigorous" else ONLY_PRACTICAL
+        message = "proven by a rigorous ray" if proof.bound.kind == RIGOROUS else ONLY_PRACTICAL
         return Outcome(
             problem,
             Status.INFEASIBLE,
             method,
             backend,
             seconds,
-            conflict=proof.conflict,
-            ray=proof.multipliers,
+            infeasibility=proof,
             message=message,
             interrupted=candidate.interrupted,
         )
@@ -118,7 +119,7 @@ def _missing(certificate: Certificate) -> str:
     """Return why a certificate without failed conditions proves no global optimum."""
     if certificate.bound is None or certificate.gap is None:
         return "there is no bound"
-    if certificate.bound.kind != "rigorous":
+    if certificate.bound.kind != RIGOROUS:
         return "the bound holds near the trajectory only, as something is not bounded"
     worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
     return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
+from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
@@ -22,7 +23,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
-from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 from lin_freq_ocp.system.clock import now
 
@@ -84,10 +85,10 @@ class Convex:
             first = _diagnosed(problem, first, _left(end))
         outcome = verified(first)
         outcome = _at_no_cost(outcome, self.tolerance, end)
-        unproven = outcome.status in UNPROVEN or outcome.message == ONLY_PRACTICAL
+        unproven = outcome.status in UNPROVEN or _only_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
             return outcome
-        further = (other for other in map(verified, candidates) if other.message != ONLY_PRACTICAL)
+        further = (other for other in map(verified, candidates) if not _only_practical(other))
         return next((other for other in further if _counts(other)), outcome)
 
 
@@ -252,7 +253,7 @@ def _better(outcome: Outcome, best: Outcome) -> bool:
     """Whether an answer replaces that of a method before it."""
     if best.status == Status.INFEASIBLE and outcome.status == Status.OPTIMAL:
         return True
-    counts = outcome.status != Status.LIMIT and outcome.message != ONLY_PRACTICAL
+    counts = outcome.status != Status.LIMIT and not _only_practical(outcome)
     return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
 
 
@@ -279,7 +280,7 @@ def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcom
 def _excluding(problem: OptimalControlProblem, ray: Multipliers) -> bool:
     """Whether a ray proves rigorously, and not by a margin of rounding, that a problem is infeasible."""
     proof = prove_infeasible(problem, ray)
-    return proof is not None and proof.bound.kind == "rigorous" and proof_margin(problem, ray) > SMALL_MARGIN
+    return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
 
 def _left(end: float) -> float | None:
@@ -300,10 +301,15 @@ def _final(outcome: Outcome) -> bool:
     """Whether no other method is tried after this outcome: it is proven, or the time is over."""
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
-    excluded = outcome.status == Status.INFEASIBLE and outcome.message != ONLY_PRACTICAL
+    excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
     if excluded and outcome.ray is not None:
         excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
+
+
+def _only_practical(outcome: Outcome) -> bool:
+    """Whether infeasibility is proven of trajectories of practical size alone."""
+    return outcome.status == Status.INFEASIBLE and outcome.bound == NUMERICAL
 
 
 def _rank(outcome: Outcome) -> int:

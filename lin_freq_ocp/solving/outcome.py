@@ -9,15 +9,14 @@ import numpy as np
 from lin_freq_ocp.analysis.level_rows import LevelUse, level_use
 from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.certificate.conflict import Conflict
+from lin_freq_ocp.certificate.bound import RIGOROUS
+from lin_freq_ocp.certificate.conflict import Conflict, InfeasibilityProof
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.modes.bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.status import Status
-
-ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 
 
 @dataclass(frozen=True)
@@ -96,10 +95,8 @@ class Outcome:
         Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
         The best point found, whatever the status, and what is proven of it.
-    conflict : tuple of Conflict or None
-        If infeasible: the blocks of constraints that the proof rests on.
-    ray : Multipliers or None
-        If infeasible: the verified multipliers with eta_C = 0.
+    infeasibility : InfeasibilityProof or None
+        If infeasible by a ray: the verified multipliers with eta_C = 0, their bound, and the constraints in conflict.
     message : str
         Why it ended so.
     interrupted : bool
@@ -129,8 +126,7 @@ class Outcome:
     trajectory: Trajectory | None = None
     multipliers: Multipliers | None = None
     certificate: Certificate | None = None
-    conflict: tuple[Conflict, ...] | None = None
-    ray: Multipliers | None = None
+    infeasibility: InfeasibilityProof | None = None
     message: str = ""
     interrupted: bool = False
     direction: Direction | None = None
@@ -149,7 +145,7 @@ class Outcome:
     @property
     def dual(self) -> bool:
         """Whether there is a proof: a lower bound on the cost, or a rigorous ray of infeasibility or one of descent."""
-        infeasible = self.status == Status.INFEASIBLE and self.message != ONLY_PRACTICAL
+        infeasible = self.status == Status.INFEASIBLE and self.bound == RIGOROUS
         return infeasible or self.direction is not None or self.lower_bound is not None
 
     @property
@@ -163,6 +159,29 @@ class Outcome:
         if self.certificate is None and self.tree_bound is not None and np.isfinite(self.tree_bound.value):
             return self.tree_bound.value
         return None if self.certificate is None else self.certificate.lower_bound
+
+    @property
+    def bound(self) -> str | None:
+        """Return what the bound on the cost, or the proof of infeasibility, holds for; None where there is neither.
+
+        "rigorous": every trajectory; "numerical": those near the one found, or, of infeasibility, of practical size.
+        """
+        if self.infeasibility is not None:
+            return self.infeasibility.bound.kind
+        if self.status == Status.INFEASIBLE:  # by a search tree or by boxes
+            return RIGOROUS
+        found = None if self.certificate is None else self.certificate.bound
+        return None if self.lower_bound is None else RIGOROUS if found is None else found.kind
+
+    @property
+    def ray(self) -> Multipliers | None:
+        """Return the verified multipliers with eta_C = 0 of an infeasible problem; None where no ray proves it."""
+        return None if self.infeasibility is None else self.infeasibility.multipliers
+
+    @property
+    def conflict(self) -> tuple[Conflict, ...] | None:
+        """Return the blocks of constraints that the proof of infeasibility rests on."""
+        return None if self.infeasibility is None else self.infeasibility.conflict
 
     @property
     def gap(self) -> float | None:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.arrays import Indices
-from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, Bound, cost_is_never_negative
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -185,7 +185,7 @@ class _Bounding:
         if self.best == -float("inf"):
             return message or UNBOUNDED
         trajectory, multipliers, certificate = self.found
-        bound = Bound(self.best, "rigorous", sets=self.sets)
+        bound = Bound(self.best, RIGOROUS, sets=self.sets)
         self.found = trajectory, multipliers, replace(certificate, bound=bound)
         return "" if self._proven else message or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
 

@@ -271,7 +271,7 @@ def test_a_time_limit_is_a_limit_and_no_failure(name):
     asked = long_program(150)
     with use_clock(Clock(1.0)):
         solution = ask(name, asked, 1e-9, 1e-6)
-    assert solution.claim is Claim.LIMIT
+    assert solution.claim is Claim.TIME_LIMIT
     assert not is_accepted(asked, solution)
 
 

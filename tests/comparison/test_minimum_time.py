@@ -201,7 +201,7 @@ def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
 def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
     def stopped(problem, *options, **more):
         outcome = lfo.solve(problem, "convex", throw=False)
-        return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, ray=None)
+        return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, infeasibility=None)
 
     monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
     found = lfo.minimum_time(integrator, horizons=(1, 9), throw=False)

@@ -91,7 +91,7 @@ def test_a_program_whose_set_up_takes_longer_is_not_begun() -> None:
 
 def test_clarabel_stops_when_its_set_up_took_the_time() -> None:
     program = LinearTranscription(balls(60)).program
-    assert clarabel_solve(program, 1e-10, 1e-9).claim.name == "LIMIT"
+    assert clarabel_solve(program, 1e-10, 1e-9).claim.name == "TIME_LIMIT"
 
 
 def test_small_quadratic_programs_stop_when_told_to() -> None:

@@ -23,6 +23,7 @@ from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree, PathMulti
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
+    RIGOROUS,
     Bound,
     box_minimum,
     cost_is_never_negative,
@@ -69,9 +70,9 @@ class TreeBound:
     def bound_for(self, problem: OptimalControlProblem) -> Bound | None:
         """Return the bound of the tree, or that of a cost that is never negative, whichever is better."""
         if self.value < 0 and cost_is_never_negative(problem):
-            return Bound(0.0, "rigorous", sets=NEVER_NEGATIVE)
+            return Bound(0.0, RIGOROUS, sets=NEVER_NEGATIVE)
         source = f"a search tree of {self.leaves} {'leaf' if self.leaves == 1 else 'leaves'}, each checked"
-        return Bound(self.value, "rigorous", sets=source) if np.isfinite(self.value) else None
+        return Bound(self.value, RIGOROUS, sets=source) if np.isfinite(self.value) else None
 
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:

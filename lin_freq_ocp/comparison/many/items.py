@@ -25,7 +25,7 @@ class Item:
     """The answer to one of many problems, as plain data; None where there is nothing.
 
     ``proven`` says that its cost is within 1e-6 of a rigorous bound, or infeasibility is proven. ``x`` (T+1, n) and
-    ``u`` (T, m) are the trajectory.
+    ``u`` (T, m) are the trajectory. ``lost`` says that its worker ended before the answer.
     """
 
     status: str
@@ -37,6 +37,7 @@ class Item:
     seconds: float | None = None
     x: Array | None = field(default=None, repr=False)
     u: Array | None = field(default=None, repr=False)
+    lost: bool = field(default=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,15 +242,12 @@ def _parts(
         with closing(finished(work, _split(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
-                    lost |= {key: changes[key] for key, item in part.items.items() if item.message.startswith(LOST)}
+                    lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
                 yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
 
 
-LOST = "lost with its worker: "
-
-
 def _lost(changes: Mapping[str, Change], reason: str) -> Part:
-    return Part({key: Item(ERROR, message=LOST + reason) for key in changes})
+    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
 
 
 def _split(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:

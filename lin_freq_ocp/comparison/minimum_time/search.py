@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.sweep.grid import Source, problem_at, require_parameters
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.outcome import ONLY_PRACTICAL, Outcome
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.status import Status
 
 
@@ -62,7 +63,7 @@ class Search:
             self.last = outcome
         if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
             self.rays[horizon] = outcome.ray
-            self.practical |= {horizon} if outcome.message == ONLY_PRACTICAL else set()
+            self.practical |= {horizon} if outcome.bound == NUMERICAL else set()
         return verdict
 
 

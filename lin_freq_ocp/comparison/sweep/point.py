@@ -28,6 +28,7 @@ Row = TypedDict(
         "proven": bool,  # the status: by the maximum principle, the gap, or a ray
         "cost": float | None,  # like the gap, only of a point that satisfies every constraint
         "lower_bound": float | None,
+        "bound": str | None,  # "rigorous" or "numerical", of the cost or of infeasibility
         "gap": float | None,
         "pmp": str | None,
         "global": bool | None,
@@ -61,6 +62,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED if result.interrupted else result.status
     row["proven"], row["lower_bound"] = _proven(result), _finite(result.lower_bound)
+    row["bound"] = result.bound
     row["method"], row["backend"] = result.method, result.backend
     if certificate is not None:
         row["pmp"], row["global"] = certificate.pmp, certificate.globally_optimal
@@ -80,6 +82,7 @@ def failed_point(parameters: Parameters, message: str | None, seconds: float | N
         "proven": False,
         "cost": None,
         "lower_bound": None,
+        "bound": None,
         "gap": None,
         "pmp": None,
         "global": None,

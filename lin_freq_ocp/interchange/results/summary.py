@@ -37,7 +37,7 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "status": result.status,
             "primal": result.primal,
             "dual": result.dual,
-            **_values(result.certificate),
+            **_values(result, result.bound),
             "method": result.method,
             "backend": result.backend,
             "seconds": result.seconds,
@@ -57,7 +57,8 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
 
 def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> FileTable:
     """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
-    return finite({**head(problem), **_values(certificate), "certificate": _certificate(certificate)})
+    bound = None if certificate.bound is None or certificate.lower_bound is None else certificate.bound.kind
+    return finite({**head(problem), **_values(certificate, bound), "certificate": _certificate(certificate)})
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
@@ -122,16 +123,8 @@ def head(problem: OptimalControlProblem) -> FileTable:
     }
 
 
-def _values(certificate: Certificate | None) -> FileTable:
-    if certificate is None:
-        return {"cost": None, "lower_bound": None, "gap": None, "bound": None}
-    bound = None if certificate.lower_bound is None else certificate.bound
-    return {
-        "cost": certificate.cost,
-        "lower_bound": certificate.lower_bound,
-        "gap": certificate.gap,
-        "bound": None if bound is None else bound.kind,
-    }
+def _values(source: Outcome | Certificate, bound: str | None) -> FileTable:
+    return {"cost": source.cost, "lower_bound": source.lower_bound, "gap": source.gap, "bound": bound}
 
 
 def _certificate(certificate: Certificate | None) -> FileTable | None:

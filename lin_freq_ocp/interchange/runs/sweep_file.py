@@ -146,6 +146,7 @@ def _line(path: Path, number: int, text: str) -> FileTable:
     if "grid" in line:
         _require_grid(location, line["grid"])
     elif number > 1:
+        line.setdefault("bound", None)  # rows of earlier versions have none
         require_keys(location, line, ("parameters", *MEASURED))
         for key, kind in ROW_KINDS.items():
             _require_kind(location, line, key, kind)

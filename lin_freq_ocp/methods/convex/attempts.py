@@ -34,13 +34,12 @@ class Attempt:
     error: float = np.inf  # its largest residual, of a point in units of its own size
     z: Array | None = None
     y: Array | None = None
+    late: bool = False  # whether the time limit ended it
 
     @property
     def ended(self) -> bool:
         """Whether nothing more is to be tried."""
-        return self.candidate.interrupted or (
-            self.candidate.status == "limit" and "time" in self.candidate.message.lower()
-        )
+        return self.candidate.interrupted or self.late
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,9 @@ class Solves:
     def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
         """Return an attempt from a solver's answer to the program, which is in the given units."""
         z, y, claim = solution.z, solution.y, solution.claim
-        failed = Candidate("numerical_error", message=solution.message, interrupted=claim is Claim.INTERRUPTED)
+        late = claim is Claim.TIME_LIMIT
+        status, interrupted = "limit" if late else "numerical_error", claim is Claim.INTERRUPTED
+        failed = Candidate(status, message=solution.message, interrupted=interrupted)
         with np.errstate(over="ignore"):
             finite = y is None or bool(np.isfinite(scaling.dual(y)).all())
         if not finite:  # too large for the units of the problem
@@ -101,12 +102,12 @@ class Solves:
             along = self.transcription.direction(scaling.primal(ray))
             return Attempt(Candidate("unbounded", message=solution.message, descent=along), scaling, error)
         if z is None or y is None:
-            return Attempt(failed, scaling)
+            return Attempt(failed, scaling, late=late)
         if not program.P.nnz and not program.q.any():
             y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
         point, duals = scaling.primal(z), scaling.dual(y)
         residuals = _residuals(self.transcription, scaling, point, duals)
-        if claim in (Claim.LIMIT, Claim.INTERRUPTED):
+        if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = "limit"
         else:
             status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, self.tolerance or 0.0) else "numerical_error"
@@ -117,11 +118,11 @@ class Solves:
             None,
             residuals,
             solution.message,
-            interrupted=claim is Claim.INTERRUPTED,
+            interrupted=interrupted,
         )
         if not np.isfinite(residuals.worst):
             point, duals = None, None
-        return Attempt(candidate, scaling, residuals.worst, point, duals)
+        return Attempt(candidate, scaling, residuals.worst, point, duals, late)
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import CURRENT, QUARTER, PulseTrain
@@ -120,7 +120,7 @@ class _Search:
         found = None if self._best is None else polished(problem, self._local(*self._best))
         trajectory, multipliers, certificate = (None, None, None) if found is None else found
         if certificate is not None:
-            certificate = replace(certificate, bound=Bound(self._bound.value, "rigorous", sets=ANGLES))
+            certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
             status = certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
