@@ -44,7 +44,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
-    least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # those of the levels, in any trajectory
+    least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
