@@ -42,8 +42,8 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
     A component is as large as its ends, references and levels, else its bounds, else (a control) what other sets and
     rows allow, else what the others make of it within the horizon, else what makes the others as large as they are,
-    else what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for none.
-    States count from where they move.
+    else what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for
+    none. States count from where they move.
     """
     near = translation_of(problem).problem
     return completed_sizes(near, given_sizes(near))
