@@ -92,13 +92,17 @@ def cost_scale(
     """Return S, the sum of the absolute values of the terms of the cost: what gaps are relative to.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
-    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory.
-    ``sizes`` are those of the trajectory, if known.
+    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory. A
+    control with levels moves by whole levels: of what these cost, DATA_ROUNDING counts. ``sizes`` are those of the
+    trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
     in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
-    rounding = problem.quadratic.magnitudes().value(in_x, in_u)
+    magnitudes, levels = problem.quadratic.magnitudes(), problem.dynamics.level_sizes
+    rounding = magnitudes.value(in_x, in_u)
+    if levels.any():
+        rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     for term in problem.terms:
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())

@@ -101,6 +101,14 @@ def test_controls_are_exactly_at_levels_in_every_unit_also_where_all_are_zero(se
         assert result.cost == pytest.approx(plain.cost, rel=1e-9)
 
 
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+def test_an_optimum_that_costs_nothing_is_proven_to_the_rounding_of_what_levels_cost(unit):
+    cost = lfo.QuadraticCost(R=10 / unit**2, r=[0.01 / unit])
+    result = lfo.solve(replace(seeded_levels(0, unit), cost=cost, initial_state=[0.1], horizon=6))
+    assert result.status == "optimal"
+    assert result.cost == 0.0
+
+
 def test_rounding_of_a_control_that_rests_is_measured_by_its_levels():
     problem = seeded_levels(0, 1.0)
     rest = np.zeros((problem.horizon, 1))
