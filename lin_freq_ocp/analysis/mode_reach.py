@@ -100,7 +100,8 @@ class ModeReach:
         room = nearest + slack[..., None] * self._inverses[t]
         high = np.minimum(high, np.where(above, room, np.inf).min(axis=-2))
         low = np.maximum(low, np.where(self._below[t], room, -np.inf).max(axis=-2))
-        return np.minimum(low, high), high, (slack >= 0).all(axis=-1)
+        meets = (slack >= 0).all(axis=-1) & (low <= high).all(axis=-1)  # rows that each leave room may not together
+        return np.minimum(low, high), high, meets
 
     def images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
         """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""

@@ -34,16 +34,16 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
 
 def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by the sizes that the data state."""
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem))
+    return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem), problem.dynamics.level_sizes)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
 
-    A component is as large as its ends and references, else its bounds, else (a control) what other sets and rows
-    allow, else what the others make of it within the horizon, else what makes the others as large as they are, else
-    what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for none.
-    States count from where they move.
+    A component is as large as its ends, references and levels, else its bounds, else (a control) what other sets and
+    rows allow, else what the others make of it within the horizon, else what makes the others as large as they are,
+    else what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for
+    none. States count from where they move.
     """
     near = translation_of(problem).problem
     return completed_sizes(near, given_sizes(near))
@@ -61,11 +61,11 @@ def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array
 
 
 def given_sizes(problem: OptimalControlProblem) -> Array:
-    """Return sizes of states and controls, (n+m,): of their ends and references, else of their bounds, else 0."""
+    """Return sizes of states and controls, (n+m,): of ends, references and levels, else of their bounds, else 0."""
     cost, n = problem.quadratic, problem.state_dim
     ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
-    references = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
+    references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
     others = np.where(stated > 0, stated, bounds)

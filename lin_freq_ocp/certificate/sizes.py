@@ -1,6 +1,7 @@
 """Sizes of the components of a trajectory, and the scales that residuals, gaps and slopes are compared with.
 
-Sizes come from the trajectory, from fixed ends, references and offsets, never from bounds: a bound may stand for none.
+Sizes come from the trajectory, from fixed ends, references, offsets and levels, never from bounds: a bound may stand
+for none.
 They change with the units of the components and with nothing else.
 """
 
@@ -29,10 +30,10 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), all above zero.
 
-    A component is as large as its largest value, its fixed ends, references and offsets. A component without data of
-    its own that stays near zero is as large as what changes the others by their own sizes within the horizon (a state,
-    no larger than what the others make of it in a step), else as what changes the cost by its whole value. 1 where the
-    trajectory is zero and there are no data.
+    A component is as large as its largest value, its fixed ends, references, offsets and levels. A component without
+    data of its own that stays near zero is as large as what changes the others by their own sizes within the horizon (a
+    state, no larger than what the others make of it in a step), else as what changes the cost by its whole value. 1
+    where the trajectory is zero and there are no data.
     """
     n = problem.state_dim
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
@@ -91,13 +92,17 @@ def cost_scale(
     """Return S, the sum of the absolute values of the terms of the cost: what gaps are relative to.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
-    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory.
-    ``sizes`` are those of the trajectory, if known.
+    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory. A
+    control with levels moves by whole levels: of what these cost, DATA_ROUNDING counts. ``sizes`` are those of the
+    trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
     in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
-    rounding = problem.quadratic.magnitudes().value(in_x, in_u)
+    magnitudes, levels = problem.quadratic.magnitudes(), problem.dynamics.level_sizes
+    rounding = magnitudes.value(in_x, in_u)
+    if levels.any():
+        rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     for term in problem.terms:
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
@@ -114,12 +119,13 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
 
 
 def _own_sizes(problem: OptimalControlProblem, offset: Array) -> Array:
-    """Return how large fixed ends, references and offsets say that states and controls are, (n + m,)."""
+    """Return how large fixed ends, references, offsets and levels say that states and controls are, (n + m,)."""
     n, cost = problem.state_dim, problem.quadratic
     x = np.maximum(offset, np.abs(cost.x_ref).reshape(-1, n).max(0))
     for end in (problem.initial_box, problem.terminal_box):
         x = np.maximum(x, np.where(end.fixed, np.abs(end.lower), 0.0))
-    return np.append(x, np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0))
+    u = np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0)
+    return np.append(x, np.maximum(u, problem.dynamics.level_sizes))
 
 
 def _has_slope(problem: OptimalControlProblem) -> Mask:
@@ -131,7 +137,8 @@ def _has_slope(problem: OptimalControlProblem) -> Mask:
 
 def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*trajectory_sizes(problem, trajectory))
+    sizes = trajectory_sizes(problem, trajectory)
+    return problem.piecewise.arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
+from lin_freq_ocp.arrays import Indices
 from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.claims import AGREEMENT
-from lin_freq_ocp.methods.convex.sparse_program import require_convex, solve_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, require_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.modes.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
@@ -19,6 +21,8 @@ from lin_freq_ocp.methods.modes.parts import search_in_parts
 from lin_freq_ocp.methods.modes.search import GAP, SearchLimits, SearchOutcome, refined
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
@@ -174,14 +178,8 @@ def _judged(
     clock = now()
     left = max(end - clock, LEAST_TIME)
     end = clock + left
-    trajectory, multipliers, certificate = None, None, None
-    if outcome.sequence is not None:
-        alone, limit = problem.with_modes(outcome.sequence), None if left == np.inf else left
-        candidate = solve_convex(alone, SEQUENCE_BACKEND, None, limit)
-        trajectory = candidate.trajectory
-        if trajectory is not None and candidate.multipliers is not None:
-            first = weighted(problem, trajectory, outcome.sequence, candidate.multipliers)
-            certificate, multipliers = best_multipliers(problem, trajectory, first)
+    point = None if outcome.sequence is None else _point(problem, outcome.sequence, None if left == np.inf else left)
+    trajectory, multipliers, certificate = (None, None, None) if point is None else point
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
@@ -212,6 +210,38 @@ def _judged(
         tree=outcome.tree,
         tree_bound=proof,
     )
+
+
+def _point(
+    problem: OptimalControlProblem, sequence: Indices, time_limit: float | None
+) -> tuple[Trajectory, Multipliers, Certificate] | None:
+    """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
+    first = None
+    for candidate in convex_candidates(problem.with_modes(sequence), SEQUENCE_BACKEND, None, time_limit):
+        if candidate.trajectory is None or candidate.multipliers is None:
+            continue
+        for trajectory in _at_levels(problem, sequence, candidate.trajectory):
+            weights = weighted(problem, trajectory, sequence, candidate.multipliers)
+            certificate, multipliers = best_multipliers(problem, trajectory, weights)
+            found = trajectory, multipliers, certificate
+            if certificate.feasible:
+                return found
+            first = first or found
+    return first
+
+
+def _at_levels(problem: OptimalControlProblem, sequence: Indices, found: Trajectory) -> Iterator[Trajectory]:
+    """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
+
+    First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify rounding.
+    """
+    controls = problem.dynamics.controls_of(sequence)
+    if controls is None:
+        yield found
+        return
+    yield simulate(problem, controls, problem.initial_box.project(found.x[0]))
+    if not problem.initial_box.fixed.all():
+        yield Trajectory(found.x, controls)
 
 
 def _status(

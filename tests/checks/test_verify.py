@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from helpers.checks import convex, explain, flips, frequencies, mixed, modes, structured
+from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, structured
 from lin_freq_ocp.certificate.modes.clarke import Flip
 from lin_freq_ocp.testing import random_mixed
 from lin_freq_ocp.testing.random_convex import random_problem
@@ -118,6 +118,19 @@ def test_methods_that_disagree_or_prove_nothing_are_found_out(monkeypatch):
     system, arguments, known = modes.INSTANCES["buck, T = 6"]
     monkeypatch.setitem(modes.INSTANCES, "buck, T = 6", (system, arguments, known * (1 + 2e-6)))
     assert not modes.check("buck, T = 6").passed
+
+
+@pytest.mark.parametrize("seed", [70002, 70005, 70007, 70021, 70057, 70100])
+def test_small_random_problems_have_the_optimum_of_all_mode_sequences(seed):
+    outcome = sequences.check(seed)
+    assert outcome.passed, outcome
+
+
+def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypatch):
+    honest = sequences.enumerated
+    for change, words in ((-0.1, "called optimal, above"), (0.1, "below"), (np.inf, "not infeasible")):
+        monkeypatch.setattr(sequences, "enumerated", lambda problem, change=change: (honest(problem)[0] + change, None))
+        assert any(words in one for one in sequences.check(70021).wrong)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 7, 17])

@@ -69,13 +69,66 @@ def test_verdicts_do_not_depend_on_units(solved, state, cost):
     assert not other.certificate.failed
 
 
+def seeded_levels(seed: int, unit: float) -> lfo.OptimalControlProblem:
+    """Return a problem with irregular levels in this unit of u; the optimum of even seeds is 0 at all times."""
+    rng = np.random.default_rng(seed)
+    n, horizon = 1 + seed % 2, int(rng.integers(3, 7))
+    A = np.linalg.qr(rng.normal(size=(n, n)))[0] * rng.uniform(0.5, 1.0)
+    levels = np.array([[-1.0, 0.0, 0.75], [0.1, 1 / 3], [0.0, 1 / 7, 0.9], [-0.3, 0.1, 1 / 3]][seed % 4])
+    weight, slope = rng.uniform(1, 20) / unit**2, rng.uniform(-0.2, 0.2, 1) / unit
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, rng.normal(size=(n, 1)) / unit, 0.01 * rng.normal(size=n)),
+        horizon,
+        lfo.QuadraticCost(Q=np.diag(rng.choice([0.0, 1.0], n)), R=weight, r=slope),
+        control_set=lfo.FiniteSet(unit * levels),
+        state_set=lfo.Box(-9, 9),
+        initial_state=0.3 * rng.normal(size=n) if seed < 4 else lfo.Box(np.full(n, -0.2), np.full(n, 0.4)),
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_controls_are_exactly_at_levels_in_every_unit_also_where_all_are_zero(seed):
+    plain = lfo.solve(seeded_levels(seed, 1.0))
+    assert plain.control.any() == bool(seed % 2)
+    for unit in (1e-8, 1.0, 1e8):
+        problem = seeded_levels(seed, unit)
+        result = lfo.solve(problem)
+        assert result.status == "optimal"
+        assert result.certificate.feasible
+        assert np.isin(result.control, problem.control_set.levels).all()
+        assert np.array_equal(result.trajectory.x, simulate(problem, result.control, result.trajectory.x[0]).x)
+        assert result.sequence.tolist() == plain.sequence.tolist()
+        assert result.cost == pytest.approx(plain.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+def test_an_optimum_that_costs_nothing_is_proven_to_the_rounding_of_what_levels_cost(unit):
+    cost = lfo.QuadraticCost(R=10 / unit**2, r=[0.01 / unit])
+    result = lfo.solve(replace(seeded_levels(0, unit), cost=cost, initial_state=[0.1], horizon=6))
+    assert result.status == "optimal"
+    assert result.cost == 0.0
+
+
+def test_rounding_of_a_control_that_rests_is_measured_by_its_levels():
+    problem = seeded_levels(0, 1.0)
+    rest = np.zeros((problem.horizon, 1))
+    for distance, feasible in ((0.0, True), (1e-15, True), (5e-7, True), (3e-6, False)):
+        certificate = lfo.certify(problem, simulate_linear(problem, rest + distance))
+        assert certificate.feasible is feasible
+
+
+def simulate_linear(problem: lfo.OptimalControlProblem, u: np.ndarray) -> lfo.Trajectory:
+    """Return the trajectory of controls that need not be at levels."""
+    x, dynamics = [problem.initial_box.lower], problem.dynamics.given[0]
+    for now in u:
+        x.append(dynamics.A @ x[-1] + dynamics.B @ now + dynamics.offset)
+    return lfo.Trajectory(x, u)
+
+
 def test_a_control_between_levels_fails_at_its_label(solved):
     u = solved.control.copy()
     u[2] += 3e-6 if u[2] < 1 else -3e-6
-    x, dynamics = solved.trajectory.x.copy(), solved.problem.dynamics.given[0]
-    for t in range(T):
-        x[t + 1] = dynamics.A @ x[t] + dynamics.B @ u[t]
-    verdict = lfo.certify(solved.problem, lfo.Trajectory(x, u), solved.multipliers)
+    verdict = lfo.certify(solved.problem, simulate_linear(solved.problem, u), solved.multipliers)
     assert not verdict.feasible
     assert {"S-u", "S-f"} <= {condition.label for condition in verdict.failed}
 

@@ -402,3 +402,28 @@ def test_solve_improves_on_a_wrong_claim(monkeypatch):
     result = lfo.solve(library.pendulum_with_wall(horizon=6), method="miqp")
     assert result.cost == pytest.approx(34.990971, rel=1e-6)
     assert result.status == "optimal"
+
+
+def without_a_mode(seed):
+    """Return a problem whose joint rows exclude every mode at one time: levels, or a random map with a kink."""
+    rng, T = np.random.default_rng(seed), 4
+    limits = np.full((T, 1), np.inf)
+    limits[rng.integers(T)] = -2.0 - rng.random()  # of u, above -1.5
+    rows = lfo.StageRows(np.zeros((1, 1)), [[1.0]], limits)
+    if seed % 2:
+        return random_problem(seed, T, n=1, stage_rows=rows)
+    a, b = rng.uniform(0.3, 0.9), rng.uniform(1, 1.5)
+    dynamics, levels = lfo.LinearDynamics([[a]], [[b]]), lfo.FiniteSet([-0.5, 0, 0.5])
+    return lfo.OptimalControlProblem(
+        dynamics, T, lfo.QuadraticCost(R=1.0), levels, lfo.Box(-9, 9), [1.0], stage_rows=rows
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_where_no_mode_is_possible_infeasible_is_proven_by_the_same_tree(seed):
+    problem = without_a_mode(seed)
+    methods = ("auto", *(lfo.solvers.MixedInteger(backend=backend) for backend in BACKENDS))
+    for result in (lfo.solve(problem, method, throw=False) for method in methods):
+        assert result.status == "infeasible"
+        assert result.tree_bound.covers
+        assert result.tree_bound.value == np.inf

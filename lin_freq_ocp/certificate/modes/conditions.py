@@ -37,13 +37,14 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     """Judge a trajectory of affine modes."""
     problem.require(trajectory)
     arrays, sizes = measured_modes(problem, trajectory), trajectory_sizes(problem, trajectory)
-    sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(arrays, trajectory, sizes)
+    sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
     gaps = times_at_gaps(problem, trajectory, arrays, active)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
+    least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
@@ -56,16 +57,15 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 
 
-def region_distance(arrays: ModeArrays, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
-    """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes).
-
-    The judge's own: of ``arrays``, only the data are used.
-    """
+def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
+    """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes)."""
+    arrays, (of_x, of_u) = problem.piecewise.arrays(problem.horizon), sizes
+    least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.dynamics.level_sizes))
     x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
     n = x.shape[1]
     rows, maps = np.concatenate([arrays.G, arrays.H], axis=-1), np.concatenate([arrays.A, arrays.B], axis=-1)
     images = np.einsum("tkij,tj->tki", np.abs(maps), np.abs(y)) + np.abs(arrays.offset)
-    largest = np.maximum(np.abs(y).max(axis=0), SCALE_FLOOR * np.concatenate(sizes))
+    largest = np.maximum(np.abs(y).max(axis=0), least)
     largest[:n] = np.maximum.reduce([largest[:n], np.abs(x[-1]), images.min(axis=1).max(axis=0)])
     limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
     scale = (np.abs(rows) @ largest + limits).max(axis=0)

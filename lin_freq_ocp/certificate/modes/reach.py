@@ -148,7 +148,7 @@ class IntervalReach:
         ends = least + room[..., None] / self._divisors[t]
         high = np.minimum(high, np.where(above, ends, np.inf).min(axis=-2))
         low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=-2))
-        return np.minimum(low, high), high, (room >= 0).all(axis=-1)
+        return np.minimum(low, high), high, (room >= 0).all(axis=-1) & (low <= high).all(axis=-1)
 
     def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
         """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""

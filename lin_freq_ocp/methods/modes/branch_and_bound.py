@@ -115,6 +115,9 @@ class BranchAndBound:
             if message:
                 return message
             self._split(*self._next())
+        leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
+        if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
+            return self.limits.reached(now() - self._started, self._solved)
         return ""
 
     def _next(self) -> OpenNode:

@@ -25,6 +25,9 @@ SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each abou
 # whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
 FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
+# Violation, in natural units, up to which the point of a single sequence is feasible: ten times the looser tolerance.
+# A row that a program or its solver has lost is violated by far more.
+FEASIBLE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -98,14 +101,31 @@ def relaxed(
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
     With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
-    below it is solved. ``compiled`` allows compiled code. Raises KeyboardInterrupt where the solver was interrupted.
+    below it is solved. Its trajectory is None unless it is feasible: then only its bound holds. ``compiled`` allows
+    compiled code. Raises KeyboardInterrupt where the solver was interrupted.
     """
     if now() > end:
         return Relaxed(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
         answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
-        if answer is not None:
-            return answer
+        checked = None if answer is None else _checked(relaxation, answer)
+        if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
+            return checked
+    return _checked(relaxation, _relaxed_by_shares(relaxation, reach, tolerances, end, cutoff))
+
+
+def _checked(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
+    """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
+    sequence, trajectory = answer.sequence, answer.trajectory
+    if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:
+        return answer
+    return replace(answer, trajectory=None)
+
+
+def _relaxed_by_shares(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
+) -> Relaxed:
+    """Solve the relaxation of a reach by shares of modes, as ``relaxed``."""
     from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
 
     member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())

@@ -63,6 +63,11 @@ class Dynamics(ABC):
         """Return the dynamics as stated, and the control set that became a part of them."""
         return self, None
 
+    @property
+    def level_sizes(self) -> Array:
+        """Return the largest absolute level of each control, (m,); 0 for a control without levels."""
+        return np.zeros(self.control_dim)
+
     def controls_of(self, sequence: Indices) -> Array | None:
         """Return the controls (T, m) that a mode sequence fixes; None where it leaves them free."""
         return None

@@ -15,7 +15,8 @@ FACET_TOLERANCE = 1e-6
 # those of a continuous map differ by |g| times the distance from the facet, which is at most FACET_TOLERANCE of |g
 # h'| times the terms for each of the two, and |g h'| <= |F_1| + |F_2|.
 SAME_IMAGE = 4 * FACET_TOLERANCE
-# No component is measured more finely than this fraction of what the problem says of its size, as by the judge.
+# No component is measured more finely than this fraction of what the problem says of its size, as by the judge; a
+# control with levels no more finely than these.
 LEAST_SIZE = 1e-4
 # A replay takes the first mode whose region holds the point up to this rounding, relative to the terms of its rows.
 REPLAY_ROUNDING = 16 * float(np.finfo(np.float64).eps)
@@ -33,9 +34,9 @@ class ModeArrays:
     h: Array  # (T, modes, rows)
     least: tuple[Array, Array]  # (n,) and (m,): the smallest sizes of states and controls; zeros if unknown
 
-    def with_sizes(self, x: Array, u: Array) -> ModeArrays:
-        """Return the same modes; states (n,) and controls (m,) are known to be of these sizes."""
-        return replace(self, least=(LEAST_SIZE * x, LEAST_SIZE * u))
+    def with_sizes(self, x: Array, u: Array, levels: Array) -> ModeArrays:
+        """Return the same modes; states (n,) and controls (m,) are known to be of these sizes, and levels (m,)."""
+        return replace(self, least=(LEAST_SIZE * x, np.maximum(LEAST_SIZE * u, levels)))
 
     def sizes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return how large states, (n,), and controls, (m,), are along a trajectory: rounding is relative to it.

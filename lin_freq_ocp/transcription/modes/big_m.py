@@ -158,6 +158,8 @@ def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
         differences = (stage.F[j] - stage.F).reshape(-1, stage.F.shape[-1])
         objectives = np.vstack([differences, -differences, stage.G.reshape(-1, stage.G.shape[-1])])
         asked.append((int(j), objectives, (rows, limits + RELAXATION + excess[j])))
+    if not asked:  # no mode can hold: the rows of MODES say so
+        return possible, below, above, regions
     for (j, _, _), largest in zip(asked, _largest(stage, asked), strict=True):
         up, down, region = np.split(largest, np.cumsum([modes * n, modes * n]))
         offsets = stage.c[j] - stage.c

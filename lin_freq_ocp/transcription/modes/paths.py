@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.transcription.program import StandardForm
 
-THIN = 1e-9  # rows that leave less room, in natural units, are dropped: interior-point methods need an interior
+THIN = 1e-9  # rows that differ by less from zero on the whole box, in natural units, are dropped: they have no interior
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ def _linear_rows(
     upper[..., -2] -= high
     lower[..., -2] += low
     spread, at = np.abs(rows[..., :k]).sum(axis=-1), rows[..., -2]
-    present = (spread + at > 0) & (spread - at > THIN)
+    present = (spread + at > 0) & (spread + np.abs(at) > THIN)
     present[:, 2 * k : 2 * k + count] &= np.isfinite(limits)
     present[:, 2 * k + count :] &= model.images
     present[-1] = False

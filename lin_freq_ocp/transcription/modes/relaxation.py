@@ -215,6 +215,21 @@ class ModeRelaxation:
         weights = np.where((member.reach.allowed.sum(axis=1) == 1)[:, None], member.reach.allowed, full[self._at.delta])
         return self._host.trajectory(host), weights
 
+    def violation(self, trajectory: Trajectory, sequence: Indices) -> float:
+        """Return the largest violation of a constraint by a trajectory in a mode sequence (T,).
+
+        It is in natural units, and relative to the largest signal if that is above 1.
+        """
+        z, stages, problem = self._scaling.scaled_primal(self._host.point(trajectory)), self._stages, self.problem
+        at, y = (np.arange(len(sequence)), sequence), z[self._at.y][..., None]
+        missed = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
+        beyond = (stages.rows[at] @ y)[..., 0] - stages.limits[at]
+        of_x = problem.state_tube.violation(trajectory.x) / stages.units[: self._n]
+        of_u = problem.control_tube.violation(trajectory.u) / stages.units[self._n :]
+        others = self._shared.residuals(z, np.zeros(len(self._shared.lower))).primal
+        largest = max(np.abs(missed).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
+        return float(max(largest / max(1.0, np.abs(z[: self._host.signals]).max()), others))
+
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of the duals of a member."""
         full, rows = self._filled(duals), self._rows
@@ -256,7 +271,8 @@ class ModeRelaxation:
         for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
             others[program.rows[block]] = False
         lower, upper = np.where(others, program.lower, -np.inf), np.where(others, program.upper, np.inf)
-        form = self._sides = replace(program, lower=lower, upper=upper).standard()
+        self._shared = replace(program, lower=lower, upper=upper)
+        form = self._sides = self._shared.standard()
         ends = form.equations, form.equations + form.inequalities
         A, b = sp.csr_array(form.A), np.split(form.b, ends)
         parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])

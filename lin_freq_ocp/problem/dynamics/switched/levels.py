@@ -70,6 +70,11 @@ class SwitchedDynamics(Dynamics):
         """Return none."""
         return ()
 
+    @property
+    def level_sizes(self) -> Array:
+        """Return the largest absolute level of each control, (m,)."""
+        return np.abs(self.choices).max(axis=0)
+
     def controls_of(self, sequence: Indices) -> Array:
         """Return the controls of a mode sequence, (T, m)."""
         return self.choices[sequence]
