@@ -32,7 +32,6 @@ def both_sweeps(regulator: blocks.BlockRegulator, channels: Indices, R: Array, E
 
 LAYERS = {
     "compiled loops": (solver, "loops", lambda compiled=None, patient=True: recursions.loops(False)),
-    "code for small problems": (solver, "SMALL", 0.0),
     "correctors": (embedding, "CORRECTORS", 0),
     "longer last steps": (embedding, "MOST_FRACTION", embedding.FRACTION),
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),

@@ -15,7 +15,7 @@ from helpers.sweeps import serial as serial
 from lin_freq_ocp.system.clock import use_clock
 from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
 
-COMPILED = ("test_small.py", "test_paths.py")
+COMPILED = ("test_paths.py",)
 """The tests that wait longest for numba."""
 
 

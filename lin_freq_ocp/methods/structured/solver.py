@@ -10,14 +10,12 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.active import solve_active
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.algorithm.small import is_small, small_is_compiled, solve_small
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.system import System, Values
 from lin_freq_ocp.methods.structured.model.assembly import Assembly
 from lin_freq_ocp.methods.structured.model.recovery import Recovery
-from lin_freq_ocp.methods.structured.model.stages import Stages
 from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -25,8 +23,6 @@ from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.system.memory import require_memory
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
-SMALL = 5e5  # stages times squares of rows that couple times, up to which ``solve_small`` is faster
-SWEEPS = 8  # rows that are as many as a step's other sweeps
 LATE = 2.0  # an estimated step may take so many times as long
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 
@@ -109,18 +105,9 @@ def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: C
     def believed(z: Values) -> bool:
         return excludes(recovery.multipliers(z, 0.0))
 
-    if recursions.compiled and _fits_small(stages) and small_is_compiled():
-        answer = solve_small(stages, targets, compiled=True)
-        if answer.end is End.OPTIMAL or (answer.end is End.INFEASIBLE and believed(answer.z)):
-            return answer
     system = System(stages, recursions)
     step = StepSystem(system, choose_side(stages, recursions))
     return Embedding(system, step, targets, believed).run()
-
-
-def _fits_small(stages: Stages) -> bool:
-    """Whether a problem takes little enough of the time that only the embedding watches."""
-    return is_small(stages) and len(stages.h) * max(stages.coupling.count, SWEEPS) ** 2 <= SMALL
 
 
 def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:

@@ -61,7 +61,6 @@ class End(Enum):
     STALLED = "stalled"
     TIME = "time limit"
     INTERRUPTED = "interrupted"
-    CUTOFF = "the dual objective is beyond a cutoff"
 
 
 @dataclass(frozen=True)

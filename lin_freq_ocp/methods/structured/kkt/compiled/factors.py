@@ -1,4 +1,4 @@
-"""Factors of small symmetric matrices, compiled by numba."""
+"""Factors of small symmetric matrices, and products of vectors, compiled by numba."""
 
 from __future__ import annotations
 
@@ -46,3 +46,21 @@ def cholesky_solve(L: Array, size: int, b: Array) -> None:
         for m in range(i + 1, size):
             value -= L[m, i] * b[m]
         b[i] = value / L[i, i]
+
+
+@jit
+def dot(x: Array, y: Array) -> float:
+    """Return x'y."""
+    value = 0.0
+    for i in range(len(x)):
+        value += x[i] * y[i]
+    return value
+
+
+@jit
+def largest(x: Array) -> float:
+    """Return the largest absolute entry."""
+    value = 0.0
+    for i in range(len(x)):
+        value = max(value, abs(x[i]))
+    return value

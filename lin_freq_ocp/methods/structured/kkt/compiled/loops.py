@@ -15,6 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
+from lin_freq_ocp.methods.structured.kkt.compiled import factors
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import INDICES, REALS, WRITTEN, Kernels, jit
 from lin_freq_ocp.methods.structured.kkt.compiled.factors import cholesky, cholesky_solve
 
@@ -302,7 +303,7 @@ def transposed_times(matrices: Array, vectors: Array) -> Array:
 
 
 KERNELS = Kernels(
-    (__file__,),
+    (__file__, factors.__file__),
     (factor, (*REALS[3:] * 3, INDICES)),
     (is_convex, (*REALS[3:] * 3, INDICES)),
     (solve, (*REALS[3:] * 6, REALS[2], INDICES, REALS[2], REALS[2], REALS[1])),

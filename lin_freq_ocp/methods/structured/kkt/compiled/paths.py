@@ -13,9 +13,9 @@ from numba import types
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import loops, path_cones, path_factors, path_lengths
-from lin_freq_ocp.methods.structured.kkt.compiled import rows as vectors
+from lin_freq_ocp.methods.structured.kkt.compiled import factors, loops, path_cones, path_factors, path_lengths
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
+from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot, largest
 from lin_freq_ocp.methods.structured.kkt.compiled.path_cones import (
     cones_margin,
     cones_product,
@@ -35,7 +35,6 @@ from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import (
     path_solved,
 )
 from lin_freq_ocp.methods.structured.kkt.compiled.path_lengths import path_proven
-from lin_freq_ocp.methods.structured.kkt.compiled.rows import dot, largest
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -261,7 +260,7 @@ KERNELS = Kernels(
         path_factors.__file__,
         path_cones.__file__,
         path_lengths.__file__,
-        vectors.__file__,
+        factors.__file__,
         loops.__file__,
         embedding.__file__,
     ),
