@@ -43,7 +43,6 @@ LAYERS = {
     "nearly active samples": (violations, "NEARLY_ACTIVE", 0.0),
     "highest peaks of states only": (violations, "STATE_PEAKS", 10**9),
     "block pivoting": (dual_qp, "block_pivoting", nothing),
-    "active set": (dual_qp, "active_set", nothing),
     "factor of low rank": (interior_point, "LOW_RANK_ROWS", 10**9),
     "warm interior point": (interior_point, "WARM", 1.0),
     "table of kernels": (kernels, "SMALL_TABLE", 0),

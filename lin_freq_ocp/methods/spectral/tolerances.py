@@ -31,7 +31,6 @@ QP_RIDGE = 1e-13  # added to the diagonal: dependent rows and equations then sha
 DECIDED_SOFT = 1e-13  # part of a soft row's own response left by the equations that is rounding of zero
 PIVOTING_PIVOT = 1e-6  # Cholesky pivot below which rows are too dependent for block pivoting
 WRONG_SLOPE = 1e-13  # slope below which a row without multiplier is wrong
-ACTIVE_SET_ACCURATE = 1e-9  # slope left up to which the active set's answer is accurate
 INTERIOR_SOLVED = 1e-13  # defect and complementarity at which the interior point stops
 INTERIOR_ACCURATE = 1e-8  # ... and up to which its answer is accurate
 DIVERGED_ERROR = 1e3  # growth of that error over the best one at which it stops

