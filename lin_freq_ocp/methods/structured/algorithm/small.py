@@ -16,6 +16,7 @@ import numpy as np
 
 from lin_freq_ocp.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.algorithm.embedding import (
+    LEAST_TAU,
     MOST_STEPS,
     RAY,
     STALLED,
@@ -129,7 +130,8 @@ class _Solve:
                 best = self._best(record)
             numbers, errors = record.numbers, record.errors
             vanishing = numbers.tau < VANISHED * min(1.0, numbers.kappa)
-            if (step - best.step > STALLED and not vanishing) or not np.isfinite(sum(errors)):
+            stalled = step - best.step > STALLED and not vanishing
+            if stalled or numbers.tau < LEAST_TAU or not np.isfinite(sum(errors)):
                 break
             self._kernels.advance(self._data, self._point, self._residuals, self._numbers, False, refine)
             refine |= self._inexact(numbers)
@@ -159,14 +161,14 @@ class _Solve:
     def _ended(self, record: _Record) -> End | None:
         """Return how the iteration ends at a point, if it does."""
         numbers, errors = record.numbers, record.errors
-        vanishing = numbers.tau / min(1.0, numbers.kappa)
+        least = min(1.0, numbers.kappa)
         if errors.merit(self._targets) <= 1:
             return End.OPTIMAL
         ray = max(numbers.size_Atz, numbers.size_Py)
-        if numbers.bz < 0 and ray <= (EARLY_RAY if vanishing < EARLY else RAY) * -numbers.bz:
+        if numbers.bz < 0 and ray <= (EARLY_RAY if numbers.tau < EARLY * least else RAY) * -numbers.bz:
             return End.INFEASIBLE
         descent = max(numbers.size_Ays, numbers.size_Py)
-        if numbers.hy < 0 and vanishing < VANISHED and descent <= RAY * -numbers.hy:
+        if numbers.hy < 0 and numbers.tau < VANISHED * least and descent <= RAY * -numbers.hy:
             return End.UNBOUNDED
         if self._bound(numbers) > self._cutoff and errors.dual <= CUT_RESIDUAL:
             return End.CUTOFF
