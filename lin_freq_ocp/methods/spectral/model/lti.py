@@ -196,7 +196,7 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
     if not 0 < level < np.inf:
-        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; use other units.")
+        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
     rows = np.abs(_scaled_rows(problem, x, u)).max(1)
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
