@@ -16,6 +16,7 @@ from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
     GAP_TOLERANCE,
+    HESSIAN_ROUNDING,
     INSIGNIFICANT_GAIN,
     SCALE_FLOOR,
     STATE_ROUNDING,
@@ -91,13 +92,15 @@ def cost_scale(
     """Return S, the sum of the absolute values of the terms of the cost: what gaps are relative to.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
-    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory.
+    of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory. It is
+    at least HESSIAN_ROUNDING of products of entries and deviations, over the same: what cancels is known no better.
     ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
     in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
-    rounding = problem.quadratic.magnitudes().value(in_x, in_u)
+    plain, deviations = problem.quadratic.magnitudes(), problem.quadratic.deviations(x, u)
+    rounding = plain.value(in_x, in_u) + HESSIAN_ROUNDING * plain.value(*(np.abs(part) for part in deviations))
     for term in problem.terms:
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())

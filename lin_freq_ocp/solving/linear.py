@@ -367,10 +367,13 @@ def _judged(
 
 
 def _far(outcome: Outcome) -> bool:
-    """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be."""
+    """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be.
+
+    Numbers that are no longer finite are.
+    """
     at = outcome.trajectory
     if at is None or outcome.status == Status.LIMIT:
-        return False
+        return outcome.status == Status.NUMERICAL_ERROR
     sizes = zip((at.x, at.u), stated_sizes(outcome.problem), strict=True)
     return max(float((np.abs(signal).max(0) / size).max()) for signal, size in sizes) > 1 / DIRECTION_TOLERANCE
 
