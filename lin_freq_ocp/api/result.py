@@ -144,6 +144,9 @@ class Result(Outcome):
     def enclosure(self) -> Enclosure:
         """Return an interval that contains the optimal cost, as the checker of proofs confirms; it is kept.
 
+        The checker sees Hessians that are semidefinite up to rounding as raised ones; what this costs is subtracted
+        from the lower end here (docs/proof.md).
+
         Raises
         ------
         MissingExtraError, UnsupportedError, SolveError
@@ -155,7 +158,8 @@ class Result(Outcome):
         """Write a proof of the interval ``enclosure``, or that no trajectory is feasible.
 
         ``lfo-check FILE`` reads it: one file of Python that imports nothing of this package (docs/proof.md). What is
-        written has been checked, but for horizons above 20000, where a check takes much longer than the solve.
+        written has been checked, but for horizons above 20000, where a check takes much longer than the solve. Hessians
+        that are semidefinite up to rounding only are stated as raised ones, and the claim allows for it.
 
         Raises
         ------
@@ -164,8 +168,8 @@ class Result(Outcome):
         UnsupportedError
             If the format does not hold a part of the problem; the message names its field.
         SolveError
-            If the solve ended without anything to prove, its multipliers prove nothing, or the certified cost lies
-            outside of the proven interval (a Hessian that is indefinite by rounding: docs/proof.md).
+            If the solve ended without anything to prove, its multipliers prove nothing, or the certified cost
+            contradicts the proven interval.
         ProblemError
             If the file cannot be written.
         """

@@ -18,12 +18,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.arrays import Array, extended
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
+from lin_freq_ocp.problem.costs.semidefinite import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those near or of practical size
@@ -63,32 +65,53 @@ class Bound:
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:
-    """Return m >= 0 with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal if H is diagonal.
+    """Return m with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal where H is diagonal.
 
-    None if H is not positive semidefinite. With C = D^-1/2 H D^-1/2, D = diag(H): H >= lambda_min(C) D.
+    None if H is not positive semidefinite up to rounding. Of components that H couples, with D = diag(H) and
+    C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. Where H is a rounded product, with lambda_min(C) about 0, m is zero only
+    if H is exactly semidefinite; else it is below zero by the ``least_rise`` of H.
     """
-    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
-    if (diagonal < 0).any():
+    curvature = np.array(np.diagonal(hessian, axis1=-2, axis2=-1))
+    if (curvature < 0).any() or hessian[curvature == 0].any():
         return None
-    if np.array_equal(hessian, diagonal[..., None] * np.eye(hessian.shape[-1])):
-        return diagonal
-    root = np.sqrt(diagonal)
+    pattern = (hessian != 0).any(axis=tuple(range(hessian.ndim - 2)))
+    if np.count_nonzero(pattern) > np.count_nonzero(pattern.diagonal()):
+        _, groups = connected_components(pattern, directed=False)
+        for mine in (np.flatnonzero(groups == group) for group in np.unique(groups)):
+            part = _least_part(hessian[..., mine[:, None], mine]) if len(mine) > 1 else np.ones(())
+            if part is None:
+                return None
+            curvature[..., mine] *= part[..., None]
+    return curvature
+
+
+def _least_part(hessian: Array) -> Array | None:
+    """Return the largest known p with p diag(H) <= H, per time, (...,); None if one is not even zero up to rounding."""
+    root = np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
     root = np.where(root > 0, root, np.inf)
     correlation = hessian / (root[..., :, None] * root[..., None, :])
     identity = np.eye(hessian.shape[-1], dtype=bool)
-    correlation = np.where(identity, 1.0, correlation)
-    smallest = np.linalg.eigvalsh(correlation)[..., 0] - EIGENVALUE_ERROR * hessian.shape[-1]
-    if (smallest < -2 * EIGENVALUE_ERROR * hessian.shape[-1]).any():
+    correlation = np.where(identity, 1.0, (correlation + np.swapaxes(correlation, -1, -2)) / 2)
+    error = EIGENVALUE_ERROR * hessian.shape[-1]
+    smallest = np.asarray(np.linalg.eigvalsh(correlation)[..., 0] - error)
+    if (smallest < -2 * error).any():
         return None
-    return np.maximum(smallest, 0.0)[..., None] * diagonal
+    for index in np.argwhere(smallest <= 0):
+        place = tuple(index.tolist())
+        smallest[place] = max(-least_rise(hessian[place]), smallest[place])
+    return smallest
 
 
 def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0, 0.0, -slope / (curvature + 0.0))  # a curvature of -0.0 becomes 0.0
+        free = np.where(slope == 0, 0.0, -slope / (np.maximum(curvature, 0.0) + 0.0))  # -0.0 becomes 0.0
         v = np.minimum(np.maximum(free, lower), upper)
-        return np.where(np.isinf(v), -np.inf, (slope + 0.5 * curvature * v) * v)
+        least = np.where(np.isinf(v), -np.inf, (slope + 0.5 * curvature * v) * v)
+        if not (curvature < 0).any():
+            return least
+        ends = [np.where(np.isinf(end), -np.inf, (slope + 0.5 * curvature * end) * end) for end in (lower, upper)]
+        return np.where(curvature < 0, np.minimum(*ends), least)
 
 
 def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
@@ -119,6 +142,24 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     return numerical if numerical.value - proven.value > allowed else proven
 
 
+def optimum_box(extremal: Extremal, allowed: float) -> Enclosure:
+    """Return a box that every trajectory lies in that costs no more than this one and ``allowed``, if one is known.
+
+    Else what can be reached. ``allowed`` is more than rounding of the cost.
+    """
+    problem, curvatures = extremal.problem, _stage_curvatures(extremal)
+    if curvatures is not None:
+        cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
+        _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, "rigorous")
+        summed = _sum_of_terms(extremal, np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms)
+        level = float(cost + allowed - unit_rounding(extremal) * summed - ARITHMETIC_ROUNDING * abs(cost))
+        farther = replace(deviations, left=deviations.left + allowed)
+        nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
+        if nearby is not None:
+            return nearby
+    return reachable_bounds(problem)
+
+
 def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
     """Return D for eta_C = 0 from any trajectory: above 0, it proves that none satisfies all constraints.
 
@@ -136,8 +177,12 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
-    """Whether the cost, which is convex, has no linear terms: squares, norms and penalties are never below zero."""
-    return not any(np.any(part) for part in (problem.quadratic.q, problem.quadratic.r, problem.quadratic.p))
+    """Whether the cost is a sum of squares, norms and penalties: without linear terms, and with Hessians exactly so."""
+    cost = problem.quadratic
+    if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
+        return False
+    stage, end = cost.rises
+    return not stage.any() and end == 0
 
 
 def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> tuple[Bound, Deviations]:
@@ -166,7 +211,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
     last = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
     unlost = cost + dynamics_term + frequency_term - stage_term
-    value = min(unlost - certain - last, box.level) if finite else -np.inf
+    value = min(unlost - certain, box.level) - last if finite else -np.inf
     rounding = certain - gap + last if finite else np.inf
     bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
     deviations = Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), float(cost - unlost) + last)
@@ -203,6 +248,6 @@ def _cut(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follow
     """Return the stated sets, cut at ``largest`` in components without curvature whose bounds are farther away."""
     stated, pairs = stated_bounds(problem), list[Pair]()
     for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
-        low, high = (lower < -size) & (curvature == 0), (upper > size) & (curvature == 0)
+        low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)
         pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
     return Enclosure(pairs[0], pairs[1], np.inf, follows_from)

@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate.tolerances import (
     INVERSE_TOLERANCE,
     MAX_STEPS,
     MAX_UNKNOWN,
+    MOST_BENT,
     NEGLIGIBLE_SHARE,
     POWER_BLOCK,
     RADIUS_MARGIN,
@@ -82,21 +83,28 @@ def nearby_bounds(
     A bound D adds up what l_t loses on every component. Of a feasible trajectory at distances d that costs no more,
 
         sum over curved and bounded components of (1/2 m d^2 - |s| |d|, at least minus the loss)
-            <= left + sum over all others of |s| |d|  =: q^2,
+            <= left + sum over all others of |s| |d| + 1/2 |m| d^2  =: q^2,
 
-    so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature. The dynamics turn these radii into those of the
-    others, all of the form alpha + beta q; then q^2 <= left + losses + a + b q, and q is at most the larger root.
+    so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature; m of the others is zero, or below by rounding. The
+    dynamics turn these radii into those of the others, all of the form alpha + beta q; then
+    q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
     The unknown bounds do not matter: that far away the cost is higher.
     """
     known, radii = _known_radii(problem, trajectory, deviations, allowed)
     if not _propagated(problem, trajectory, radii):
         return None
-    loss, a, b = deviations.left, 0.0, 0.0
-    for slope, lost, mask, (alpha, beta) in zip(deviations.slopes, deviations.losses, known, radii, strict=True):
+    loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
+    for slope, curvature, lost, mask, (alpha, beta) in zip(
+        deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
+    ):
+        bent = np.maximum(-curvature, 0.0)
         loss += float(lost[mask].sum())
-        a += float((slope * alpha)[~mask].sum())
-        b += float((slope * beta)[~mask].sum())
-    q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * max(loss + a, 0.0))) / 2
+        a += float(((slope + 0.5 * bent * alpha) * alpha)[~mask].sum())
+        b += float(((slope + bent * alpha) * beta)[~mask].sum())
+        c += float((0.5 * bent * beta**2)[~mask].sum())
+    if not c < MOST_BENT:
+        return None
+    q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * (1 - c) * max(loss + a, 0.0))) / (2 * (1 - c))
     pairs = list[Pair]()
     boxes = (problem.state_tube, problem.control_tube)
     for signal, box, (alpha, beta) in zip((trajectory.x, trajectory.u), boxes, radii, strict=True):
@@ -131,7 +139,7 @@ def _known_radii(
         curved = (curvature > 0) & (far > 0)
         divisor = np.where(curved, curvature, 1.0)
         radius = np.where(curved, [2 * slope / divisor, np.sqrt(2 / divisor)], [far, np.zeros_like(far)])
-        mask = curved | (lost <= share)
+        mask = curved | (lost <= share) | (far == 0)
         known.append(mask)
         radii.append(np.where(mask, radius, np.inf))
     return known, (radii[0], radii[1])

@@ -57,7 +57,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
     tube = problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
-    if proven.value < 0 and cost_is_never_negative(problem) and problem.quadratic.nonconvexity() is None:
+    if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
@@ -87,7 +87,8 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     By the judge itself, from H_k = G^*Q G + G^*S + S'G + R: c >= 0 with diag(c) <= H_k on the controls that use bin k.
     """
     cost, adjoint, m = problem.quadratic, np.swapaxes(response.G, 1, 2).conj(), problem.control_dim
-    least = np.zeros(m) if cost.nonconvexity() is None else None  # of a cost that is convex at each time
+    rises, last = cost.rises
+    least = np.zeros(m) if not rises.any() and last == 0 else None  # of a cost that is exactly convex at each time
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
         return least
     if diagonal_curvature(cost.P) is None or (not response.closed and diagonal_curvature(cost.Q) is None):

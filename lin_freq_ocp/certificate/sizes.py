@@ -17,6 +17,7 @@ from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
     GAP_TOLERANCE,
+    HESSIAN_ROUNDING,
     INSIGNIFICANT_GAIN,
     SCALE_FLOOR,
     STATE_ROUNDING,
@@ -93,14 +94,16 @@ def cost_scale(
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the cost
     of deviations of DATA_ROUNDING over GAP_TOLERANCE: squares from the references, all else from the trajectory. A
-    control with levels moves by whole levels: of what these cost, DATA_ROUNDING counts. ``sizes`` are those of the
+    control with levels moves by whole levels: of what these cost, DATA_ROUNDING counts. S is at least HESSIAN_ROUNDING
+    of products of entries and deviations, over the same: what cancels is known no better. ``sizes`` are those of the
     trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
     in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
     magnitudes, levels = problem.quadratic.magnitudes(), problem.dynamics.level_sizes
-    rounding = magnitudes.value(in_x, in_u)
+    deviations = (np.abs(part) for part in problem.quadratic.deviations(x, u))
+    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(*deviations)
     if levels.any():
         rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     for term in problem.terms:

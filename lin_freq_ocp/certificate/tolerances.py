@@ -17,6 +17,7 @@ INSIGNIFICANT_GAIN = 1e-14  # entries of a row of [A, B] below this part of its 
 ZERO_COMPONENT = 1e-20  # components that are nowhere larger are zero, as bounds of 1e20 and more are none
 DATA_ROUNDING = 1e-12  # deviations relative to sizes that solvers and printed data leave: a gap of their cost is none
 
+HESSIAN_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of entries of Q, R, S, P, as of products of rounded data
 STATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of x and of A x + B u + d, of what these are made of
 
 # Bounds
@@ -25,6 +26,7 @@ EIGENVALUE_ERROR = 1e-12  # by which a computed smallest eigenvalue of a correla
 NUMERICAL_REACH = 10.0  # sizes of an unbounded component that a merely numerical bound covers
 RADIUS_MARGIN = 1.0 + 1e-9  # factor by which computed radii are enlarged to cover their own rounding
 INVERSE_TOLERANCE = 1e-9  # error of a left inverse that counts as one; RADIUS_MARGIN covers it
+MOST_BENT = 0.5  # part of the curvature that rounding below zero elsewhere may take away; RADIUS_MARGIN covers its own
 NEGLIGIBLE_SHARE = 1e-2  # part of the allowed gap that all losses of stated bounds may cost without being reduced
 POWER_BLOCK = 1024  # powers of A that are kept at a time
 MAX_STEPS = 20_000  # horizon up to which radii are computed step by step, at 0.1 ms each

@@ -22,7 +22,7 @@ from lin_freq_ocp.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex.attempts import consecutive
+from lin_freq_ocp.methods.convex.recession import consecutive
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

@@ -11,12 +11,19 @@ from flint import ctx
 from lfo_check import Failed
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.modes.reach import IntervalReach
+from lin_freq_ocp.certificate.reach import Enclosure as Region
+from lin_freq_ocp.certificate.reach import stated_bounds
+from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.checked import checked
-from lin_freq_ocp.proof.convex import convex_problem
+from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
 from lin_freq_ocp.proof.dual.dual import Dual, dual_of
 from lin_freq_ocp.proof.dual.growth import precision
 from lin_freq_ocp.proof.enclosure import Enclosure
@@ -26,6 +33,7 @@ from lin_freq_ocp.proof.statement.problem import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.status import Status
 
 UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost
@@ -71,10 +79,29 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
 
 
 def _of_linear(outcome: Outcome) -> tuple[Proof, Enclosure]:
-    """Return a proof of an answer for linear dynamics, with a point if the checker accepts one."""
-    bare, at = _without_point(outcome)
+    """Return a proof of an answer for linear dynamics, with a point if the checker accepts one.
+
+    Where Hessians are singular, or so but for rounding, that with the narrower interval of two rises.
+    """
+    proven = _with_rise(outcome, 0.0)
+    stated = outcome.ray is not None or convex_problem(outcome.problem) is outcome.problem
+    if not (stated and proven[1].lower > -np.inf):
+        with suppress(SolveError):
+            proven = min(proven, _with_rise(outcome, LARGER_RISE), key=lambda found: found[1].width)
+    return proven
+
+
+def _with_rise(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
+    """Return a proof of the problem with Hessians that are raised at least so much, and the interval of the given."""
+    bare, at = _without_point(outcome, least)
     found = None if outcome.ray is not None else _with_point(bare, outcome, at)
     proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+    given, multipliers = outcome.problem, outcome.multipliers
+    if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
+        given = at_frequencies(given, multipliers.frequencies)
+        region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
+        lower = min(_below(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
+        enclosure = replace(enclosure, lower=max(lower, 0.0) if cost_is_never_negative(given) else lower)
     return replace(proof, claim=_claimed(enclosure)), enclosure
 
 
@@ -95,14 +122,14 @@ def unchecked_proof(outcome: Outcome) -> Proof:
     return replace(bare, claim=Enclosure(lower, np.inf))
 
 
-def _without_point(outcome: Outcome) -> tuple[Proof, Trajectory]:
+def _without_point(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajectory]:
     """Return a proof of a lower bound alone, without a claim, and the trajectory at which it is tight."""
     at, multipliers = outcome.trajectory, outcome.multipliers
     if outcome.ray is not None:
         at, multipliers = _rest(outcome.problem), outcome.ray
     if at is None or multipliers is None:
         raise SolveError(f"There is nothing to prove: the solve ended as '{outcome.status}'.", outcome)
-    problem = convex_problem(at_frequencies(outcome.problem, multipliers.frequencies))
+    problem = convex_problem(at_frequencies(outcome.problem, multipliers.frequencies), least)
     _require_stated(problem)
     bits = precision(problem.linear.A, problem.horizon)
     with ctx.workprec(bits):
@@ -123,7 +150,25 @@ def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
             found = proof, checked(proof.lines())
     proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+    if problem is not outcome.problem:
+        by = raised_by(outcome.problem, problem, _reached(outcome.problem))
+        enclosure = replace(enclosure, lower=_below(enclosure.lower, by))
     return replace(proof, claim=_claimed(enclosure)), enclosure
+
+
+def _reached(problem: OptimalControlProblem) -> Region:
+    """Return a box around all trajectories of a problem with modes."""
+    whole = IntervalReach(problem).whole()
+    if whole is None:
+        return stated_bounds(problem)
+    lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
+    x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
+    return Region(x, problem.control_tube.bounds, np.inf, "forward reach")
+
+
+def _below(lower: float, by: float) -> float:
+    """Return the difference, rounded downwards."""
+    return float(np.nextafter(lower - by, -np.inf))
 
 
 def _with_point(bare: Proof, outcome: Outcome, at: Trajectory) -> tuple[Proof, Enclosure] | None:
@@ -144,16 +189,16 @@ def _confirmed(proof: Proof, outcome: Outcome) -> Enclosure:
 
 
 def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
-    """Raise SolveError unless the certified cost lies in a proven interval, up to the gap that certificates allow."""
+    """Raise SolveError if a feasible cost is below a proven interval, or an optimal one above, by more than the gap."""
     certificate = outcome.certificate
     if certificate is None or not certificate.feasible:
         return
     cost, slack = certificate.cost, certificate.allowed_gap
-    if not proven.lower - slack <= cost <= proven.upper + slack:
+    above = outcome.status == Status.OPTIMAL and cost > proven.upper + slack
+    if above or cost < proven.lower - slack:
         raise SolveError(
-            f"The certified cost {cost!r} lies outside of the proven interval, {proven}. The file states a Hessian "
-            "that is indefinite by rounding as one that is raised to be semidefinite, and this moves the optimum. Take "
-            "the rounding out of Q, R, S or P, or count the states from nearer to their references.",
+            f"The certified cost {cost!r} lies outside of the proven interval, {proven}: one of them is wrong. Report "
+            "the problem, and solve it with another method.",
             outcome,
         )
 

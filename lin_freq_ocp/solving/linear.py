@@ -7,13 +7,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
+import numpy as np
+
+from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
+from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.choice import structured_first
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
+from lin_freq_ocp.methods.convex.recession import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
@@ -76,9 +81,7 @@ class Convex:
         candidates = convex_candidates(problem, backend, self.tolerance, _left(end))
 
         def verified(candidate: Candidate) -> Outcome:
-            if candidate.status == "unbounded":
-                candidate = _if_feasible(problem, candidate, _left(end))
-            return judged(problem, candidate, "convex", backend, self.tolerance)
+            return _judged(problem, candidate, "convex", backend, self.tolerance, end)
 
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
@@ -125,11 +128,7 @@ class Spectral:
         else:
             kept, change = request.again
             candidate = kept.spectral(problem, change, self.tolerance, _left(end))
-        if candidate.status == "unbounded":
-            candidate = _if_feasible(problem, candidate, _left(end))
-        if candidate.status == "unbounded" and candidate.descent is None:  # the sparse program has a direction
-            candidate = _diagnosed(problem, candidate, _left(end))
-        return judged(problem, candidate, "spectral", None, self.tolerance)
+        return _judged(problem, candidate, "spectral", None, self.tolerance, end)
 
 
 @dataclass(frozen=True)
@@ -170,9 +169,7 @@ class Structured:
         excludes = partial(_excluding, problem)
         for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
-            if candidate.status == "unbounded":
-                candidate = _if_feasible(problem, candidate, _left(end))
-            outcome = judged(problem, candidate, "structured", None, self.tolerance)
+            outcome = _judged(problem, candidate, "structured", None, self.tolerance, end)
             certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
                 first = outcome
@@ -344,6 +341,47 @@ def _with_proof(outcome: Outcome, tolerance: float | None, end: float) -> Outcom
         return outcome
     found = judged(outcome.problem, diagnosis, outcome.method, None, tolerance)
     return found if _rank(found) == 2 else outcome
+
+
+def _judged(
+    problem: OptimalControlProblem,
+    candidate: Candidate,
+    method: str,
+    backend: str | None,
+    tolerance: float | None,
+    end: float,
+) -> Outcome:
+    """Judge a candidate, and a direction of descent in its place where its trajectory is far beyond the data.
+
+    The conditions of such a point hold relative to its own size, and its bound proves nothing: of a problem without a
+    finite optimum it says where the solver stopped.
+    """
+    if candidate.status == "unbounded":
+        candidate = _if_feasible(problem, candidate, _left(end))
+    outcome = judged(problem, candidate, method, backend, tolerance)
+    if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _far(outcome)):
+        return outcome
+    try:
+        along = steepest_recession(problem)
+        if along is None or unbounded_direction(problem, along) is None:
+            return outcome
+        claim = _if_feasible(problem, replace(candidate, status="unbounded", descent=along), _left(end))
+    except UnsupportedError:  # the program does not fit into memory
+        return outcome
+    found = judged(problem, replace(claim, trajectory=None, multipliers=None), method, backend, tolerance)
+    return found if _rank(found) == 2 else outcome
+
+
+def _far(outcome: Outcome) -> bool:
+    """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be.
+
+    Numbers that are no longer finite are.
+    """
+    at = outcome.trajectory
+    if at is None or outcome.status == Status.LIMIT:
+        return outcome.status == Status.NUMERICAL_ERROR
+    sizes = zip((at.x, at.u), stated_sizes(outcome.problem), strict=True)
+    return max(float((np.abs(signal).max(0) / size).max()) for signal, size in sizes) > 1 / DIRECTION_TOLERANCE
 
 
 def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:

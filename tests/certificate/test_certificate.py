@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.problem.costs.semidefinite import RISES, is_semidefinite
 from lin_freq_ocp.testing.reference import STATED, reference_problem
 from lin_freq_ocp.transcription.linear import real_rows
 
@@ -261,7 +262,17 @@ def test_curvature_is_below_the_hessian(rng, size, rank):
     root = np.sqrt(np.where(np.diag(hessian) > 0, np.diag(hessian), 1))
     rest = (hessian - np.diag(curvature)) / np.outer(root, root)
     assert np.linalg.eigvalsh(rest)[0] >= -1e-12
-    assert np.all(curvature >= 0)
+    assert np.all(curvature >= -RISES[-1] * np.diag(hessian))
+    assert np.all(curvature >= 0) or not is_semidefinite(hessian)
+    assert is_semidefinite(hessian, RISES[-1])
+
+
+def test_curvature_of_components_that_are_not_coupled_is_their_own():
+    coupled = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 4.0, 0.0, 2.0], [-1.0, 0.0, 1.0, 0.0], [0.0, 2.0, 0.0, 4.0]])
+    assert diagonal_curvature(coupled) == pytest.approx([0.0, 2.0, 0.0, 2.0])
+    several = diagonal_curvature(np.stack([coupled, np.diag([3.0, 0.0, 1.0, 5.0])]))
+    assert several == pytest.approx(np.array([[0.0, 2.0, 0.0, 2.0], [3.0, 0.0, 1.0, 5.0]]))
+    assert diagonal_curvature(np.array([[0.0, 1e-20], [1e-20, 1.0]])) is None
 
 
 def test_curvature_of_a_diagonal_hessian_is_exact_and_of_an_indefinite_one_does_not_exist():
@@ -273,7 +284,7 @@ def test_curvature_of_a_diagonal_hessian_is_exact_and_of_an_indefinite_one_does_
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(rng=matrices)
 def test_box_minimum_against_a_grid(rng):
-    slope, curvature = rng.standard_normal(), rng.choice([0.0, 1.0, 1e-3])
+    slope, curvature = rng.standard_normal(), rng.choice([0.0, 1.0, 1e-3, -1e-3])
     lower = -rng.uniform(0, 2)
     upper = lower + rng.uniform(0, 3)
     grid = np.linspace(lower, upper, 4001)
@@ -284,9 +295,9 @@ def test_box_minimum_against_a_grid(rng):
 
 
 def test_box_minimum_without_bounds():
-    infinite = np.full(4, np.inf)
-    found = box_minimum(np.array([0.0, 1.0, -1.0, 2.0]), np.array([0.0, 0.0, 0.0, 4.0]), -infinite, infinite)
-    assert found.tolist() == [0.0, -np.inf, -np.inf, -0.5]
+    infinite = np.full(5, np.inf)
+    found = box_minimum(np.array([0.0, 1.0, -1.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 4.0, -1.0]), -infinite, infinite)
+    assert found.tolist() == [0.0, -np.inf, -np.inf, -0.5, -np.inf]
 
 
 def test_bound_over_implied_sets_is_rigorous_where_nothing_is_bounded():

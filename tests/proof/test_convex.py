@@ -1,9 +1,15 @@
 """Hessians that are semidefinite up to rounding become so exactly."""
 
+from collections import Counter
+
 import numpy as np
+import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.convex import convex_problem, is_semidefinite
+from helpers.rounded_products import KINDS, exact_optimum, rounded_product
+from lin_freq_ocp.certificate.reach import Enclosure
+from lin_freq_ocp.problem.costs.semidefinite import is_semidefinite
+from lin_freq_ocp.proof.convex import convex_problem, raised_by
 
 
 def problem_of(Q):
@@ -30,3 +36,53 @@ def test_what_is_semidefinite_stays_as_it_is():
 def test_what_is_not_semidefinite_stays_so():
     problem = problem_of([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert convex_problem(problem) is problem
+
+
+SEEDS = range(24)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_interval_contains_the_optimal_cost_of_the_numbers_as_they_stand(seed):
+    """J* in rational numbers, of Hessians c c' that are indefinite by rounding: also below zero, and far from it."""
+    problem, _ = rounded_product(seed)
+    result, exact = lfo.solve(problem, throw=False), exact_optimum(problem)
+    assert exact is not None
+    assert result.status == "optimal"
+    assert result.certificate.bound.kind == "rigorous"
+    assert result.lower_bound <= exact <= result.cost + result.certificate.allowed_gap
+    assert result.enclosure.lower <= exact <= result.enclosure.upper
+    sizes = np.abs(result.trajectory.x) + np.abs(problem.quadratic.x_ref), np.abs(result.trajectory.u)
+    assert result.enclosure.width <= 1e-10 * problem.quadratic.magnitudes().value(*sizes)
+
+
+def test_the_sample_has_every_kind_and_costs_below_zero():
+    problems = [rounded_product(seed) for seed in SEEDS]
+    assert set(Counter(kind for _, kind in problems)) == set(KINDS)
+    assert min(exact_optimum(problem) for problem, _ in problems) < 0
+    assert sum(not is_semidefinite(problem.quadratic.Q) for problem, _ in problems) >= 8
+
+
+def test_no_bound_is_rigorous_where_rounding_lets_the_cost_fall_for_ever():
+    """Nothing bounds x_0 along the direction in which the rounded Hessian is negative."""
+    c = np.array([0.3, -0.7])
+    cost = lfo.QuadraticCost(Q=np.outer(c, c), R=1.0)
+    assert not is_semidefinite(cost.Q)
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))), 3, cost)
+    result = lfo.solve(problem, throw=False)
+    assert result.lower_bound is None or result.certificate.bound.kind == "numerical"
+    assert result.enclosure.lower == -np.inf
+
+
+def test_the_rise_is_charged_at_what_it_costs_in_a_region():
+    given = problem_of(np.outer([0.1, 0.7, -0.3], [0.1, 0.7, -0.3]))
+    raised = convex_problem(given)
+    rng = np.random.default_rng(0)
+    for size in (1e-3, 1.0, 1e6):
+        x, u = size * rng.uniform(-1, 1, (13, 3)), size * rng.uniform(-1, 1, (12, 1))
+        region = Enclosure((-size + 0 * x, size + 0 * x), (-size + 0 * u, size + 0 * u), np.inf, "")
+        extended = x.astype(np.longdouble), u.astype(np.longdouble)
+        by = raised.value(*extended) - given.value(*extended)
+        assert 0 <= by <= raised_by(given, raised, region) <= 1e-12 * size**2
+    everywhere = Enclosure((-np.inf + 0 * x, np.inf + 0 * x), (-np.inf + 0 * u, np.inf + 0 * u), np.inf, "")
+    assert raised_by(given, raised, everywhere) == np.inf
+    assert raised_by(given, given, everywhere) == 0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.random_unbounded import random_unbounded, with_cost_times
 from lin_freq_ocp.certificate.directions import unbounded_direction
 
 T = 10
@@ -251,3 +252,27 @@ def test_what_is_infeasible_and_unbounded_ends_as_infeasible(name, method):
     within_reach = lfo.solve(replace(problem, terminal_state=None), method=method, throw=False)
     assert within_reach.status == "unbounded"
     assert within_reach.direction is not None
+
+
+ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+
+
+@ALL_REMOVED
+@pytest.mark.parametrize("seed", [21, 54, 67, 80, 85, 96, 111, 128, 136, 178])
+def test_the_verdict_does_not_depend_on_the_unit_of_the_cost(seed):
+    """Solvers stop at states of 1e24, at which every condition holds relative to what it is made of."""
+    unbounded, bounded = random_unbounded(seed)
+    for factor in (1e-8, 1.0, 1e8):
+        result = lfo.solve(with_cost_times(unbounded, factor), throw=False)
+        assert result.status == "unbounded"
+        assert result.direction.slope < 0
+        assert lfo.solve(with_cost_times(bounded, factor)).status == "optimal"
+
+
+@ALL_REMOVED
+@pytest.mark.parametrize("method", ["spectral", "structured", "convex"])
+@pytest.mark.parametrize("seed", [21, 67])
+def test_every_method_finds_the_direction(seed, method):
+    unbounded, _ = random_unbounded(seed)
+    for factor in (1e-8, 1e8):
+        assert lfo.solve(with_cost_times(unbounded, factor), method, throw=False).status == "unbounded"

@@ -4,6 +4,7 @@ The long check is scripts/verify.py --part units.
 """
 
 from collections import Counter
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -134,3 +135,21 @@ def test_a_trajectory_that_is_wrong_is_not_excused_by_its_decimals():
 def test_a_tolerance_that_forgives_everything_is_refused(tolerance):
     with pytest.raises(lfo.errors.UnsupportedError, match="tolerance: got"):
         lfo.certify(SMALL, np.zeros((40, 1)), tolerance=tolerance)
+
+
+VANISHING = {  # name: cost, x_0, x_T: squares of the states, of the controls or of the multipliers are 0 as numbers
+    "tiny controls": (lfo.QuadraticCost(R=1.0), [1e-200, 0.0], [0.0, 0.0]),
+    "a tiny cost": (lfo.QuadraticCost(R=1e-300), [0.0, 0.0], [1e-30, 0.0]),
+    "a tiny state": (lfo.QuadraticCost(Q=1e-310, R=1e-310), [1e-200, 0.0], None),
+    "no cost": (lfo.QuadraticCost(), [0.0, 0.0], [1e-250, 1.0]),
+}
+
+
+@pytest.mark.parametrize("horizon", [1, 8])
+@pytest.mark.parametrize("name", VANISHING)
+@pytest.mark.parametrize("method", ["auto", "spectral", "structured", "convex"])
+def test_numbers_that_vanish_end_with_an_answer_or_a_refusal(name, method, horizon):
+    cost, start, end = VANISHING[name]
+    problem = replace(SMALL, horizon=horizon, cost=cost, initial_state=start, terminal_state=end)
+    with suppress(lfo.errors.UnsupportedError) if method == "spectral" else nullcontext():
+        assert lfo.solve(problem, method, throw=False).status in list(lfo.results.Status)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
+from lin_freq_ocp.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
+from lin_freq_ocp.methods.convex.recession import nearest_recession
 from lin_freq_ocp.system.clock import now
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
@@ -148,45 +147,6 @@ def better_of(one: Attempt, other: Attempt) -> Attempt:
 def over(solves: Solves) -> bool:
     """Whether there is no time left."""
     return now() >= solves.end
-
-
-def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:
-    """Return slices of the same sizes, one after the other."""
-    sizes = [cone.stop - cone.start for cone in cones]
-    starts = first + np.cumsum([0, *sizes])
-    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))
-
-
-def nearest_recession(program: Program, z: Array) -> Array:
-    """Return the recession direction nearest to z, with P z = 0; z itself if it was not found.
-
-    A solver's ray may satisfy cones to the root of a tolerance only. A cone with a constant s_0, as of a mask, says
-    s = 0 for a direction.
-    """
-    fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
-    kept, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
-    constant = abs(program.A).sum(1) == 0
-    for cone in program.cones:
-        if constant[cone.start]:
-            fixed[cone] = True
-        else:
-            curved += range(cone.start, cone.stop)
-    alone = np.setdiff1d(np.flatnonzero(kept & ~constant), curved)
-    first, size = len(alone) + len(z), float(np.abs(z).max())
-    lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
-    upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
-    nearest = Program(
-        P=sp.csc_array(sp.eye_array(len(z))),
-        q=-z / size,
-        constant=0.0,
-        A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
-        lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
-        upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
-        rows={},
-        cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first),
-    )
-    solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
-    return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
 
 
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:

@@ -111,8 +111,8 @@ def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: C
 
 
 def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:
-    if not np.isfinite(answer.y).all():
-        return Candidate("numerical_error", message="the first step is not finite", seconds=seconds)
+    if not all(np.isfinite(part).all() for part in (answer.y, *answer.z)):
+        return Candidate("numerical_error", message="no step has finite numbers", seconds=seconds)
     message, errors = f"{answer.end.value} after {answer.steps} steps", answer.errors
     if answer.end is End.TIME:
         message += f": relative residuals of {max(errors.primal, errors.dual):.0e}, a gap of {errors.gap:.0e}"

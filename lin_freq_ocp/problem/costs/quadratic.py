@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
 from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem.costs.semidefinite import least_rise
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.text.phrases import datum
 
@@ -303,6 +304,11 @@ class QuadraticCost(Cost):
         hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
         hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
         return hessian
+
+    @cached_property
+    def rises(self) -> tuple[Array, float]:
+        """Return the ``least_rise`` of the stage Hessians, (1,) if constant in time, else (T,), and that of P."""
+        return np.array([least_rise(hessian) for hessian in self.stage_hessians()]), least_rise(self.P)
 
     def nonconvexity(self) -> tuple[int, float] | None:
         """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""

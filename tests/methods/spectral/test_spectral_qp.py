@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.dual_qp import block_pivoting, bounded_qp
-from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
+from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point, predictor_corrector
 
 Qp = tuple[np.ndarray, np.ndarray]
 
@@ -155,6 +155,17 @@ def test_an_interior_point_is_polished_to_rounding(family):
     lam, accurate = interior_point(*qp, None)
     assert accurate
     assert max(errors(qp, lam)) < 1e-7
+
+
+@pytest.mark.parametrize("left", [0.0, 5e-324, 1e-310])
+def test_no_step_is_left_where_the_products_have_vanished(left):
+    """Rows in conflict keep their defect while l z falls by 1e-8 a step, until it is zero in floating point."""
+    weights, z = np.array([2.0, 1.0]), np.array([left, 0.0])
+    step = predictor_corrector(lambda target: (np.ones(3), target), weights, z, float(weights @ z) / 2)
+    assert step.length == 0
+    assert not step.other.any()
+    assert np.array_equal(step.weights, weights)
+    assert np.array_equal(step.z, z)
 
 
 @pytest.mark.parametrize("share", [0.85, 0.2])

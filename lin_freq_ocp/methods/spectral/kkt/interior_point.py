@@ -223,9 +223,12 @@ def predictor_corrector(
 ) -> Step:
     """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
 
-    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target.
+    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
+    step length is 0 where the products l z have vanished: no step makes them smaller.
     """
-    _, dw = newton(-weights * z)
+    other, dw = newton(-weights * z)
+    if mu < tol.TINY:
+        return Step(np.zeros_like(other), weights, z, 0.0)
     dz = (-weights * z - z * dw) / weights
     length = min(1.0, _reach(weights, dw), _reach(z, dz))
     after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)

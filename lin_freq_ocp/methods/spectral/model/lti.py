@@ -185,7 +185,7 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
 
 
 def natural_units(problem: OptimalControlProblem) -> Units:
-    """Return units in which the data are of order 1."""
+    """Return units in which the data are of order 1; UnsupportedError if the cost is then no number above zero."""
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
     known = given[: len(states)] > 0
@@ -195,6 +195,8 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     u = _power_of_two(_control_sizes(problem.control_tube, controls))
     cost = problem.quadratic
     level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
+    if not 0 < level < np.inf:
+        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
     rows = np.abs(_scaled_rows(problem, x, u)).max(1)
     return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
