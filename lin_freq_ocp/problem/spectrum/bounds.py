@@ -108,6 +108,11 @@ class SpectrumBound(FrequencyConstraint, ABC):
     def factor(self) -> float:
         """Return the limit on the grid per unit of the given limit, or of its root."""
 
+    @property
+    def weight(self) -> Array:
+        """Return the price per unit of excess on the grid, infinite where the bound is hard."""
+        return weight_of(self.penalty)
+
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         for name, spectrum, limits in self.spectra(signal, field):
             yield self.term(name, signal.kind, spectrum, limits, source)
@@ -122,7 +127,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     def term(self, name: str, kind: TermKind, values: AffineMap, limits: Array, source: tuple[str, int]) -> Term:
         """Return the term of a component: its values, group by group, are bounded by these limits."""
-        ball = NormBall(2, limits, weight_of(self.penalty))
+        ball = NormBall(2, limits, self.weight)
         return Term(f"{self.label} on {name}", kind, values, ball, source, self.factor)
 
     def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
@@ -196,6 +201,7 @@ class MagnitudeBound(SpectrumBound):
         (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
         circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
         can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
+        A price is for the excess over this smaller limit.
     every_frequency : bool
         |V(w)| <= limit for every w of the band (in its closure), V(w) = sum_t u_t exp(-iwt), and not at bins only:
         what holds whatever the signal is padded with. The limit is then one number above zero, points (frequency,
@@ -334,7 +340,8 @@ class EnergyBound(SpectrumBound):
     limit : float
         In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
     penalty : float, optional
-        Makes it soft: penalty * excess of the root of the energy over the root of the limit is added to the cost.
+        Makes it soft: penalty * excess of the root of the energy (with oversampling, of the sum divided by q) over the
+        root of the limit is added to the cost.
     bins, band, component, window, oversampling
         As for ``MagnitudeBound``.
 
@@ -387,6 +394,10 @@ class EnergyBound(SpectrumBound):
     @property
     def factor(self) -> float:
         return float(np.sqrt(self.oversampling))
+
+    @property
+    def weight(self) -> Array:
+        return weight_of(self.penalty) / self.factor
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
