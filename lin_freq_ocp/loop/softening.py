@@ -57,7 +57,7 @@ def softened(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> 
 
 
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
-    """Return by how much soft constraints of a problem are exceeded, in the units of their limits, by their names."""
+    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
     found, near = dict[str, float](), translation_of(problem)
     trajectory = near.translated(trajectory)
     for term in near.problem.terms:
