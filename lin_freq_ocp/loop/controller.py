@@ -187,6 +187,6 @@ def _later(controls: Array) -> Array:
 def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
     if not own:
         return Source.PREVIOUS_PLAN
-    if is_soft:
-        return Source.SOFTENED
-    return Source.PLAN if outcome.status.solved else Source.BEST_POINT
+    if not outcome.status.solved:
+        return Source.BEST_POINT
+    return Source.SOFTENED if is_soft else Source.PLAN

@@ -18,8 +18,8 @@ class Source(StrEnum):
     """Where the control of a step comes from."""
 
     PLAN = "plan"  # of the problem of this step
-    SOFTENED = "softened problem"  # as that of this step has no solution
-    BEST_POINT = "best point"  # where the solve of this step ended without an answer
+    SOFTENED = "softened problem"  # solved, as that of this step has no solution
+    BEST_POINT = "best point"  # where the solve of this step, softened or not, ended without an answer
     PREVIOUS_PLAN = "previous plan"  # of which the rest is better than that point, or there is no such point
 
 

@@ -57,12 +57,12 @@ def softened(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> 
 
 
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
-    """Return by how much soft constraints of a problem are exceeded, the sum over time, by their names."""
+    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
     found, near = dict[str, float](), translation_of(problem)
     trajectory = near.translated(trajectory)
     for term in near.problem.terms:
         if not term.hard and not term.kind.is_cost:
-            by = float((term.cost(trajectory.x, trajectory.u) / np.max(term.penalty.weights)).sum())
+            by = float((term.cost(trajectory.x, trajectory.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
             size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))
             found |= {term.name: by} if by > ROUNDING * size else {}
     return found

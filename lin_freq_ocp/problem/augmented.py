@@ -13,7 +13,6 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import bands_of
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
@@ -49,8 +48,7 @@ def wider(
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
-            *bands_of(problem.state_stop),
-            *(more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)),
+            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
         ]
         or None,
         stage_rows=[

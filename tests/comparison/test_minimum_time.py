@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -275,3 +276,23 @@ def test_a_numerical_ray_is_no_proof():
     bounded = lfo.minimum_time(replace(free, control_set=lfo.Box(-9, 9)), (28, 29))
     assert (bounded.horizon, bounded.proven) == (29, True)
     assert "28 is proven infeasible by a ray" in bounded.proof
+
+
+def narrow(horizon):
+    """Return a move against a mask between two frequencies, between which few horizons have a bin."""
+    mask = lfo.MagnitudeBound(0.02, band=lfo.spectrum.notch(1.4, 0.2))
+    dynamics, bounds = lfo.LinearDynamics([[1.0]], [[1.0]]), lfo.Box(-1.0, 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
+        return lfo.OptimalControlProblem(
+            dynamics, horizon, lfo.QuadraticCost(R=1.0), bounds, None, [0.0], [2.5], control_spectrum=mask
+        )
+
+
+@pytest.mark.parametrize("longest", [9, 10, 11])
+def test_a_mask_without_bins_holds_and_horizons_are_then_solved_one_by_one(longest):
+    with_bins = [T for T in range(1, longest + 1) if narrow(T).terms]
+    assert 0 < len(with_bins) < longest
+    found = lfo.minimum_time(narrow, horizons=(1, longest))
+    every = [T for T in range(1, longest + 1) if lfo.solve(narrow(T), throw=False).primal]
+    assert (found.horizon, found.proven, found.monotone) == (every[0], True, False)

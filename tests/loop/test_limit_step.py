@@ -169,7 +169,7 @@ def test_references_of_the_step_count_too():
 SOFT = {"state_set": 10.0}
 
 
-@pytest.mark.parametrize(("point", "source"), [(controls(-0.1), "previous plan"), (optimum, "softened problem")])
+@pytest.mark.parametrize(("point", "source"), [(controls(-0.1), "previous plan"), (optimum, "best point")])
 def test_prices_count_where_constraints_are_soft(point, source):
     """The state is out of its bounds, and no control leads back in one step."""
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]))

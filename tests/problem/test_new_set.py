@@ -11,6 +11,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
+from lin_freq_ocp.testing import check_terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,11 @@ def test_it_is_kept_where_states_are_added():
     result = lfo.solve(slow)
     assert result.certificate.globally_optimal
     assert ROUND.contains(result.trajectory.x[:, :2], 1e-7).all()
+
+
+def test_it_keeps_the_protocols():
+    assert check_terms(problem(control_set=SET)) == []
+    assert check_terms(problem(state_set=ROUND, initial_state=[2.0, 1.0])) == []
 
 
 def test_it_is_widened_where_a_conflict_is_explained():

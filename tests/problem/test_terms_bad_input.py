@@ -116,12 +116,6 @@ MASKS = {
         "'pull'",
         "'force",
     ),
-    "empty band": (
-        lambda: controls(Mask(1, band=lfo.low_pass(np.pi))),
-        "control_spectrum[0].band",
-        "low_pass(0 .. 3.14159 rad/sample)",
-        "bounds at least one bin",
-    ),
     "hertz without a clock": (
         lambda: controls(Mask(1, band=lfo.low_pass(cutoff_hz=1))),
         "control_spectrum[0].band",
@@ -172,7 +166,6 @@ ENERGIES_AND_EQUATIONS = {
         "0, and 'x_0' from the band",
         "one component",
     ),
-    "empty band": (lambda: states(Energy(1, band=lfo.low_pass(np.pi))), "state_spectrum.band", "low_pass", "one bin"),
     "one matrix": (lambda: Equation(np.ones((8, 1))), "LinearConstraint.coefficients", "(8, 1)", "per time"),
     "no rows": (lambda: Equation(np.ones((8, 0, 1))), "LinearConstraint.coefficients", "(8, 0, 1)", "per time"),
     "constants": (lambda: Equation(np.ones((8, 2, 1)), [1]), "LinearConstraint.constant", "(1,)", "(2,)"),
@@ -354,3 +347,9 @@ def test_an_output_band_that_removes_nothing_warns_and_is_no_constraint():
 def test_a_new_end_that_is_a_set_is_a_constraint():
     assert [term.name for term in problem().with_ends(terminal_state=Ball(1)).terms] == ["terminal state"]
     assert problem(terminal_state=Ball(1)).with_ends(terminal_state=[0, 0]).terms == ()
+
+
+def test_a_band_without_bins_bounds_nothing_and_a_warning_says_so():
+    for bound in (Mask(1, band=lfo.low_pass(np.pi)), Energy(1, band=lfo.low_pass(np.pi))):
+        with pytest.warns(lfo.errors.BandWarning, match=r"control_spectrum(\[0\])?.band: low_pass.* bounds no bin"):
+            assert not controls(bound).terms

@@ -87,6 +87,9 @@ class Band(FrequencyConstraint):
                 stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, together=True)
                 yield Term(f"stop band on {name}", signal.kind, stopped, NormBall(2, np.zeros(()), HARD), source)
 
+    def extended(self, n: int, k: int) -> Sequence[Band]:
+        return self.on_components(n)
+
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
         stopped = self.at(length, sampling_time, field)

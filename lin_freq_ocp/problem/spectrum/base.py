@@ -1,19 +1,21 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
-A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe`` and
-``terms``. To be written to problem files it is listed in ``interchange/problem_file/tables.py``.
+A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe``, ``terms``
+and ``extended``. To be written to problem files it is listed in ``interchange/problem_file/tables.py``.
+``lin_freq_ocp.testing.check_terms`` checks it.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief
+from lin_freq_ocp.arrays import Array, assign, brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.text.phrases import split_unit
@@ -52,15 +54,25 @@ class FrequencyConstraint(ABC):
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         """Yield its terms; errors name ``field``, and ``source`` is the entry of the problem's field."""
 
+    @abstractmethod
     def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return the same constraints on x in R^n of the signal (x, w), w in R^k."""
-        return []
 
-    def widened(self, amount: float) -> FrequencyConstraint:
+    def on_components(self, n: int) -> list[Self]:
+        """Return it once for each component that it constrains, of a signal in R^n."""
+        return [self.changed(component=i) for i in (range(n) if self.component is None else [self.component])]
+
+    def changed(self, **fields: object) -> Self:
+        """Return a copy with other fields."""
+        copied = copy(self)
+        assign(copied, **fields)
+        return copied
+
+    def widened(self, amount: float) -> Self:
         """Return it with a limit that is higher by an amount, if it has one."""
         return self
 
-    def scaled(self, factor: float) -> FrequencyConstraint | None:
+    def scaled(self, factor: float) -> Self | None:
         """Return it with its limits on magnitudes times a factor; None if it has none above zero."""
         return None
 
@@ -73,7 +85,7 @@ class FrequencyConstraint(ABC):
 
     every_frequency: bool = False  # whether it is infinitely many constraints, of which terms have finitely many
 
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> FrequencyConstraint:
+    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
         """Return it with other points in its terms, one array for each component; ``relaxed``: at these only."""
         return self
 

@@ -7,9 +7,9 @@ grid than the DFT's (``oversampling``), or with a window, they also bound the sp
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.errors import BandWarning, ProblemError, UnsupportedError
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.spectrum.every_frequency import (
@@ -92,16 +92,9 @@ class SpectrumBound(FrequencyConstraint, ABC):
     def limits(self, count: int, field: str) -> Array:
         """Return the limit of the norm of each of ``count`` points of the grid, or of all together."""
 
-    @abstractmethod
-    def widened(self, amount: float) -> SpectrumBound:
-        """Return it with a higher limit."""
-
-    @abstractmethod
-    def scaled(self, factor: float) -> SpectrumBound | None: ...
-
     def within(self, band: Band) -> Self:
         """Return it with the bins that another band would remove."""
-        return self._with(band=band)
+        return self.changed(band=band)
 
     @property
     @abstractmethod
@@ -114,28 +107,23 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     def spectra(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array]]:
         """Yield the name and the spectrum of each bounded component, and the limits of its groups, (groups,) or ()."""
+        bins = self.bins(signal.length, signal.sampling_time, field)
+        window, points = self.samples(signal.length, field), self.oversampling * signal.length
         for name, C, D in signal.rows(field, self.component):
-            bins = self.bins(signal.length, signal.sampling_time, field)
-            window, points = self.samples(signal.length, field), self.oversampling * signal.length
-            spectrum = SpectrumMap(C, D, window, points, bins, self.together)
-            yield name, spectrum, self.limits(len(bins), field)
+            limits = self.limits(len(bins), field)
+            if len(bins):  # else a warning has been issued
+                yield name, SpectrumMap(C, D, window, points, bins, self.together), limits
 
     def term(self, name: str, kind: TermKind, values: AffineMap, limits: Array, source: tuple[str, int]) -> Term:
         """Return the term of a component: its values, group by group, are bounded by these limits."""
-        ball = NormBall(2, limits, weight_of(self.penalty))
-        return Term(f"{self.label} on {name}", kind, values, ball, source, self.factor)
+        weight = weight_of(self.penalty) / (self.factor if self.together else 1.0)  # of the root of an energy as given
+        return Term(f"{self.label} on {name}", kind, values, NormBall(2, limits, weight), source, self.factor)
 
     def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
-        """Return the same bounds, each on a single component."""
-        return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
+        return self.on_components(n)
 
     def softened(self, penalty: float) -> Self:
-        return self if self.penalty is not None else self._with(penalty=penalty)
-
-    def _with(self, **fields: object) -> Self:
-        changed = copy(self)
-        assign(changed, **fields)
-        return changed
+        return self if self.penalty is not None else self.changed(penalty=penalty)
 
     @property
     def where(self) -> str:
@@ -160,7 +148,8 @@ class SpectrumBound(FrequencyConstraint, ABC):
         if self.band.unit != "bins":
             found = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
             if not len(found):
-                raise ProblemError(f"{field}.band", str(self.band), "a band that bounds at least one bin")
+                what = f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
+                warnings.warn(what, BandWarning, stacklevel=2)
             return found
         named = np.flatnonzero(self.band.at(length, sampling_time, field))
         grid = np.zeros(points // 2 + 1, dtype=bool)
@@ -196,6 +185,7 @@ class MagnitudeBound(SpectrumBound):
         (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
         circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
         can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
+        A price is for the excess over this smaller limit.
     every_frequency : bool
         |V(w)| <= limit for every w of the band (in its closure), V(w) = sum_t u_t exp(-iwt), and not at bins only:
         what holds whatever the signal is padded with. The limit is then one number above zero, points (frequency,
@@ -284,8 +274,8 @@ class MagnitudeBound(SpectrumBound):
             required = None if self.relaxed else everywhere
             yield Term(f"{label} on {name}", signal.kind, values, balls, source, everywhere=required)
 
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> MagnitudeBound:
-        return self._with(frequencies=tuple(frequencies), relaxed=relaxed)
+    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
+        return self.changed(frequencies=tuple(frequencies), relaxed=relaxed)
 
     def describe(self, names: Sequence[str]) -> str:
         values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
@@ -312,14 +302,14 @@ class MagnitudeBound(SpectrumBound):
             raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
         return np.broadcast_to(self.factor * self.limit, (count,))
 
-    def widened(self, amount: float) -> MagnitudeBound:
+    def widened(self, amount: float) -> Self:
         higher = np.array([0.0, amount]) if self.limit.ndim == 2 else amount
-        return self._with(limit=self.limit + higher)
+        return self.changed(limit=self.limit + higher)
 
-    def scaled(self, factor: float) -> MagnitudeBound | None:
+    def scaled(self, factor: float) -> Self | None:
         values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
         scales = np.array([1.0, factor]) if self.limit.ndim == 2 else factor
-        return self._with(limit=self.limit * scales) if values.any() else None
+        return self.changed(limit=self.limit * scales) if values.any() else None
 
     @property
     def factor(self) -> float:
@@ -334,7 +324,8 @@ class EnergyBound(SpectrumBound):
     limit : float
         In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
     penalty : float, optional
-        Makes it soft: penalty * excess of the root of the energy over the root of the limit is added to the cost.
+        Makes it soft: penalty * excess of the root of the energy (with oversampling, of the sum divided by q) over the
+        root of the limit is added to the cost.
     bins, band, component, window, oversampling
         As for ``MagnitudeBound``.
 
@@ -375,11 +366,11 @@ class EnergyBound(SpectrumBound):
         square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
         return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
 
-    def widened(self, amount: float) -> EnergyBound:
-        return self._with(limit=(np.sqrt(self.limit) + amount) ** 2)
+    def widened(self, amount: float) -> Self:
+        return self.changed(limit=(np.sqrt(self.limit) + amount) ** 2)
 
-    def scaled(self, factor: float) -> EnergyBound | None:
-        return self._with(limit=self.limit * factor**2) if self.limit else None
+    def scaled(self, factor: float) -> Self | None:
+        return self.changed(limit=self.limit * factor**2) if self.limit else None
 
     def limits(self, count: int, field: str) -> Array:
         return np.asarray(self.factor * np.sqrt(self.limit))

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,28 +86,23 @@ class ResidualVibration(FrequencyConstraint):
             required = None if self.relaxed else everywhere
             yield Term(f"residual vibration of {name}", signal.kind, values, balls, source, everywhere=required)
 
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> ResidualVibration:
-        return self._with(points=tuple(frequencies), relaxed=relaxed)
+    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
+        return self.changed(points=tuple(frequencies), relaxed=relaxed)
 
     def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
-        return [self._with(component=i) for i in (range(n) if self.component is None else [self.component])]
+        return self.on_components(n)
 
-    def widened(self, amount: float) -> ResidualVibration:
-        return self._with(limit=self.limit + amount)
+    def widened(self, amount: float) -> Self:
+        return self.changed(limit=self.limit + amount)
 
-    def scaled(self, factor: float) -> ResidualVibration:
-        return self._with(limit=self.limit * factor)
+    def scaled(self, factor: float) -> Self:
+        return self.changed(limit=self.limit * factor)
 
     def describe(self, names: Sequence[str]) -> str:
         (low, high), (least, most) = ([number(float(end)) for end in ends] for ends in (self.frequency, self.damping))
         of = component_words(self.component, names)
         modes = f"every mode of {low} to {high} Hz with a damping ratio of {least} to {most}"
         return f"residual vibration of {of} {AT_MOST} {number(self.limit)} for {modes}"
-
-    def _with(self, **fields: object) -> ResidualVibration:
-        changed = copy(self)
-        assign(changed, **fields)
-        return changed
 
 
 def _pair(name: str, given: ArrayLike) -> Array:

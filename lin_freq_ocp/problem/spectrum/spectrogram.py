@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,17 +104,15 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
-    def behind(self, past: Array, measured: int) -> Spectrogram:
+    def behind(self, past: Array, measured: int) -> Self:
         first = np.zeros((0, past.shape[1])) if self.past is None else self.past
         whole = np.concatenate([first, past])
         if self.length is None:
-            return self._with_past(whole[len(past) :] if len(first) else None)
+            return self.changed(past=whole[len(past) :] if len(first) else None, offset=0)
         ended, hop = max(len(whole) + measured - self.length + 1, 0), self.hop or 1
         begin = self.offset + max(-(-(ended - self.offset) // hop), 0) * hop  # of the first window that is not over
-        return self._with_past(whole[begin:] if begin < len(whole) else None, max(begin - len(whole), 0))
-
-    def _with_past(self, past: Array | None, offset: int = 0) -> Spectrogram:
-        return Spectrogram(self.bound, self.length, self.hop, past, offset)
+        ahead = max(begin - len(whole), 0)
+        return self.changed(past=whole[begin:] if begin < len(whole) else None, offset=ahead)
 
     def describe(self, names: Sequence[str]) -> str:
         behind = "" if self.past is None else f" behind {plural(len(self.past), 'sample')} of the past"
@@ -123,17 +121,18 @@ class Spectrogram(FrequencyConstraint):
 
     def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         past = None if self.past is None else with_columns(self.past, k)
-        return [Spectrogram(one, self.length, self.hop, past, self.offset) for one in self.bound.extended(n, k)]
+        return [self.changed(bound=one, component=one.component, past=past) for one in self.bound.on_components(n)]
 
-    def widened(self, amount: float) -> Spectrogram:
-        return Spectrogram(self.bound.widened(amount), self.length, self.hop, self.past, self.offset)
+    def widened(self, amount: float) -> Self:
+        return self.changed(bound=self.bound.widened(amount))
 
-    def scaled(self, factor: float) -> Spectrogram | None:
+    def scaled(self, factor: float) -> Self | None:
         bound = self.bound.scaled(factor)
-        return None if bound is None else Spectrogram(bound, self.length, self.hop, self.past, self.offset)
+        return None if bound is None else self.changed(bound=bound)
 
-    def softened(self, penalty: float) -> Spectrogram:
-        return Spectrogram(self.bound.softened(penalty), self.length, self.hop, self.past, self.offset)
+    def softened(self, penalty: float) -> Self:
+        bound = self.bound.softened(penalty)
+        return self.changed(bound=bound, penalty=bound.penalty)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         count, samples = len(signal.names), signal.length
@@ -149,7 +148,7 @@ class Spectrogram(FrequencyConstraint):
         window = Signal(signal.kind, signal.C, signal.D, signal.names, length, signal.sampling_time)
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
-        for (name, spectrum, limits), i in zip(bounded, components, strict=True):
+        for (name, spectrum, limits), i in zip(bounded, components, strict=False):  # none without bins
             windows = SpectrogramMap(spectrum, first, before[:, i])
             of = f"{'windows' if self.length else 'past and future'} of {name}"
             yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(first)), source)

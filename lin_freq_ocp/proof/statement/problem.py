@@ -69,7 +69,8 @@ def runs(parts: Parts, horizon: int) -> Iterator[tuple[int, dict[str, Array]]]:
     changed[0] = True
     for values, ndim in parts.values():
         if values.ndim > ndim:
-            changed[1:] |= (values[1:horizon] != values[: horizon - 1]).reshape(horizon - 1, -1).any(axis=1)
+            differs = values[1:horizon] != values[: horizon - 1]
+            changed[1:] |= differs.any(axis=tuple(range(1, values.ndim)))
     for t in np.flatnonzero(changed).tolist():
         yield t, {name: values[t] if values.ndim > ndim else values for name, (values, ndim) in parts.items()}
 

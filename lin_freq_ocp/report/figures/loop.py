@@ -74,14 +74,12 @@ def _in_time(ax: Axes, loop: LoopRecord, values: Array, name: str, bounds: Itera
     ax.plot(*thinned(times, values), color=COMPONENTS[0], linewidth=1.5, drawstyle="steps-post" if held else "default")
     for limit in bounds:
         ax.axhline(limit, color=BOUND, linewidth=1.1)
-    other = np.array([source not in (Source.PLAN, Source.BEST_POINT) for source in loop.sources], dtype=bool)
+    other = np.array([source is not Source.PLAN for source in loop.sources], dtype=bool)
     if other.any():
         ax.plot(times[: len(other)][other], values[: len(other)][other], "x", color=FILTERED, markersize=5)
-    notes = (
-        [Note(f"crosses: {plural(int(other.sum()), 'step')} without a plan of its own")] if other.any() and held else []
-    )
+    crosses = Note(f"crosses: {plural(int(other.sum()), 'step')} whose own problem was not solved")
     ax.margins(x=0.015)
-    style_axes(ax, short_name(name), label, name, notes if held else [])
+    style_axes(ax, short_name(name), label, name, [crosses] if other.any() and held else [])
 
 
 def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:

@@ -218,9 +218,9 @@ class Embedding:
             cone.reset()
         self.step.factor()
         y, z = self.step.solve(-self._h, self._b)
-        s = {i: -z[i] for i in self._cones}
-        for i, cone in self._cones.items():
-            z[i], s[i] = (_inside(cone, part) for part in (z[i], s[i]))
+        s = _inside(self._cones, {i: -z[i] for i in self._cones})
+        for i, part in _inside(self._cones, {i: z[i] for i in self._cones}).items():
+            z[i] = part
         return Point(y, z, s)
 
     def measured(self, point: Point) -> _Measures:
@@ -350,10 +350,15 @@ def _answer(end: End, point: Point, found: _Measures, steps: int, unit: float) -
     return Answer(end, point.y / unit, [part / unit for part in point.z], found.errors, steps)
 
 
-def _inside(cone: Cone, v: Array) -> Array:
-    """Return v, moved into the cone if it is not well inside."""
-    margin, size = cone.margin(v), largest([v])
-    return v if margin >= INTERIOR * max(1.0, size) else v + (max(1.0, MOVED * size) - margin) * cone.identity
+def _inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:
+    """Return v, moved into the cones if it is not well inside of all.
+
+    All cones move by the same amount: products of s and z of different sizes would allow short steps only.
+    """
+    margin, size = min((cone.margin(v[i]) for i, cone in cones.items()), default=np.inf), largest(list(v.values()))
+    if margin >= INTERIOR * max(1.0, size):
+        return v
+    return {i: v[i] + (max(1.0, MOVED * size) - margin) * cone.identity for i, cone in cones.items()}
 
 
 def _dot(a: Array, b: Array) -> float:
