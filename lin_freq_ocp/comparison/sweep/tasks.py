@@ -63,7 +63,7 @@ def finished(
 
 
 class WorkerPool(ProcessPoolExecutor):
-    """Worker processes that end with this one, and ignore Ctrl-C, which a terminal sends to all: this one handles it."""
+    """Worker processes that end with this one, and ignore Ctrl-C: a terminal sends it to all, this one handles it."""
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         """Submit a task; Ctrl-C while processes start is acted on after they have."""
