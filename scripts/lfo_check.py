@@ -1,12 +1,15 @@
-"""Check a proof of docs/proof.md: python lfo_check.py FILE. Imports the standard library and python-flint only.
+"""Check a proof of docs/proof.md: python lfo_check.py FILE [--limit N]. Imports the standard library and python-flint.
 
 The last line printed is VERIFIED lb ub (lb <= J* <= ub) or INFEASIBLE, exit status 0; status 1: a line of the proof
-fails; 2: not a proof. Numbers are balls (arb): `x <= y` is true only if it holds for all numbers in both.
+fails, or needs more operations than N (by default 2e7, and 1000 a byte); 2: not a proof. Numbers are balls (arb):
+`x <= y` is true only if it holds for all numbers in both.
 """
 
 import functools
 import hashlib
 import json
+import math
+import os
 import re
 import sys
 from collections import Counter
@@ -21,6 +24,8 @@ except ModuleNotFoundError:
 LONGEST_LINE, MOST_STAGES, MOST_BITS, MOST_GENERATORS, HALVINGS = 2**28, 10**6, 100_000, 500, 60
 TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
 INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), arb(0, arb.pos_inf())
+LEAST_WORK, WORK_BY_BYTE = 2e7, 1000  # operations allowed: some seconds, and in proportion for long files
+STAGE, SINE, SAME_BLOCK = 24, 32, 512  # operations of a stage of lists, and of a sine; exponents within one product
 NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,6}))?")
 
 
@@ -32,6 +37,29 @@ def require(truth, message):
     """Fail unless something is certainly true."""
     if not truth:
         raise Failed(message)
+
+
+class Work:
+    """The operations so far, how many are allowed, and the words of the longest number of the file."""
+
+    done, most, words = 0.0, math.inf, 1
+
+
+def spend(count, words=0):
+    """Count operations before they are made: a few bytes can ask for years of them.
+
+    One on numbers of many words of 64 bits counts as many times as flint takes longer for it. 1e7 take some 2 seconds.
+    """
+    words = words or Work.words
+    Work.done += count * (1 + words * (64 + words) / 2048)
+    if Work.done > Work.most:
+        needed, limit = f"{Work.done:.3g} operations on 64 bits, or more", f"{Work.most:.3g}"
+        raise Failed(f"needs {needed}; the limit is {limit}, and --limit N sets another")
+
+
+def words_of(exact):
+    """Return how many words of 64 bits a rational number takes."""
+    return 1 + (int(exact.p).bit_length() + int(exact.q).bit_length()) // 64
 
 
 class Lines:
@@ -79,6 +107,7 @@ def number(text, infinite=False):
     found = NUMBER.fullmatch(text) if isinstance(text, str) else None
     require(found, f"{text!r:.40} is not a hexadecimal number")
     sign, whole, part, power = found.groups(default="")
+    Work.words = max(Work.words, 1 + (len(whole) + len(part)) // 16)
     return arb((int(sign + whole + part, 16), int(power or 0) - 4 * len(part)))
 
 
@@ -93,6 +122,7 @@ def matrix(value, rows, columns=None, infinite=False):
 
 def rational(exact):
     mantissa, power = exact.man_exp()
+    spend(1, 1 + abs(int(power)) // 64)
     return fmpq(mantissa) * fmpq(2) ** int(power)
 
 
@@ -115,6 +145,7 @@ def norm(v, order):
 
 def over_time(lines, key, value, count, **shapes):
     """Return what lines say that are valid from their time on, one object a time; absent fields stay as before."""
+    spend(count)
     found = []
     while lines.ahead.get(key) == value:
         start = integer(lines.ahead.get("from", len(found)), len(found), count - 1 if found else 0)
@@ -146,6 +177,7 @@ class Problem:
         require(all(isinstance(one, list) and one for one in names), "expected names of states, controls and modes")
         self.T, self.n, self.m = integer(head["horizon"], 1, MOST_STAGES), len(names[0]), len(names[1])
         T, n, k = self.T, self.n, self.n + self.m
+        spend(T * (STAGE + k))
         shapes = {"A": (n, n), "B": (n, self.m), "d": (n,), "G": (None, n), "H": (None, self.m), "h": (None,)}
         self.modes = [over_time(lines, "mode", i, T, **shapes) for i in range(len(names[2]))]
         for mode in once(mode for modes in self.modes for mode in modes):
@@ -175,6 +207,7 @@ class Problem:
         i, N = integer(line["stop"], 0, self.n + self.m - 1), integer(line["samples"], self.T, self.T + 1)
         require(i not in self.stops and (i < self.n or N == self.T), "a second stop band, or too many samples")
         require(line["bins"], "a stop band without bins")
+        spend(N * (2 * SINE + 8 * len(line["bins"])))
         sines, bins, kernel = [arb.sin_pi_fmpq(fmpq(j, N)) for j in range(2 * N)], [], [ZERO] * N
         for a, b in line["bins"]:
             bins += range(integer(a, bins[-1] + 1 if bins else 0, N // 2), integer(b, a, N // 2) + 1)
@@ -187,6 +220,7 @@ class Problem:
     def removed(self, i, signal):
         """Return the part of a signal that lies in the removed bins of a component: a circular convolution."""
         N, _, kernel = self.stops[i]
+        spend(N * (8 + 4 * N.bit_length() * blocks(signal)))
         found = (kernel * arb_poly(signal)).coeffs()
         return [total(found[t::N]) for t in range(N)]
 
@@ -196,6 +230,7 @@ class Problem:
         window = [ONE] * integer(window, 1, self.T + 1) if type(window) is int else matrix(window, None).entries()
         first = integer(line["first"], 0, self.T + 1 - len(window))
         of_states = all(c.is_zero() for c in factors[self.n :])
+        spend(len(window))
         require(of_states or first + len(window) <= self.T, "there is no control at T")
         return first, window, [(i, c) for i, c in enumerate(factors) if not c.is_zero()]
 
@@ -204,6 +239,16 @@ class Problem:
         for i, (N, bins, _) in self.stops.items():
             yield f"component {i}: {len(bins)} bins of the DFT of {N} samples are removed, from {bins[0]} to {bins[-1]}"
         yield from (f"{count} x {name}" for name, count in Counter(term.name for term in self.terms).items())
+
+
+def blocks(signal):
+    """Return how many products flint makes of a signal: one for numbers in a row whose exponents are close."""
+    count, low, high = 1, None, None
+    for one in (int(x.abs_upper().man_exp()[1]) for x in signal if x.is_finite() and not x.is_zero()):
+        low, high = (one, one) if low is None else (min(low, one), max(high, one))
+        if high - low > SAME_BLOCK:
+            count, low, high = count + 1, one, one
+    return count
 
 
 def angle(frequency):
@@ -216,6 +261,7 @@ def angle(frequency):
 def wave(first, window, factors, w):
     """Return Re and Im of sum_s w_s y_{t0+s} exp(-i pi w s) as rows: lists of (t, component, factor)."""
     exact = isinstance(w, fmpq)
+    spend(len(window) * (SINE + 4 * len(factors)))
     turns = [arb.sin_cos_pi_fmpq(w * s) if exact else (w * s).sin_cos_pi() for s in range(len(window))]
     parts = [(first + s, i, h * c, turns[s]) for s, h in enumerate(window) for i, c in factors]
     return [(t, i, c * cosine) for t, i, c, (_, cosine) in parts], [(t, i, -c * sine) for t, i, c, (sine, _) in parts]
@@ -276,6 +322,7 @@ class Term:
         return size * self.limit - total(one * constant for (one, _), constant in zip(pairs, self.constants)), pairs
 
     def limit_at(self, frequency):
+        spend(len(self.pieces))
         w = number(frequency) if isinstance(frequency, str) else arb.pi() * angle(frequency)
         for low, high, at_low, at_high in self.pieces:
             if low <= w <= high:
@@ -289,11 +336,13 @@ class Term:
 def below(term, v, level):
     """Whether |Y(w)| <= level * limit(w) over all frequencies, by cells: Taylor around their middles, and a rest."""
     first, window, factors = term.output
+    spend(len(window) * (len(factors) + 4 * TAYLOR))
     y = [h * total(c * v[first + s][i, 0] for i, c in factors) for s, h in enumerate(window)]
     N, middle, turns = len(y), arb(len(y) - 1) / 2, (acb(1), acb(0, -1), acb(-1), acb(0, 1))
     derivatives = [acb_poly([one * (s - middle) ** k for s, one in enumerate(y)]) for k in range(TAYLOR)]
     for low, high, at_low, at_high in term.pieces:
         count = max(1, int(((high - low) * N / 2).upper().ceil().unique_fmpz()))
+        spend(count * TAYLOR * (N + 4 * TAYLOR))
         half, slope = (high - low) / (2 * count), level * (at_high - at_low) / (high - low) if high > low else ZERO
         rest = norm(y, "1") * (half * N / 2) ** TAYLOR / arb(TAYLOR).gamma()
         for w in (low + (2 * j + 1) * half for j in range(count)):
@@ -308,6 +357,7 @@ def below(term, v, level):
 def never_negative(g, half, depth=HALVINGS):
     """Whether a polynomial is certainly >= 0 on [-half, half]: by its expansion, its curvature, or by parts."""
     a = [*g.coeffs(), ZERO, ZERO, ZERO]
+    spend(len(a) ** 2)
     beyond = total(abs(c) * half ** (k + 1) for k, c in enumerate(a[3:]))
     plainly = a[0] - abs(a[1]) * half - (beyond - a[2]).max(ZERO) * half**2 >= 0
     if plainly or (a[2] > beyond and 4 * a[0] * (a[2] - beyond) >= a[1] ** 2):
@@ -318,6 +368,7 @@ def never_negative(g, half, depth=HALVINGS):
 def trajectory(modes, x, u):
     """Return v_0 .. v_T."""
     v = []
+    spend(len(u) * x.nrows() * 8)
     for mode, control in zip(modes, u):
         v.append(arb_mat(x.tolist() + control.tolist()))
         x = mode["map"] * v[-1] + mode["d"]
@@ -348,6 +399,8 @@ def correct(problem, modes, x, u):
     """Add P W'(W P W')^-1 residuals to controls: W are the equations in terms of the controls, P removes bins."""
     wanted, v = list(equations(problem)), trajectory(modes, x, u)
     entries, W, q = [[] for _ in range(problem.T + 1)], [None] * problem.T, len(wanted)
+    spend(problem.T * q * ((problem.n + problem.m) * problem.n + problem.m * q) + q**3)
+    spend(sum(len(row) for row, _ in wanted))
     for r, (row, _) in enumerate(wanted):
         for t, i, c in row:
             entries[t].append((i, r, c))
@@ -414,6 +467,7 @@ def around(box):
 def meet(a, b):
     """Return a box around the intersection of two, None if it is certainly empty."""
     pairs = list(zip(a, b))
+    spend(4 * len(pairs))
     found = [x.intersection(y) if (x - y).is_finite() else y if y.is_finite() else x for x, y in pairs if x.overlaps(y)]
     return found if len(found) == len(pairs) else None
 
@@ -422,6 +476,7 @@ def cut(box, rows, limits):
     """Return a box around the points of a box with rows v <= limits, None if there is certainly none."""
     for row, limit in 2 * list(zip(rows.tolist(), limits.entries())):  # twice: rows that come first gain, too
         for k, c in ((k, c) for k, c in enumerate(row) if not c.is_zero()):
+            spend(8 + 2 * len(box))
             side = (limit - total(row[i] * box[i] for i in range(len(box)) if i != k and not row[i].is_zero())) / c
             if box[k].is_finite() and side.is_finite():
                 low, high = (box[k].lower(), side.upper()) if c > 0 else (side.lower(), box[k].upper())
@@ -435,6 +490,7 @@ def cut(box, rows, limits):
 def reach(problem, before, start, kept_modes, forward):
     """Return the stages of a node, with only some modes kept at a time; None if it can reach nothing."""
     stages, n = list(before), problem.n
+    spend((problem.T - start) * STAGE * (1 + (4 if forward else 1) * len(problem.modes)))
     stages[start] = Stage(stages[start].box, stages[start].allowed & kept_modes, stages[start].zonotope)
     for t in range(start, problem.T):
         stages[t] = stage = Stage(stages[t].box, stages[t].allowed, stages[t].zonotope)
@@ -446,6 +502,7 @@ def reach(problem, before, start, kept_modes, forward):
         for i in sorted(stage.allowed):
             mode = problem.modes[i][t]
             box = cut(stage.box + controls, mode["rows"], mode["h"])
+            spend(n * (3 * (n + problem.m) + (n + 2) * (spread.ncols() + problem.m)))
             moved = mode["A"] * centre + mode["B"] * middle + mode["d"]
             turned = beside(mode["A"] * spread, mode["B"] * radii)
             outer = [c + total(map(abs, row)) * UNIT for c, row in zip(moved.entries(), turned.tolist())]
@@ -464,14 +521,22 @@ def reach(problem, before, start, kept_modes, forward):
 # ------------------------------------------------------------ DUAL: a lower bound
 
 
+def eliminated(pivot, rest, row):
+    """Return a row without its first entry, less the multiple of the pivot's row that makes that entry zero."""
+    factor, words = row[0] / pivot, words_of(pivot) + words_of(row[0]) + max(map(words_of, rest))
+    spend(8 * len(rest), words)
+    return [x - factor * y for x, y in zip(row[1:], rest)]
+
+
 def quadratic(cost, v):
     """Return 1/2 (v - center)'hessian (v - center) + linear'v and its gradient; show first that it is convex."""
+    spend(3 * v.nrows() ** 2)
     rows = [] if "convex" in cost else [[rational(x) for x in row] for row in cost["hessian"].tolist()]
     require(all(row[j] == rows[j][i] for i, row in enumerate(rows) for j in range(i)), "a Hessian is not symmetric")
     while rows:  # L D L' without rounding
         (pivot, *rest), rows = rows[0], rows[1:]
         require(pivot > 0 or (pivot == 0 and not any(rest)), "a Hessian is not positive semidefinite")
-        rows = [[x - row[0] * y / (pivot or 1) for x, y in zip(row[1:], rest)] for row in rows]
+        rows = [eliminated(pivot, rest, row) if row[0] else row[1:] for row in rows]
     cost["convex"], moved = True, v - cost["center"]
     bent = cost["hessian"] * moved
     return (moved.transpose() * bent)[0, 0] / 2 + (cost["linear"].transpose() * v)[0, 0], bent + cost["linear"]
@@ -480,6 +545,7 @@ def quadratic(cost, v):
 def charge(gradient, hessian, z, lower, upper):
     """Return a lower bound on min of gradient'd + 1/2 d'H d over lower <= z + d <= upper: by bounds or by curvature."""
     found, spared, bent, used = ZERO, ZERO, [], [i for i in range(len(z)) if hessian[i, i] > 0]
+    spend(8 * len(z) + len(used) ** 3)
     for i, g in enumerate(gradient):
         ends = [(g * (end - z[i])).lower() for end in (lower[i], upper[i]) if not (g.is_zero() or end == z[i])]
         least = -largest((-end for end in ends), ZERO)
@@ -517,6 +583,7 @@ def edges(problem, stages, t):
 def dual_bound(problem, lines, stages, normal):
     """Return a lower bound on the cost of the trajectories of a node."""
     n, value, given = problem.n, ZERO, {}
+    spend(problem.T * STAGE)
     slopes = [arb_mat(len(lower), 1) for lower in problem.lower]
     while "signal" in lines.ahead:
         line = lines.take("signal values")
@@ -550,6 +617,7 @@ def stage_bound(problem, stages, line, slope, normal, later):
     before, mu = (matrix(line[key], n) if key in line else arb_mat(n, 1) for key in ("eta", "mu"))
     vertex = {int(i): matrix(one, n) for i, one in line.get("vertex", {}).items()}
     for i, j, box, beyond in pairs:
+        spend(size * (8 + 2 * n))
         z, linear, bound = pick(line, "z", i, j, size), slope, after.get(j, INFINITY)
         if t < problem.T:
             mode, image = problem.modes[i][t], pick(line, "image", i, j, n)
@@ -612,13 +680,15 @@ def lower_bound(problem, lines):
 # ------------------------------------------------------------ the whole proof
 
 
-def check(file, say=print):
-    """Return (lb, ub) that a proof proves, exact balls; both infinite if there is no trajectory."""
+def check(file, say=print, limit=math.inf):
+    """Return (lb, ub) that a proof proves, exact balls, within a limit of work; both infinite without a trajectory."""
+    Work.done, Work.most, Work.words = 0.0, limit, 1
     try:
         lines = Lines(file)
         head = lines.take("format version bits")
         require(head["format"] == "lfo-proof" and integer(head["version"], 1, 1), "another format or version")
         ctx.prec, lines.hash = integer(head["bits"], 64, MOST_BITS), hashlib.sha256()
+        Work.words = 1 + ctx.prec // 64
     except Exception as error:
         raise ValueError(f"not a proof: {error!r}") from error
     try:
@@ -642,21 +712,29 @@ def decimal(exact, rounding):
     """Return an exact ball as a decimal number of 17 digits, rounded one way."""
     if not exact.is_finite():
         return "inf" if exact > 0 else "-inf"
-    require(abs(int(exact.man_exp()[1])) < 2**24, "a bound is too large or too small to be printed")
+    size = abs(int(exact.man_exp()[1]))
+    require(size < 2**24, "a bound is too large or too small to be printed")
+    spend((size // 256) ** 2, 1)
     ends, context = rational(exact), Context(17, rounding, MIN_EMIN, MAX_EMAX)
     return str(context.divide(Decimal(int(ends.p)), Decimal(int(ends.q))))
 
 
 def main():
     """Check the file that is named on the command line."""
-    if len(sys.argv) != 2 or sys.argv[1] in ("-h", "--help"):
-        print(__doc__)
-        return 0 if len(sys.argv) == 2 else 2
+    match sys.argv[1:]:
+        case [name, "--limit", limit] | ["--limit", limit, name] if re.fullmatch(r"\d+(\.\d*)?(e\d{1,3})?", limit):
+            most = float(limit)
+        case [name] if name not in ("-h", "--help"):
+            most = None
+        case given:
+            print(__doc__)
+            return 0 if len(given) == 1 else 2
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        with open(sys.argv[1], "rb") as file:
-            lower, upper = check(file)
+        with open(name, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            lower, upper = check(file, limit=LEAST_WORK + WORK_BY_BYTE * size if most is None else most)
         interval = f"VERIFIED {decimal(lower, ROUND_FLOOR)} {decimal(upper, ROUND_CEILING)}"
     except Failed as failed:
         print(f"FAILED {failed}")

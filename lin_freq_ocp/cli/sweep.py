@@ -82,7 +82,9 @@ def sweep_command(
 
         print_table(sweep_table(found), ("seconds", "method", "gap"))
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
-    return status if folder is None else written(status, lambda: _save(found, folder))
+    if folder is None:
+        return status
+    return written(status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw(found, folder / "sweep.png"))
 
 
 @contextmanager
@@ -138,14 +140,13 @@ def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     return whole if written and whole == values else values
 
 
-def _save(found: Sweep, folder: Path) -> None:
-    found.to_csv(folder / "sweep.csv")
+def _draw(found: Sweep, path: Path) -> None:
     try:
         figure = found.plot()
     except ProblemError as error:
         complain(f"no figure: {error}")
         return
-    with replacing(folder / "sweep.png") as stream:
+    with replacing(path) as stream:
         figure.savefig(stream, format="png", dpi=150)
 
 

@@ -8,12 +8,16 @@ after another; a request that a newer one of the same page has overtaken is not 
 from __future__ import annotations
 
 import json
+import re
 import secrets
+import sys
 import threading
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.explorer.page import page
 from lin_freq_ocp.explorer.session import Session
 from lin_freq_ocp.explorer.view import Data
@@ -21,6 +25,10 @@ from lin_freq_ocp.explorer.view import Data
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
 TOKEN_BYTES = 16
+IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
+MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
+BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
 HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -41,6 +49,7 @@ class ExploreServer(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     allow_reuse_address = False
+    request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, session: Session, port: int = 0):
         try:
@@ -54,6 +63,33 @@ class ExploreServer(ThreadingHTTPServer):
         self.page = page(session).encode()
         self._solving = threading.Lock()
         self._newest = dict[str, int]()
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Give a connection a thread of its own; refuse it where there are too many."""
+        if not self._free.acquire(blocking=False):
+            with suppress(OSError):
+                request.sendall(BUSY)
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread was started
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection until it is closed."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of connections that were reset or fell silent, and of other errors one line."""
+        error = sys.exception()
+        if isinstance(error, Exception) and not isinstance(error, (ConnectionError, TimeoutError)):
+            print(f"error: a fault of lin-freq-ocp explore: {first_line(error)}", file=sys.stderr)
 
     @property
     def hosts(self) -> tuple[str, str]:
@@ -88,6 +124,7 @@ class Handler(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
+    timeout = IDLE_SECONDS
     server_version, sys_version = "lin-freq-ocp", ""
 
     @property
@@ -117,7 +154,7 @@ class Handler(BaseHTTPRequestHandler):
             self._send_json(HTTPStatus.OK, {"overtaken": True})
         except LinFreqOCPError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
-        except (BrokenPipeError, ConnectionResetError):  # the page has been closed
+        except (ConnectionError, TimeoutError):  # the page has been closed, or sends nothing any more
             self.close_connection = True
         except Exception as error:
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"a fault of lin-freq-ocp: {type(error).__name__}: {error}")
@@ -138,7 +175,7 @@ class Handler(BaseHTTPRequestHandler):
     def _request(self) -> dict[str, object]:
         """Return the object that was sent."""
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > MOST_BYTES:
+        if not LENGTH.fullmatch(length) or int(length) > MOST_BYTES:
             self.close_connection = True  # what was sent is not read
             raise ProblemError("Content-Length", repr(length), f"at most {MOST_BYTES} bytes")
         content = self.rfile.read(int(length))

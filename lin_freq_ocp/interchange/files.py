@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import zipfile
 import zlib
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import IO, BinaryIO, NoReturn
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.interchange.locations import FileValue
-from lin_freq_ocp.system.atomic import reason
+from lin_freq_ocp.system.atomic import locked, reason, writing
 
 NPY_MAGIC = b"\x93NUMPY"  # first bytes of an .npy, and of every entry of an .npz
 MOST_ENTRIES = 10_000  # files in an archive
@@ -118,6 +119,38 @@ def require_file(field: str, path: Path) -> None:
     except (OSError, ValueError) as error:
         found = reason(error)
     raise ProblemError(field, f"{found} ({path})", "an existing file")
+
+
+class Log:
+    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        if path.exists():
+            require_file(str(path), path)
+        with writing(path), ExitStack() as stack:
+            self._stream = stack.enter_context(path.open("ab"))
+            if not stack.enter_context(locked(self._stream, wait=False)):
+                advice = "Wait until it ends, or choose another folder or name."
+                raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
+            self._open = stack.pop_all()
+
+    def truncate(self, size: int) -> None:
+        """Keep so many bytes: an incomplete last line is dropped."""
+        with writing(self._path):
+            self._stream.truncate(size)
+
+    def write(self, entry: Mapping[str, object]) -> None:
+        """Append a line; it is on the disk when this returns."""
+        with writing(self._path):
+            self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Give the file free."""
+        with writing(self._path):
+            self._open.close()
 
 
 def _whole(digits: str) -> int:

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
-from lin_freq_ocp.system.atomic import write_bytes, write_text, writing
+from lin_freq_ocp.system.atomic import write_each, writing
 
 PIXELS_PER_INCH = 150
 
@@ -72,9 +72,8 @@ def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    for drawing in drawings:
-        write_text(folder / f"{drawing.name}.svg", drawing.svg)
-        write_bytes(folder / f"{drawing.name}.png", drawing.png)
+    contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
+    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
     path = folder / "index.html"
-    write_text(path, page)
+    write_each(contents | {path: page.encode()})
     return path

@@ -1,14 +1,17 @@
-"""Files are written beside and renamed: under a name stands the whole of the new one, or the old one as it was."""
+"""Files are written beside and renamed: under a name stands the whole of the new one, or the old one as it was.
+
+Files that grow while they are written are locked instead.
+"""
 
 from __future__ import annotations
 
 import os
 import secrets
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any, BinaryIO
 
 from lin_freq_ocp.errors import ProblemError
 
@@ -55,6 +58,44 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Replace a file by this text, in UTF-8 with its line ends as they are; see ``replacing``."""
     write_bytes(path, text.encode())
+
+
+def write_each(contents: Mapping[Path, bytes]) -> None:
+    """Replace every file by its bytes; ProblemError names all that could not be written, after all were tried."""
+    failed = list[ProblemError]()
+    for path, content in contents.items():
+        try:
+            write_bytes(path, content)
+        except ProblemError as error:
+            failed.append(error)
+    if failed:
+        fields = ", ".join(one.field for one in failed)
+        reasons = ", ".join(dict.fromkeys(one.got for one in failed))
+        others = f"The other {len(contents) - len(failed)} of {len(contents)} files are written."
+        raise ProblemError(fields, reasons, "files that can be written", others)
+
+
+@contextmanager
+def locked(stream: IO[Any], wait: bool = True) -> Generator[bool]:
+    """Lock an open file; yield whether it is locked, False if another process has it and we do not wait.
+
+    The system unlocks it when this process ends, however it ends. Where files cannot be locked (Windows, some network
+    disks), all have it.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(stream, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        yield False
+        return
+    except (ImportError, OSError):
+        yield True
+        return
+    try:
+        yield True
+    finally:
+        fcntl.flock(stream, fcntl.LOCK_UN)  # also where a forked process has the file
 
 
 @contextmanager

@@ -2,14 +2,20 @@
 
 import http.client
 import json
+import socket
+import struct
 import threading
+import time
+from contextlib import ExitStack
 
 import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.explorer.server import MOST_BYTES, ExploreServer
+from lin_freq_ocp.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
 from lin_freq_ocp.explorer.session import Session
+
+PATIENCE = 120  # seconds, after which something hangs
 
 
 @pytest.fixture(scope="module")
@@ -129,3 +135,66 @@ def test_a_port_in_use_is_named(server):
     with pytest.raises(ProblemError, match=str(server.server_port)) as raised:
         ExploreServer(server.session, server.server_port)
     assert raised.value.field == "--port"
+
+
+@pytest.mark.parametrize("length", ["²", "³1", "-1", "+5", "1_0", "0x10", "1.0", "", " ", "9" * 5000])
+def test_what_is_no_length_is_a_bad_request(server, length):
+    status, answer = posted(server, "answer", "", Content_Length=length)
+    assert status == 400
+    assert "Content-Length" in answer["error"]
+
+
+def opened(server, sent=b""):
+    connection = socket.create_connection(("127.0.0.1", server.server_port), timeout=PATIENCE)
+    connection.sendall(sent)
+    return connection
+
+
+def waited(condition):
+    """Whether something becomes true."""
+    end = time.monotonic() + PATIENCE
+    while not (true := condition()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return true
+
+
+def served():
+    """Return how many connections have a thread."""
+    return sum("process_request_thread" in thread.name for thread in threading.enumerate())
+
+
+HALF = b"POST /{token}/answer HTTP/1.1\r\nHost: {host}\r\nContent-Length: 100\r\n\r\n{{"
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HTT", b"GET / HTTP/1.1\r\nHost: ", HALF], ids=len)
+def test_a_connection_that_falls_silent_is_closed(server, sent, monkeypatch, capsys):
+    assert Handler.timeout
+    monkeypatch.setattr(Handler, "timeout", 0.05)
+    sent = sent.decode().format(token=server.token, host=server.hosts[0]).encode()
+    with opened(server, sent) as connection:
+        assert connection.recv(1) == b""
+    assert capsys.readouterr().err == ""
+
+
+def test_a_connection_that_is_reset_is_no_error(server, capsys):
+    for sent in (b"", b"GET / HTTP/1.1\r\nHost: "):
+        assert waited(lambda: not served())
+        with opened(server, sent) as connection:
+            assert waited(served)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    assert waited(lambda: not served())
+    assert capsys.readouterr().err == ""
+
+
+def test_there_are_at_most_so_many_connections(server):
+    assert waited(lambda: not served())
+    with ExitStack() as stack:
+        for _ in range(MOST_CONNECTIONS):
+            stack.enter_context(opened(server))
+        assert waited(lambda: served() == MOST_CONNECTIONS)
+        for _ in range(3):
+            with opened(server) as connection:
+                assert connection.recv(100).startswith(b"HTTP/1.1 503 ")
+        assert served() == MOST_CONNECTIONS
+    assert waited(lambda: not served())
+    assert asked(server, "GET", f"/{server.token}/")[0].status == 200

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import forkserver, get_all_start_methods, get_context, resource_tracker
+from multiprocessing import forkserver, get_all_start_methods, get_context, parent_process, resource_tracker
 from queue import SimpleQueue
 from typing import Generic, ParamSpec, TypeVar
 
@@ -61,7 +63,7 @@ def finished(
 
 
 class WorkerPool(ProcessPoolExecutor):
-    """Worker processes that ignore Ctrl-C, which a terminal sends to all processes: this one handles it."""
+    """Worker processes that end with this one, and ignore Ctrl-C: a terminal sends it to all, this one handles it."""
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
         """Submit a task; Ctrl-C while processes start is acted on after they have."""
@@ -93,7 +95,20 @@ def process_pool(workers: int) -> WorkerPool:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     else:
         context = get_context("spawn")
-    return WorkerPool(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    return WorkerPool(workers, context, _begin_work)
+
+
+def _begin_work() -> None:
+    """Let a worker ignore Ctrl-C, and end when its parent does, which may be killed and then says nothing."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _on(

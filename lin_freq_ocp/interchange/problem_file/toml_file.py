@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.arrays import brief
 from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text
+from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text, require_file
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.dynamics.response.measured import read_response
@@ -26,6 +26,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.system.atomic import write_bytes, writing
 
 ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
+MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arrays belong into an .npz
 INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
 _ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
 
@@ -73,6 +74,10 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
 
 def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
+    require_file(str(path), path)
+    if (size := path.stat().st_size) > MOST_BYTES:
+        advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
+        raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
     text = read_text(path)
     try:
         return tomllib.loads(text)

@@ -7,7 +7,6 @@ line is ignored.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from importlib.metadata import version
 from os import PathLike
@@ -20,9 +19,8 @@ from lin_freq_ocp.arrays import Array, brief
 from lin_freq_ocp.comparison.many.items import ERROR, Item
 from lin_freq_ocp.comparison.many.many import ManyHead
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import parsed_json, read_text
+from lin_freq_ocp.interchange.files import Log, parsed_json, read_text
 from lin_freq_ocp.interchange.locations import FileTable, require_keys
-from lin_freq_ocp.system.atomic import writing
 
 KIND = "lin-freq-ocp solve_many"
 HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
@@ -37,38 +35,37 @@ class ManyFile:
 
     def __init__(self, path: str | PathLike[str], head: ManyHead):
         self._path = Path(path)
+        self._log = Log(self._path)
+        try:
+            self.items: Mapping[str, Item] = self._begin(head)
+        except BaseException:
+            self._log.close()
+            raise
+
+    def _begin(self, head: ManyHead) -> dict[str, Item]:
+        """Return the answers of the file, which gets its first line."""
         first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
         first |= {"fingerprint": head.fingerprint, "options": dict(head.options)}
-        whole = b""
-        if self._path.exists():
-            text = read_text(self._path)
-            whole = text[: text.rfind("\n") + 1].encode()
-            if not whole and not json.dumps(first)[:10].startswith(text[:10]):
-                raise self._another(text)
-        lines = [parsed_json(f"{path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
+        text = read_text(self._path)
+        whole = text[: text.rfind("\n") + 1].encode()
+        if not whole and not json.dumps(first)[:10].startswith(text[:10]):
+            raise self._another(text)
+        lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
         if lines:
             self._require_same(lines[0], first)
         found = {line["key"]: _item(line) for line in map(self._checked, lines[1:])}
-        self.items: Mapping[str, Item] = {key: item for key, item in found.items() if item.status != ERROR}
-        with writing(self._path):
-            self._stream = self._path.open("ab")
-            self._stream.truncate(len(whole))
+        self._log.truncate(len(whole))
         if not lines:
-            self._write(first)
+            self._log.write(first)
+        return {key: item for key, item in found.items() if item.status != ERROR}
 
     def append(self, key: str, item: Item) -> None:
         """Write one answer; it is on the disk when this returns."""
         numbers = {name: getattr(item, name) for name in NUMBERS}
         arrays = {name: _listed(getattr(item, name)) for name in ("x", "u")}
-        self._write(
+        self._log.write(
             {"key": key, "status": item.status, "proven": item.proven, "message": item.message, **numbers, **arrays}
         )
-
-    def _write(self, entry: FileTable) -> None:
-        with writing(self._path):
-            self._stream.write(json.dumps(entry).encode() + b"\n")
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
 
     def _require_same(self, found: FileTable, first: FileTable) -> None:
         if not isinstance(found, dict) or found.get("kind") != KIND:
@@ -97,7 +94,7 @@ class ManyFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stream.close()
+        self._log.close()
 
 
 def _listed(values: Array | None) -> list[list[float]] | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from os import PathLike
@@ -22,10 +21,10 @@ from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep.point import ERROR, Row
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.files import parsed_json, read_text
+from lin_freq_ocp.interchange.files import Log, parsed_json, read_bytes, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys
 from lin_freq_ocp.interchange.results.csv_file import header
-from lin_freq_ocp.system.atomic import write_text, writing
+from lin_freq_ocp.system.atomic import write_text
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"
@@ -49,32 +48,32 @@ class SweepFile:
     """
 
     def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
-        self._path = Path(path)
+        self._log = Log(Path(path))
+        try:
+            self.rows: list[Row] = self._begin(Path(path), head, grid)
+        except BaseException:
+            self._log.close()
+            raise
+
+    def _begin(self, path: Path, head: SweepHead, grid: Mapping[str, Sequence[FileValue]]) -> list[Row]:
+        """Return the finished points of the file, which gets its first line, or the grid if that is new."""
         first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
         first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
-        lines = [] if not self._path.exists() else _lines(self._path)
-        self.rows: list[Row] = [row for row in _rows(lines) if row["status"] != ERROR]
+        lines = _lines(path)
+        rows = [row for row in _rows(lines) if row["status"] != ERROR]
         if lines:
-            _require_same(self._path, lines[0], head)
-        with writing(self._path):
-            whole = self._path.read_bytes().rpartition(b"\n") if lines else (b"", b"", b"")
-            self._stream = self._path.open("ab")
-            self._stream.truncate(len(whole[0]) + len(whole[1]))
+            _require_same(path, lines[0], head)
+        self._log.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
         given = {name: list(values) for name, values in grid.items()}
         if not lines:
-            self._write(first | {"options": dict(head.options), "grid": given})
+            self._log.write(first | {"options": dict(head.options), "grid": given})
         elif list(_grid(lines).items()) != list(given.items()):
-            self._write({"grid": given})
+            self._log.write({"grid": given})
+        return rows
 
     def append(self, row: Row) -> None:
         """Write one point; it is on the disk when this returns."""
-        self._write(row)
-
-    def _write(self, entry: Mapping[str, object]) -> None:
-        with writing(self._path):
-            self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
+        self._log.write(row)
 
     def __enter__(self) -> SweepFile:
         return self
@@ -82,7 +81,7 @@ class SweepFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stream.close()
+        self._log.close()
 
 
 def read_sweep(path: str | PathLike[str]) -> SweepOutcome:

@@ -18,6 +18,7 @@ import numba
 from llvmlite import binding
 from numba import types
 
+from lin_freq_ocp.system.atomic import locked
 from lin_freq_ocp.system.clock import now
 
 Arguments = ParamSpec("Arguments")
@@ -109,13 +110,10 @@ class Kernels:
         """Wait for another process that compiles the same; where files cannot be locked, both compile."""
         with ExitStack() as stack:
             if self._folder is not None:
-                with suppress(ImportError, OSError):  # Windows has no fcntl; a folder may be unwritable
-                    import fcntl
-
+                with suppress(OSError):  # a folder may be unwritable
                     self._folder.mkdir(parents=True, exist_ok=True)
                     file = stack.enter_context((self._folder / f"{self._sources[0].stem}.lock").open("w"))
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                    stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also where a forked process has the file
+                    stack.enter_context(locked(file))
             yield
 
     @property
