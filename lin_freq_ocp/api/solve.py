@@ -15,7 +15,7 @@ from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
 from lin_freq_ocp.system.clock import now
 
-EXPLAIN_SECONDS = 5.0  # for the explanation of an infeasible problem, unless a time limit leaves less
+EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
 # The errors of statuses that are no answer.
 ERRORS: dict[Status, type[SolveError]] = {
@@ -120,7 +120,7 @@ def answered(outcome: Outcome, throw: bool, seconds_left: float | None = None) -
     """Return an outcome as a result; with ``throw``, raise the error of a status that is no answer, and explain it."""
     result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
-        result = explained(result, EXPLAIN_SECONDS if seconds_left is None else min(seconds_left, EXPLAIN_SECONDS))
+        result = explained(result, seconds_left)
     if throw:
         raise_for(result)
     return result
@@ -132,12 +132,16 @@ def raise_for(result: Result) -> None:
         raise ERRORS[result.status](_complaint(result), result)
 
 
-def explained(result: Result, seconds: float = EXPLAIN_SECONDS) -> Result:
-    """Return an infeasible result with its explanation, if it was found in that time."""
+def explained(
+    result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
+) -> Result:
+    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
     from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
 
+    if seconds_left is not None and seconds_left <= 0:
+        return result
     try:
-        return replace(result, explanation=explain(result.problem, seconds) if seconds > 0 else None)
+        return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
     except LinFreqOCPError:  # the proof stands without it
         return result
 

@@ -150,7 +150,7 @@ def solve_command(
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE:
             with progress("looking for what would help"):
-                result = explained(result, EXPLAIN_SECONDS if time_limit is None else time_limit)
+                result = explained(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:
         print_json(result_summary(result, with_trajectory))
     else:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.arrays import positive_number
+from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.explanation.blocks import Block, blocks, without
 from lin_freq_ocp.explanation.relaxation import least_cure
@@ -17,14 +19,17 @@ from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.system.clock import now, processor_now
 
 # Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
+BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 LEAST_TIME = 1e-3  # seconds left to a solver when the time is over: it then ends with its limit
 
 
-def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> Explanation:
+def explain(
+    problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None
+) -> Explanation:
     """Explain why a problem has no solution.
 
     Parameters
@@ -32,6 +37,8 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     problem : OptimalControlProblem
     time_limit : float, optional
         Seconds after which nothing more is tried, nor after Ctrl-C; what was found until then is returned.
+    processor_time : float, optional
+        The same in processor seconds of this process: what else runs on the machine takes nothing away.
 
     Returns
     -------
@@ -40,7 +47,7 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
     Raises
     ------
     ProblemError
-        If the time limit is not above zero.
+        If a limit is not above zero.
     UnsupportedError
         If the problem has a solution, or none of the methods could prove that it has none; or if its dynamics have
         modes.
@@ -57,40 +64,46 @@ def explain(problem: OptimalControlProblem, time_limit: float | None = None) -> 
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
             "explain(problem.with_modes(sequence)) tells those of one."
         )
-    if time_limit is not None:
-        positive_number("time_limit", time_limit)
-    search = _Search(problem, np.inf if time_limit is None else now() + time_limit)
-    result = search.solved(problem)
-    if result.status != Status.INFEASIBLE:
-        raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
-    family = search.family(result)
-    cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
+    limits = {"time_limit": (now, time_limit), "processor_time": (processor_now, processor_time)}
+    ends = [
+        (clock, clock() + positive_number(name, limit)) for name, (clock, limit) in limits.items() if limit is not None
+    ]
+    with one_blas_thread():  # several would use up the processor time while they wait for each other
+        search = _Search(problem, ends)
+        result = search.solved(problem)
+        if result.status != Status.INFEASIBLE:
+            raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
+        family = search.family(result)
+        cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
     return Explanation(tuple(block.name for block in family), search.sure, cures)
 
 
 class _Search:
     """Solves variants of one problem; ``sure`` until one stays undecided or the time is over."""
 
-    def __init__(self, problem: OptimalControlProblem, end: float):
+    def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
-        self.problem, self.end, self.sure = replace(problem, cost=cost), end, True
+        self.problem, self.ends, self.sure, self.interrupted = replace(problem, cost=cost), ends, True, False
         self.blocks = blocks(problem)
 
     def solved(self, problem: OptimalControlProblem) -> Outcome:
         """Return how a variant ends, with a simple cost or none: only feasibility matters."""
         result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._left())
-        if result.interrupted:
-            self.end = -np.inf
+        self.interrupted |= result.interrupted
         if result.interrupted or result.status in DECIDED or "convex" not in family_of(problem).shorthands:
             return result
         return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._left())
 
     def _left(self) -> float | None:
-        return None if self.end == np.inf else max(self.end - now(), LEAST_TIME)
+        left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
+        return max(min(left), LEAST_TIME) if left else None
+
+    def _over(self) -> bool:
+        return self.interrupted or any(clock() > end for clock, end in self.ends)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
         """Whether a variant has a solution; None where that is not known, as where the time is over."""
-        if now() > self.end:
+        if self._over():
             return None
         return DECIDED.get(self.solved(problem).status)
 
@@ -107,7 +120,7 @@ class _Search:
 
     def _infeasible(self, kept: list[Block]) -> bool:
         """Whether these blocks alone are known to have no solution."""
-        if now() > self.end:
+        if self._over():
             self.sure = False
             return False
         found = self.feasible(without(self.problem, [block for block in self.blocks if block not in kept]))
@@ -116,4 +129,4 @@ class _Search:
 
     def cure(self, block: Block) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
-        return None if now() > self.end else least_cure(self.problem, block, self.feasible, self._left())
+        return None if self._over() else least_cure(self.problem, block, self.feasible, self._left())

@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 _read: Callable[[], float] = time.perf_counter
+_read_processor: Callable[[], float] = time.process_time
 
 
 def now() -> float:
@@ -14,12 +15,20 @@ def now() -> float:
     return _read()
 
 
+def processor_now() -> float:
+    """Return the seconds for which processors have worked for this process; on a busy machine they pass more slowly."""
+    return _read_processor()
+
+
 @contextmanager
-def use_clock(read: Callable[[], float]) -> Generator[None]:
-    """Read the seconds from this function instead, in all threads of this process; other processes keep their clock."""
-    global _read
-    before, _read = _read, read
+def use_clock(read: Callable[[], float], processor: Callable[[], float] | None = None) -> Generator[None]:
+    """Read the seconds from this function instead, in all threads of this process; other processes keep their clock.
+
+    Processor seconds are read from ``processor``, by default from the same function.
+    """
+    global _read, _read_processor
+    before, _read, _read_processor = (_read, _read_processor), read, processor or read
     try:
         yield
     finally:
-        _read = before
+        _read, _read_processor = before

@@ -225,3 +225,25 @@ def test_the_error_names_the_least_change():
 
 def test_without_throw_nothing_more_is_solved():
     assert lfo.solve(carriage(), throw=False).explanation is None
+
+
+def test_a_busy_machine_takes_no_cure_away():
+    """Every look costs a second on the wall, and a thousandth of one of the processor: solve explains all the same."""
+    problem = lfo.library.double_integrator(cutoff_hz=0.3)
+    with use_clock(Clock(1.0), Clock(1e-3)):
+        with pytest.raises(lfo.errors.InfeasibleError) as caught:
+            lfo.solve(problem)
+        given = caught.value.result.explanation
+        limited = lfo.explain(problem, time_limit=30.0)
+    assert (given.family, given.irreducible) == (lfo.explain(problem).family, True)
+    assert [cure.block for cure in given.cures] == [cure.block for cure in lfo.explain(problem).cures]
+    assert len(limited.cures) < len(given.cures)
+
+
+def test_processor_time_ends_an_explanation():
+    problem = lfo.library.double_integrator(cutoff_hz=0.3)
+    with use_clock(Clock(0.0), Clock(1.0)):
+        found = lfo.explain(problem, processor_time=4.0)
+    assert not found.irreducible
+    with pytest.raises(lfo.errors.ProblemError, match="processor_time"):
+        lfo.explain(problem, processor_time=0.0)
