@@ -252,7 +252,7 @@ def _status(
         if outcome.message:
             return Status.LIMIT, outcome.message
         if outcome.sequence is None and proof.value == np.inf:
-            message = f"proven by a search tree of {proof.leaves} leaves, none of which has a trajectory"
+            message = f"proven by a search tree: its leaves hold no trajectory, {proof.leaves} in all"
             return Status.INFEASIBLE, message
         return Status.NUMERICAL_ERROR, "no trajectory was found, and that there is none is not proven"
     status = certificate.status_within(gap)

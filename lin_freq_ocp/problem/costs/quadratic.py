@@ -127,7 +127,7 @@ class QuadraticCost(Cost):
 
     Examples
     --------
-    >>> lfo.QuadraticCost(Q=[1.0, 0.0], R=2.0)
+    >>> lfo.QuadraticCost(Q=[[1.0, 0.0], [0.0, 0.0]], R=2.0)
     QuadraticCost(...)
 
     Methods
