@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from lin_freq_ocp.arrays import Array, Mask
 from lin_freq_ocp.certificate.hamiltonian import state_residual
@@ -230,7 +229,7 @@ def _determined(columns: Array, residual: Array, values: Array) -> bool:
     Q, R = np.linalg.qr(columns[:, unknown])
     if not np.diag(R).all():
         return False
-    inverse = solve_triangular(R, Q.T)
+    inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
     if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
         return False
     moved = np.stack([residual, np.zeros_like(residual)])
