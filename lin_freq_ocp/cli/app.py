@@ -81,8 +81,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
-    silent = let_commands_decide()
-    status = _status(arguments)
+    silent = False
+    try:
+        silent = let_commands_decide()
+        status = _status(arguments)
+    except KeyboardInterrupt:  # before the command began, or after it ended
+        status = INTERRUPTED
     if silent:
         leave_silently()
     sys.exit(status)
