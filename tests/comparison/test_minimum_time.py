@@ -296,3 +296,25 @@ def test_a_mask_without_bins_holds_and_horizons_are_then_solved_one_by_one(longe
     found = lfo.minimum_time(narrow, horizons=(1, longest))
     every = [T for T in range(1, longest + 1) if lfo.solve(narrow(T), throw=False).primal]
     assert (found.horizon, found.proven, found.monotone) == (every[0], True, False)
+
+
+NARROW = lfo.spectrum.notch(1.4, 0.1)  # of the horizons to 11, 9 alone has a bin there
+WIDE = lfo.MagnitudeBound(9.0, band=lfo.low_pass(2.5), every_frequency=True)
+WITHOUT_BINS = {
+    "stop band": {"control_spectrum": NARROW},
+    "mask": {"control_spectrum": lfo.MagnitudeBound(0.02, band=NARROW)},
+    "energy": {"state_spectrum": EnergyBound(0.02, band=lfo.spectrum.notch(1.25, 0.02))},  # 10 samples at 9 steps
+    "mask beside another": {"control_spectrum": [WIDE, lfo.MagnitudeBound(0.02, band=NARROW)]},
+    "mask of an output": {"output_spectrum": OutputSpectrum(None, [[1.0]], lfo.MagnitudeBound(0.02, band=NARROW))},
+    "stop band beside a mask of outputs": {"output_spectrum": OutputSpectrum(None, [[1.0]], [WIDE, NARROW])},
+}
+
+
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.parametrize("name", WITHOUT_BINS)
+def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
+    """A horizon without a bin is feasible where the next one, with a bin, may not be."""
+    problem = replace(integrator(11), **WITHOUT_BINS[name])
+    assert obstacles(partial(stated, problem), 1, 11, same_data=True)
+    soft = replace(integrator(11), control_spectrum=[WIDE, lfo.MagnitudeBound(0.02, band=NARROW, penalty=1.0)])
+    assert obstacles(partial(stated, soft), 1, 11, same_data=True) == []

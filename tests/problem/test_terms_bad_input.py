@@ -344,6 +344,15 @@ def test_an_output_band_that_removes_nothing_warns_and_is_no_constraint():
     assert lfo.solve(given).cost == 0
 
 
+@pytest.mark.parametrize("band", [lfo.low_pass(np.pi), lfo.spectrum.notch(1.1, 0.1)])
+@pytest.mark.parametrize("of", [Mask, Energy, lambda limit, band: Windows(Mask(limit, band=band), 8)])
+def test_a_bound_without_bins_warns_and_is_no_constraint(of, band):
+    with pytest.warns(lfo.errors.BandWarning, match=r"spectrum.*band: .* bounds no bin of a signal of 8 samples"):
+        given = problem(control_spectrum=of(1.0, band=band))
+    assert given.terms == ()
+    assert lfo.solve(given).cost == 0
+
+
 def test_a_new_end_that_is_a_set_is_a_constraint():
     assert [term.name for term in problem().with_ends(terminal_state=Ball(1)).terms] == ["terminal state"]
     assert problem(terminal_state=Ball(1)).with_ends(terminal_state=[0, 0]).terms == ()

@@ -17,7 +17,6 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
@@ -43,6 +42,8 @@ def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]
         *_rows_in_the_way(problem, shortest),
         *_spectra(problem),
     ]
+    spectra = problem.control_spectrum, problem.state_spectrum, problem.output_spectrum
+    same_data = same_data and not any(entries_of(given) for given in spectra)  # a band may have bins at some horizons
     return found if found or same_data else _other_data(at, shortest, problem)
 
 
@@ -99,13 +100,8 @@ def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
 def _spectra(problem: OptimalControlProblem) -> Iterator[str]:
     """Yield the hard frequency constraints that appended samples can violate."""
     for field, stop in (("control_spectrum", problem.control_stop), ("state_spectrum", problem.state_stop)):
-        if stop.any() or any(isinstance(one, Band) for one in entries_of(getattr(problem, field))):
+        if stop.any():
             yield f"{field}: a stop band removes bins of its own horizon"
-    stated = {term.source for term in problem.terms}
-    for field in ("control_spectrum", "state_spectrum", "output_spectrum"):
-        for i, entry in enumerate(entries_of(getattr(problem, field))):
-            if (field, i) not in stated and not isinstance(entry, Band):
-                yield f"{field}[{i}]: it bounds no bin of the longest horizon, and may bound bins of shorter ones"
     for term in problem.terms:
         if not term.hard or not term.kind.is_spectrum:
             continue
