@@ -15,13 +15,14 @@ import threading
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from socket import socket
 
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.explorer.page import page
 from lin_freq_ocp.explorer.session import Session
 from lin_freq_ocp.explorer.view import Data
 
+Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
 TOKEN_BYTES = 16
@@ -65,11 +66,12 @@ class ExploreServer(ThreadingHTTPServer):
         self._newest = dict[str, int]()
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
-    def process_request(self, request: Any, client_address: Any) -> None:
+    def process_request(self, request: Connection, client_address: object) -> None:
         """Give a connection a thread of its own; refuse it where there are too many."""
         if not self._free.acquire(blocking=False):
             with suppress(OSError):
-                request.sendall(BUSY)
+                if isinstance(request, socket):
+                    request.sendall(BUSY)
             self.shutdown_request(request)
             return
         try:
@@ -78,14 +80,14 @@ class ExploreServer(ThreadingHTTPServer):
             self._free.release()
             raise
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    def process_request_thread(self, request: Connection, client_address: object) -> None:
         """Serve a connection until it is closed."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: Connection, client_address: object) -> None:
         """Say nothing of connections that were reset or fell silent, and of other errors one line."""
         error = sys.exception()
         if isinstance(error, Exception) and not isinstance(error, (ConnectionError, TimeoutError)):

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import BinaryIO, TextIO
 
 from lin_freq_ocp.errors import ProblemError
 
@@ -76,7 +76,7 @@ def write_each(contents: Mapping[Path, bytes]) -> None:
 
 
 @contextmanager
-def locked(stream: IO[Any], wait: bool = True) -> Generator[bool]:
+def locked(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
     """Lock an open file; yield whether it is locked, False if another process has it and we do not wait.
 
     The system unlocks it when this process ends, however it ends. Where files cannot be locked (Windows, some network
