@@ -248,10 +248,15 @@ def _why(problem: OptimalControlProblem, method: Method, refusals: list[str], be
 
 def _better(outcome: Outcome, best: Outcome) -> bool:
     """Whether an answer replaces that of a method before it."""
-    if best.status == Status.INFEASIBLE and outcome.status == Status.OPTIMAL:
+    if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or _refutes(outcome, best)):
         return True
     counts = outcome.status != Status.LIMIT and not _only_practical(outcome)
     return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
+
+
+def _refutes(outcome: Outcome, best: Outcome) -> bool:
+    """Whether an answer satisfies all constraints where a numerical ray said that none of practical size does."""
+    return _only_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
 
 
 def _violates_more(outcome: Outcome, best: Outcome) -> bool:

@@ -12,6 +12,7 @@ from helpers.proofs import assert_proven
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.testing.random_linear import random_linear
 from lin_freq_ocp.testing.reference import reference_problem
 
 DOUBLE = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])
@@ -182,3 +183,12 @@ class TestChoiceOfMethod:
         with use_clock(clock):
             lfo.solve(lfo.library.pendulum(), time_limit=limit, throw=False)
         assert given == [left]
+
+
+def test_a_feasible_point_counts_more_than_a_ray_that_excludes_practical_sizes():
+    """Free ends lie farther away than is practical for states that count from 30: two methods believe their rays."""
+    problem = random_linear(2148).problem
+    rays = [lfo.solve(problem, method, throw=False) for method in ("spectral", "structured")]
+    assert {(ray.status, ray.bound) for ray in rays} == {("infeasible", "numerical")}
+    result = lfo.solve(problem, throw=False)
+    assert (result.status, result.primal, result.method) == ("locally_optimal", True, "convex")
