@@ -38,8 +38,7 @@ def explore_command(
         say(f"{server.url}\nCtrl-C ends it.")
         if not no_browser:
             click.launch(server.url)
-        server.serve_forever()
-    return PROVEN
+        server.serve_until_interrupted()
 
 
 def _write_static(session: Session, file: Path) -> int:

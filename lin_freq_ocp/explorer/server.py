@@ -16,7 +16,9 @@ from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import socket
+from typing import NoReturn
 
+from lin_freq_ocp.backends.interrupt import interrupts_noted
 from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.explorer.page import page
 from lin_freq_ocp.explorer.session import Session
@@ -65,6 +67,18 @@ class ExploreServer(ThreadingHTTPServer):
         self._solving = threading.Lock()
         self._newest = dict[str, int]()
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._interrupted = threading.Event()
+
+    def serve_until_interrupted(self) -> NoReturn:
+        """Serve until Ctrl-C, which is noted wherever it arrives and raised between connections."""
+        with interrupts_noted() as self._interrupted:
+            self.serve_forever()
+        raise KeyboardInterrupt
+
+    def service_actions(self) -> None:
+        """End the server after Ctrl-C."""
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
 
     def process_request(self, request: Connection, client_address: object) -> None:
         """Give a connection a thread of its own; refuse it where there are too many."""
