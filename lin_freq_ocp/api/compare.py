@@ -69,6 +69,7 @@ def compare(
     filters: Sequence[str] | None = None,
     backend: str = "auto",
     time_limit: float | None = None,
+    start: object = None,
 ) -> Comparison:
     """Compare filtering a classical optimal control with solving under the frequency constraint.
 
@@ -79,8 +80,13 @@ def compare(
     filters : sequence of str, optional
         Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; of a bound on the residual
         vibration of controls, the input shapers "ZV", "ZVD", "EI". Default: all that apply.
-    backend, time_limit
+    backend : str
         As for ``solve``.
+    time_limit : float, optional
+        Seconds for all solves together, of which the classical problem gets half. Default: 30 s where modes are
+        searched, none otherwise.
+    start : Trajectory, (T, m) or (T,) integers, optional
+        Where both searches begin, as for ``solve``.
 
     Returns
     -------
@@ -91,7 +97,7 @@ def compare(
     ProblemError
         If there is no filter of a name, or input shapers do not apply, saying why.
     SolveError
-        If the problem has no solution even without its frequency constraints.
+        If the problem has no solution even without its frequency constraints, or none was found in time.
 
     Examples
     --------
@@ -99,4 +105,4 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    return shown_as(Comparison, compared(problem, solve, filters, backend, time_limit))
+    return shown_as(Comparison, compared(problem, solve, filters, backend, time_limit, start))

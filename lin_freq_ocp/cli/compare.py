@@ -17,9 +17,10 @@ from lin_freq_ocp.cli.console import (
     say,
     written,
 )
-from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option, time_limit_option
+from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build, require_folder
 from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.interchange.results.solution_file import load_trajectory
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary
 
 
@@ -31,7 +32,8 @@ from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_
 )
 @click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report and its figures here.")
 @backend_option
-@time_limit_option
+@click.option("--time-limit", type=float, help="Seconds for all solves together; default 30 over modes.")
+@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
 @json_option
 def compare_command(
     problem: str,
@@ -40,16 +42,18 @@ def compare_command(
     folder: Path | None,
     backend: str,
     time_limit: float | None,
+    start: str | None,
     as_json: bool,
 ) -> int:
     """Compare filtering a classical optimal control with solving under the frequency constraint."""
     description = build(problem, settings)
     if folder is not None:
         require_folder(folder)
+    begin = None if start is None else load_trajectory(start, description)[0]
     names = None if filters is None else [name.strip() for name in filters.split(",")]
     try:
         with progress(f"comparing {description.name or problem}"):
-            comparison = compare(description, names, backend, time_limit)
+            comparison = compare(description, names, backend, time_limit, begin)
     except SolveError as error:
         if not as_json or error.result is None:
             raise

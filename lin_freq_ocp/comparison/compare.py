@@ -21,14 +21,18 @@ from lin_freq_ocp.comparison.trajectories import (
     replayed,
     solution_label,
 )
-from lin_freq_ocp.errors import ProblemError, SolveError
+from lin_freq_ocp.errors import LimitError, ProblemError, SolveError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
+from lin_freq_ocp.system.clock import now
 
 PREFERRED_FILTER = "brickwall"
+SEARCH_SECONDS = 30.0  # for a comparison whose modes are searched, which by itself may take hours
+LEAST_SECONDS = 1e-3  # left to a solve when the time is over: it then ends with its limit
 
-Solve = Callable[..., Outcome]  # lfo.solve: a problem, and the keywords method, backend, time_limit and throw
+Solve = Callable[..., Outcome]  # lfo.solve: a problem, and the keywords method, backend, time_limit, start and throw
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +131,18 @@ class ComparisonOutcome:
         return [
             ("classical", text(self.classical.status, self.classical_measures)),
             *((one.name, text(_origin(one.replay), one.replay.measures)) for one in self.filtered),
-            ("constrained", text(self.constrained.status, self.constrained_measures)),
+            ("constrained", text(_ended(self.constrained), self.constrained_measures)),
             *((move.name, str(move)) for move in (() if self.moves is None else self.moves.all)),
         ]
 
     def __str__(self) -> str:
         width = max(len(name) for name, _ in self.rows)
         return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
+
+
+def _ended(result: Outcome) -> str:
+    nothing = result.status == Status.LIMIT and result.trajectory is None
+    return f"{result.status}, no point found" if nothing else result.status
 
 
 def _origin(replay: MeasuredTrajectory) -> str:
@@ -153,7 +162,12 @@ def _in_words(measures: Measures) -> list[str]:
 
 
 def compared(
-    problem: OptimalControlProblem, solve: Solve, filters: Sequence[str] | None, backend: str, time_limit: float | None
+    problem: OptimalControlProblem,
+    solve: Solve,
+    filters: Sequence[str] | None,
+    backend: str,
+    time_limit: float | None,
+    start: object = None,
 ) -> ComparisonOutcome:
     """Return the parts of a comparison, whose two problems ``solve`` solves; see ``lfo.compare``."""
     require_problem(problem)
@@ -162,9 +176,18 @@ def compared(
     alone = not has_frequency_constraint(problem)
     # A classical plan that is only to be filtered needs no global bound.
     method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands and not alone else "auto"
-    classical = solve(free, method=method, backend=backend, time_limit=time_limit)
-    constrained = classical if alone else solve(problem, backend=backend, time_limit=time_limit, throw=False)
+    limited = _Limited(solve, problem, backend, time_limit)
+    failure: LimitError | None = None
+    try:
+        classical = limited.solve(free, 1.0 if alone else 0.5, start, method=method)
+    except LimitError as error:  # a point that is not proven can be filtered, too
+        classical, failure = error.result, error
+    constrained = classical if alone else limited.solve(problem, 1.0, start, throw=False)
+    if classical.trajectory is None and constrained.trajectory is not None:
+        classical = limited.solve(free, 1.0, constrained.trajectory, method=method, throw=False)
     plan = classical.trajectory
+    if plan is None and failure is not None:
+        raise LimitError(f"{failure} Nothing can be filtered: begin with a trajectory (start), or wait.", classical)
     if plan is None:
         raise SolveError("The classical problem was solved without a trajectory.", classical)
     entries = list[Filtered]()
@@ -174,8 +197,27 @@ def compared(
         entries.append(Filtered(name, control.description, replay))
     if not shapers:
         return ComparisonOutcome(problem, classical, constrained, tuple(entries))
-    moves = shortest_moves(problem, partial(solve, backend=backend, time_limit=time_limit, throw=False), shapers)
+    moves = shortest_moves(problem, partial(limited.solve, throw=False), shapers)
     return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)
+
+
+class _Limited:
+    """Solves within a time limit for all solves together."""
+
+    def __init__(self, solve: Solve, problem: OptimalControlProblem, backend: str, time_limit: float | None):
+        if time_limit is None and "branch_and_bound" in family_of(problem).shorthands:
+            time_limit = SEARCH_SECONDS
+        self._solve, self._backend, self._limit, self._begun = solve, backend, time_limit, now()
+
+    def solve(
+        self, problem: OptimalControlProblem, share: float = 1.0, start: object = None, **options: object
+    ) -> Outcome:
+        """Solve in a share of the time that is left."""
+        limit = self._limit
+        if limit is not None and limit > 0:  # else it is refused
+            limit = max(share * (limit - (now() - self._begun)), LEAST_SECONDS)
+        begin = {} if start is None else {"start": start}
+        return self._solve(problem, backend=self._backend, time_limit=limit, **begin, **options)
 
 
 def _chosen(problem: OptimalControlProblem, given: Sequence[str] | None) -> tuple[list[str], list[str]]:

@@ -18,6 +18,7 @@ from lin_freq_ocp.report.moves import moves_sentence
 from lin_freq_ocp.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.report.units import frequency_scale, quantity, rough
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.status import Status
 from lin_freq_ocp.text.phrases import listed, number, plural, runs_in_words, short_name
 
 FILTERING = "Filtering afterwards"
@@ -143,7 +144,11 @@ def _with_constraint(comparison: ComparisonOutcome) -> str:
 
 
 def _without_solution(result: Outcome) -> str:
-    return "" if result.cost is not None else f"no solution ({result.status.replace('_', ' ')}: {result.message})"
+    if result.cost is not None:
+        return ""
+    if result.status == Status.LIMIT:
+        return f"no point found ({result.message})"
+    return f"no solution ({result.status.replace('_', ' ')}: {result.message})"
 
 
 def _holds(comparison: ComparisonOutcome) -> str:

@@ -241,7 +241,7 @@ def test_a_solve_without_an_answer_has_a_page():
     comparison = case("pendulum")
     result = replace(comparison.constrained, status="limit", message="time is up", trajectory=None, certificate=None)
     stopped = replace(comparison, constrained=result)
-    assert "no solution (limit: time is up)" in str(findings.finding(stopped))
+    assert "no point found (time is up)" in str(findings.finding(stopped))
     assert ("with the constraint", "limit", "") in tiles(stopped)
     shown = parsed(render(stopped, draw_nothing())).text
     assert "limit: time is up" in shown
