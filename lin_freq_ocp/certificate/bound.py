@@ -150,7 +150,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Enclosure:
     problem, curvatures = extremal.problem, _stage_curvatures(extremal)
     if curvatures is not None:
         cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
-        _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, "rigorous")
+        _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
         summed = _sum_of_terms(extremal, np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms)
         level = float(cost + allowed - unit_rounding(extremal) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)

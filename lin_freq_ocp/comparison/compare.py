@@ -131,7 +131,7 @@ class ComparisonOutcome:
         return [
             ("classical", text(self.classical.status, self.classical_measures)),
             *((one.name, text(_origin(one.replay), one.replay.measures)) for one in self.filtered),
-            ("constrained", text(_ended(self.constrained), self.constrained_measures)),
+            ("constrained", text(_status_in_words(self.constrained), self.constrained_measures)),
             *((move.name, str(move)) for move in (() if self.moves is None else self.moves.all)),
         ]
 
@@ -140,7 +140,7 @@ class ComparisonOutcome:
         return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
 
 
-def _ended(result: Outcome) -> str:
+def _status_in_words(result: Outcome) -> str:
     nothing = result.status == Status.LIMIT and result.trajectory is None
     return f"{result.status}, no point found" if nothing else result.status
 

@@ -151,12 +151,12 @@ def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             found = proof, checked(proof.lines())
     proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
-        by = raised_by(outcome.problem, problem, _reached(outcome.problem))
+        by = raised_by(outcome.problem, problem, _reachable_box(outcome.problem))
         enclosure = replace(enclosure, lower=_below(enclosure.lower, by))
     return replace(proof, claim=_claimed(enclosure)), enclosure
 
 
-def _reached(problem: OptimalControlProblem) -> Region:
+def _reachable_box(problem: OptimalControlProblem) -> Region:
     """Return a box around all trajectories of a problem with modes."""
     whole = IntervalReach(problem).whole()
     if whole is None:
