@@ -36,6 +36,10 @@ class PlainProgram:
     G: sp.csc_array
     h: Array
 
+    def cost(self, z: Array) -> float:
+        """Return the cost of a point."""
+        return float(0.5 * z @ (self.P @ z) + self.q @ z + self.constant)
+
 
 def plain_program(problem: lfo.OptimalControlProblem, none: float) -> PlainProgram:
     """Return the quadratic program of a problem with boxes, stop bands and joint rows, and bounds below ``none``."""
@@ -183,6 +187,28 @@ def solved_plainly(problem: lfo.OptimalControlProblem) -> Reference:
     return _clarabel(problem, plain_program(problem, np.inf))
 
 
+def recedes(problem: lfo.OptimalControlProblem, program: PlainProgram) -> bool:
+    """Whether Clarabel finds a direction along which all constraints stay satisfied and the cost falls for ever."""
+    box, zeros = sp.eye_array(len(program.q)), np.zeros
+    directions = PlainProgram(
+        sp.csc_array(program.P.shape),
+        program.q,
+        0.0,
+        sp.csc_array(sp.vstack([program.A, program.P])),
+        zeros(len(program.b) + len(program.q)),
+        sp.csc_array(sp.vstack([program.G, box, -box])),
+        np.concatenate([zeros(len(program.h)), np.ones(2 * len(program.q))]),
+    )
+    return _clarabel(problem, directions).cost < -AGREEMENT * float(np.abs(program.q).max(initial=0.0))
+
+
+def moves_by_rounding(problem: lfo.OptimalControlProblem, reference: Reference) -> bool:
+    """Whether some state moves so little, far from zero, that double precision loses ``AGREEMENT`` of its motion."""
+    x, _ = _signals(problem, reference.z)
+    motion = np.ptp(x, axis=0)
+    return bool((AGREEMENT * motion < np.finfo(float).eps * np.abs(x).max(axis=0))[motion > 0].any())
+
+
 def _clarabel(problem: lfo.OptimalControlProblem, program: PlainProgram) -> Reference:
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
@@ -191,11 +217,11 @@ def _clarabel(problem: lfo.OptimalControlProblem, program: PlainProgram) -> Refe
     cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.h))]
     answer = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
     z, y, status = np.array(answer.x), np.array(answer.z), str(answer.status)
-    cost, slack = 0.5 * z @ (program.P @ z) + program.q @ z + program.constant, b - A @ z
+    slack = b - A @ z
     error = float((np.abs(y) * np.abs(slack)).sum() + (np.abs(z) * np.abs(program.P @ z + program.q + A.T @ y)).sum())
     if status == "Solved" and error > max(AGREEMENT * cost_scale(problem, *_signals(problem, z)), NOISE):
         status = "unsure"
-    return Reference(status, program, z, y, float(cost), error)
+    return Reference(status, program, z, y, program.cost(z), error)
 
 
 def _signals(problem: lfo.OptimalControlProblem, z: Array) -> tuple[Array, Array]:
