@@ -13,7 +13,7 @@ from lin_freq_ocp.interchange.results.solution_file import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
-from lin_freq_ocp.status import Status
+from lin_freq_ocp.base.status import Status
 
 __all__ = [
     "Certificate",

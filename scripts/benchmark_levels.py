@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 RELAXATION = 1.25898269
 # Miller, Karamanakos and Geyer, arXiv 2512.08201: modulation, switches, and the interval of the distortion

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.formulas.intervals import Interval
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.formulas.nodes import Formula, in_order

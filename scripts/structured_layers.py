@@ -17,7 +17,7 @@ from rich.table import Table
 from structured_cases import CASES
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured import choice, solver
 from lin_freq_ocp.methods.structured.algorithm import embedding
 from lin_freq_ocp.methods.structured.kkt import blocks, low_rank, recursions

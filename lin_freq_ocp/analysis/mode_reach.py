@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors

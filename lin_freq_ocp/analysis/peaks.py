@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 

@@ -13,7 +13,7 @@ from importlib import import_module
 from multiprocessing import parent_process
 from typing import ParamSpec, Protocol
 
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 
 FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line is shown, and from one change to the next
 

@@ -9,8 +9,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.transcription.program import Program
 
 DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1

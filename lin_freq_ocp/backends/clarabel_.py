@@ -11,7 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.program import Program, StandardForm
 
 CLAIMS = {

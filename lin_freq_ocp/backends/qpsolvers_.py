@@ -11,8 +11,8 @@ import qpsolvers
 import scipy.sparse as sp
 
 from lin_freq_ocp.backends.base import Claim, Solution, Solver
-from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.program import Program
 
 # How each solver spells its tolerance; one that is not here runs with its own

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, extended, times_vectors
+from lin_freq_ocp.base.arrays import Array, extended, times_vectors
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     NUMERICAL,

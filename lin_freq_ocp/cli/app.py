@@ -26,8 +26,8 @@ from lin_freq_ocp.cli.console import (
     exit_status,
     fit_console,
 )
-from lin_freq_ocp.errors import BandWarning, SolveError
-from lin_freq_ocp.system.starting import INTERRUPTED, leave_silently, let_commands_decide
+from lin_freq_ocp.base.errors import BandWarning, SolveError
+from lin_freq_ocp.base.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 # The commands, in the order of the help, and their modules.
 COMMANDS = {

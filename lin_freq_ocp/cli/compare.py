@@ -19,7 +19,7 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build, require_folder
-from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.interchange.results.solution_file import load_trajectory
 from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary
 

@@ -12,9 +12,9 @@ import click
 from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
-from lin_freq_ocp.errors import LinFreqOCPError, first_line
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.starting import INTERRUPTED
+from lin_freq_ocp.base.errors import LinFreqOCPError, first_line
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.starting import INTERRUPTED
 
 if TYPE_CHECKING:
     from rich.table import Table

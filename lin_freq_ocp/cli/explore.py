@@ -12,7 +12,7 @@ from lin_freq_ocp.cli.options import problem_argument, settings_option
 from lin_freq_ocp.cli.problems import ProblemFile, build, builder, is_file, parsed_settings, require_writable
 from lin_freq_ocp.explorer.session import Session
 from lin_freq_ocp.explorer.sliders import HORIZON, Rebuild
-from lin_freq_ocp.system.atomic import write_text
+from lin_freq_ocp.base.atomic import write_text
 
 
 @click.command("explore")

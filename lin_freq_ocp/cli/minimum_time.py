@@ -24,7 +24,7 @@ from lin_freq_ocp.cli.options import json_option, problem_argument, solve_option
 from lin_freq_ocp.cli.problems import ProblemFile, builder, is_file, parsed_settings
 from lin_freq_ocp.interchange.locations import FileTable
 from lin_freq_ocp.interchange.results.summary import SCHEMA, result_summary
-from lin_freq_ocp.system.starting import INTERRUPTED
+from lin_freq_ocp.base.starting import INTERRUPTED
 
 
 @click.command("minimum-time")

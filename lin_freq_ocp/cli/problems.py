@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 
 from lin_freq_ocp import library
-from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
 from lin_freq_ocp.interchange.problem_file.toml_file import read_problem

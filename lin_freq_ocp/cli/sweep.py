@@ -16,7 +16,7 @@ import click
 import numpy as np
 
 from lin_freq_ocp.api.sweep import Sweep, sweep
-from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written
 from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import (
@@ -29,11 +29,11 @@ from lin_freq_ocp.cli.problems import (
 )
 from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS, Source
 from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
-from lin_freq_ocp.system.atomic import replacing, writing
-from lin_freq_ocp.system.starting import INTERRUPTED
+from lin_freq_ocp.base.atomic import replacing, writing
+from lin_freq_ocp.base.starting import INTERRUPTED
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"

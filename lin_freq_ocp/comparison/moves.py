@@ -20,14 +20,14 @@ from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
 from lin_freq_ocp.comparison.minimum_time.search import Search, searched, stated
 from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.text.phrases import number
+from lin_freq_ocp.base.phrases import number
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST = 4  # times the shortest profile: longer profiles are not tried

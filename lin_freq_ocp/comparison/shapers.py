@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 
 INSENSITIVITY = 0.05  # V of EI: the customary 5 %

@@ -10,11 +10,11 @@ import numpy as np
 from lin_freq_ocp.analysis import measures
 from lin_freq_ocp.analysis.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box

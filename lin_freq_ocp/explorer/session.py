@@ -15,7 +15,7 @@ from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome,
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.many.repeated import Repeated
 from lin_freq_ocp.comparison.trajectories import replayed
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, UnsupportedError
 from lin_freq_ocp.explorer.ends import ends_at
 from lin_freq_ocp.explorer.frequencies import GROUP as FREQUENCY
 from lin_freq_ocp.explorer.limits import sets_at
@@ -28,8 +28,8 @@ from lin_freq_ocp.report.proof import verdict
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.text.phrases import number
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.phrases import number
 
 SOLVE_SECONDS = 10.0  # for one answer
 KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones

@@ -9,8 +9,8 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
 from lin_freq_ocp.explorer.ends import ENDS
 from lin_freq_ocp.explorer.frequencies import FREQUENCIES
 from lin_freq_ocp.explorer.limits import BOUNDS, ROWS

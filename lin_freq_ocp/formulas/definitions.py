@@ -6,8 +6,8 @@ import keyword
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, in_order
 from lin_freq_ocp.formulas.operations import OPERATIONS, SUM, VARIABLE, Notation
 from lin_freq_ocp.formulas.text import formula_from_text, function_names, known_signals

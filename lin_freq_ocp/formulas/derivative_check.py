@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.errors import ProblemError
 
 # Steps of central differences, relative to the size of an argument. Of the neighbours that agree best the smaller is
 # taken, so that no scale of the function need be known.

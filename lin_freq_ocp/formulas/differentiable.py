@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, positive_integer, real_array
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.derivative_check import require_derivative
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL

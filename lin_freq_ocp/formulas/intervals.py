@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 
 Interval = tuple[Array, Array]
 # Enclosures of a function of one variable and of its first and second derivative.

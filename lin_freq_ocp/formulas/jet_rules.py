@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 # Value (points,), gradient (k, points) and Hessian (k, k, points) by the k components of (x, u).
 Jet = tuple[Array, Array, Array | None]

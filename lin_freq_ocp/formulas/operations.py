@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas import interval_jet_rules, intervals, jet_rules
 from lin_freq_ocp.formulas.interval_jet_rules import IntervalJet
 from lin_freq_ocp.formulas.intervals import Interval, inverse, multiply, power, scale

@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 
 FileValue = Any  # what TOML, JSON, .npz and .mat files hold: not known before it is checked
 FileTable = dict[str, FileValue]

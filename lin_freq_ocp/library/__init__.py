@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle as ball_and_paddle
 from lin_freq_ocp.library.buck_affine import buck_affine as buck_affine
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous as elliptic_rendezvous

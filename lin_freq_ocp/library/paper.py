@@ -8,8 +8,8 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula, norm
 from lin_freq_ocp.library.common import Spectrum, control_band, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import positive_integer, positive_number
+from lin_freq_ocp.base.arrays import positive_integer, positive_number
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief, real_array
-from lin_freq_ocp.errors import ProblemError, UnsupportedError, first_line
+from lin_freq_ocp.base.arrays import Array, brief, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

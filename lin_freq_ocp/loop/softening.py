@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import brief, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.explanation.blocks import GivenSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, real_array
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, Everything

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
-from lin_freq_ocp.arrays import Mask, with_columns
+from lin_freq_ocp.base.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.augmented import wider
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lin_freq_ocp.arrays import Indices
+from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
 

@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.sizes import measured_modes
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
-from lin_freq_ocp.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex.recession import consecutive
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

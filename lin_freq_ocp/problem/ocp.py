@@ -10,8 +10,8 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
@@ -31,9 +31,9 @@ from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.system.memory import require_horizon
-from lin_freq_ocp.text.html import html_table
-from lin_freq_ocp.text.phrases import plural
+from lin_freq_ocp.base.memory import require_horizon
+from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.base.phrases import plural
 
 Kind = TypeVar("Kind", bound=Dynamics)
 

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet

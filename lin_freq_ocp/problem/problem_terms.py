@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, SetOrSets

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.arrays import Array, Indices, brief
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, brief
+from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.affine_mode import located_at
 from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

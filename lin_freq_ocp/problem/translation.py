@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask, assign
-from lin_freq_ocp.errors import BandWarning, LinFreqOCPError
+from lin_freq_ocp.base.arrays import Array, Mask, assign
+from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Trajectory

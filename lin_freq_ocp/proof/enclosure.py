@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from lin_freq_ocp.errors import MissingExtraError
+from lin_freq_ocp.base.errors import MissingExtraError
 
 LONGEST_CHECK = 20_000  # horizon up to which a file is checked before it is written
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
 

@@ -18,7 +18,7 @@ from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
-from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -33,7 +33,7 @@ from lin_freq_ocp.proof.statement.problem import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.status import Status
+from lin_freq_ocp.base.status import Status
 
 UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
-from lin_freq_ocp.system.atomic import write_each, writing
+from lin_freq_ocp.base.atomic import write_each, writing
 
 PIXELS_PER_INCH = 150
 

@@ -12,7 +12,7 @@ from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.report.drawing import drawing_of, rendered, save_page
 from lin_freq_ocp.report.figures.loop import loop_figure
-from lin_freq_ocp.text.phrases import number, plural
+from lin_freq_ocp.base.phrases import number, plural
 
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "

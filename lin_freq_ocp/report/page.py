@@ -23,7 +23,7 @@ from lin_freq_ocp.report.moves import moves_caption, moves_rows, moves_title
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.report.units import rough
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.text.phrases import number
+from lin_freq_ocp.base.phrases import number
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.analysis.peaks import peak_points
-from lin_freq_ocp.arrays import real_array
+from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem

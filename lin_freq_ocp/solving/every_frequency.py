@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
@@ -27,9 +27,9 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
-from lin_freq_ocp.text.phrases import plural
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.phrases import plural
 
 EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
 ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic

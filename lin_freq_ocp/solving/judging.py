@@ -17,8 +17,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import now
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides

@@ -13,7 +13,7 @@ from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.choice import structured_first
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
@@ -29,8 +29,8 @@ from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import now
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 

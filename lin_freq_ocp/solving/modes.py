@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Indices
+from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.claims import AGREEMENT
@@ -26,8 +26,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.level_rows import LevelUse, level_use
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.conflict import Conflict, InfeasibilityProof
 from lin_freq_ocp.certificate.directions import Direction
@@ -16,7 +16,7 @@ from lin_freq_ocp.certificate.modes.bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.status import Status
+from lin_freq_ocp.base.status import Status
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.testing.random_lti import least_cost
 
 SPOILT = 0.06

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.loop.softening import softened
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 

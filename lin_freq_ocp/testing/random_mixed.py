@@ -13,7 +13,7 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import ComplexArray
+from lin_freq_ocp.base.arrays import ComplexArray
 from lin_freq_ocp.problem.costs.quadratic import Cost
 
 LONGEST = 40

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 INSTANCES: dict[str, dict[str, Any]] = {
     one["name"]: one for one in json.loads(Path(__file__).with_name("reference.json").read_text())["instances"]

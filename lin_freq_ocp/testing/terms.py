@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.backends.base import Claim, backend
 from lin_freq_ocp.problem.rate_limit import NAME
 from lin_freq_ocp.problem.terms.penalty import Penalty

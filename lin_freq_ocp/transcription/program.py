@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 # The gap is relative to the sum |terms| of the objective, but not to less than these parts of it
 TYPICAL_SHARE = 1e-3  # at a typical point

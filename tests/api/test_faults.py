@@ -15,7 +15,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from lin_freq_ocp import errors
+from lin_freq_ocp.base import errors
 from lin_freq_ocp.comparison.sweep.tasks import process_pool
 from lin_freq_ocp.interchange.problem_file import toml_file
 from lin_freq_ocp.methods.spectral.rows.violations import Violations

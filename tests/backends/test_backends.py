@@ -19,14 +19,14 @@ from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_
 from lin_freq_ocp.backends import base
 from lin_freq_ocp.backends.base import Claim, Solution, backend, register
 from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
-from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.transcription.program import Program
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]

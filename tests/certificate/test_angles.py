@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.global_bound.angles import AngleBound, Boxes
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 
 M = 0.9
 

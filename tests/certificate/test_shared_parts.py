@@ -17,8 +17,8 @@ from lin_freq_ocp.methods.modes import weights as search_weights
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.solving.certify import certify
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.transcription.linear import units
 
 library = lfo.library

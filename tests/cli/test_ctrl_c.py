@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from lin_freq_ocp.system import starting
+from lin_freq_ocp.base import starting
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 
@@ -56,7 +56,7 @@ def working(process):
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.arrays"])
+@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.base.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 

@@ -310,7 +310,7 @@ WITHOUT_BINS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 @pytest.mark.parametrize("name", WITHOUT_BINS)
 def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
     """A horizon without a bin is feasible where the next one, with a bin, may not be."""

@@ -12,8 +12,8 @@ from helpers.command_line import run
 from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compared
 from lin_freq_ocp.interchange.results.summary import comparison_summary
 from lin_freq_ocp.report.findings import finding
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import use_clock
 
 
 def wall():

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
 from lin_freq_ocp.explorer.session import Session
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.explorer.page import points
 from lin_freq_ocp.explorer.session import Session, answer_data
 from lin_freq_ocp.explorer.sliders import checked

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from helpers.problem_files import assert_same, bands, everything_at_once
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.problem_file.tables import NORM_COSTS, SETS, SPECTRUM
 from lin_freq_ocp.interchange.problem_file.toml_file import (
     INLINE_LIMIT,
@@ -151,7 +151,7 @@ def problems(draw) -> OptimalControlProblem:
     )
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 @given(problem=problems())
 @settings(
     derandomize=True,

@@ -22,7 +22,7 @@ from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.interchange.runs.run_file import dump_run
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 
 CART = lfo.OptimalControlProblem(
     dynamics=lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),

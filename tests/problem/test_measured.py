@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 
 TABLE = [[0.0, 1.0, 0.0], [0.25, 0.0, -1.0], [0.5, 2.0, 3.0]]  # Hz
 

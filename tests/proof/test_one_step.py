@@ -70,7 +70,7 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")  # a single control has a single bin
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")  # a single control has a single bin
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_checker_accepts_a_single_step(name):
     result = lfo.solve(one_step(**PROBLEMS[name]), throw=False)

@@ -13,7 +13,7 @@ from helpers.compared_pages import case, price_axes
 from lin_freq_ocp.analysis.measures import padded_spectrum
 from lin_freq_ocp.api.compare import compare
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

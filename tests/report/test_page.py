@@ -16,7 +16,7 @@ from helpers.compared_pages import CASES, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.report import findings, proof
@@ -24,7 +24,7 @@ from lin_freq_ocp.report.figures.figures import comparison_data, comparison_figu
 from lin_freq_ocp.report.figures.style import STYLES
 from lin_freq_ocp.report.page import draw, render, save_report, tiles
 from lin_freq_ocp.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
-from lin_freq_ocp.text.phrases import NOTHING, number
+from lin_freq_ocp.base.phrases import NOTHING, number
 
 
 def quietly(name: str) -> list[float]:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from helpers.compared_pages import CASES, case
 from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
-from lin_freq_ocp.text.phrases import NOTHING, split_unit
+from lin_freq_ocp.base.phrases import NOTHING, split_unit
 
 
 def test_comparison_rows_are_the_measures():

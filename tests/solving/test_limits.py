@@ -23,8 +23,8 @@ from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 from lin_freq_ocp.solving import modes
-from lin_freq_ocp.system import memory
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base import memory
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
 

@@ -11,7 +11,7 @@ from helpers.proofs import assert_proven
 from lin_freq_ocp.backends import clarabel_
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
 from lin_freq_ocp.transcription.program import Block
 

@@ -254,7 +254,7 @@ def test_what_is_infeasible_and_unbounded_ends_as_infeasible(name, method):
     assert within_reach.direction is not None
 
 
-ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 
 
 @ALL_REMOVED

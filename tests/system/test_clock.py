@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.system.clock import now, use_clock
+from lin_freq_ocp.base.clock import now, use_clock
 
 
 def test_by_itself_it_is_that_of_the_system():
@@ -44,4 +44,4 @@ def test_nothing_else_in_the_package_reads_the_time():
     readers = [
         path for path in package.rglob("*.py") if re.search(r"^import time$|^from time ", path.read_text(), re.M)
     ]
-    assert [str(path.relative_to(package)) for path in readers] == ["system/clock.py"]
+    assert [str(path.relative_to(package)) for path in readers] == ["base/clock.py"]

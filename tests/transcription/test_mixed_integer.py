@@ -18,7 +18,7 @@ from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.backends.base import backend as solver_named
 from lin_freq_ocp.methods.modes import mixed
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.transcription.modes.big_m import excesses
 from lin_freq_ocp.transcription.modes.mixed_integer import big_m_program
 from lin_freq_ocp.transcription.program import Block

@@ -30,8 +30,8 @@ from itertools import product
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 

@@ -24,7 +24,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, index_tuples
 from lin_freq_ocp.certificate.global_bound.samples import costs_to_come
 from lin_freq_ocp.certificate.global_bound.stages import StageCosts, Stages, stage_costs
@@ -40,7 +40,7 @@ from lin_freq_ocp.certificate.global_bound.tolerances import (
     ROUNDING,
     STEP_SHARE,
 )
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

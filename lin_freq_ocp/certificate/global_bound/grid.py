@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.tolerances import ROUNDING
 
 

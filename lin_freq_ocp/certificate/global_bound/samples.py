@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, index_tuples
 from lin_freq_ocp.certificate.global_bound.stages import Stages
 from lin_freq_ocp.certificate.global_bound.tolerances import (

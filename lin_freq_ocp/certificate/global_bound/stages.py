@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.global_bound.tolerances import FLATNESS, SHADOW_WIDENING
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

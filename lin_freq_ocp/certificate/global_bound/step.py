@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.certificate.global_bound.stages import Stages
@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.global_bound.tolerances import (
 )
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 
 
 class OutOfTimeError(Exception):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.global_bound.tolerances import ROUNDING
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import SmoothMode

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.sizes import Floors, trajectory_sizes

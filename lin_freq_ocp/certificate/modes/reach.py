@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.tolerances import FINITE, INFINITE, INTERVAL_ROUNDING
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 

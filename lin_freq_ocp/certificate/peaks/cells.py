@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 
 TERMS = 16  # of the series: what is left is 1e-20 of the sum of the samples' absolute values
 RATIO = 1e-10  # by which the proven ratio may exceed the largest found

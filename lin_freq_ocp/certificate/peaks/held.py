@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.certificate.peaks.cells import TERMS
 from lin_freq_ocp.certificate.peaks.masks import Series
 

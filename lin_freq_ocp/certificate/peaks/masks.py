@@ -20,7 +20,7 @@ from math import factorial
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.certificate.peaks.cells import TERMS, Cells, Peak, joined, largest
 from lin_freq_ocp.problem.terms.limits import Limits
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 from lin_freq_ocp.certificate.peaks.cells import TERMS, Cells, Peak, joined, largest
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 

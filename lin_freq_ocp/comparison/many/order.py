@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 
 BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.spectrum.bands import low_pass
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol, get_type_hints
 
-from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import (
     Source,
     fingerprint,
@@ -22,7 +22,7 @@ from lin_freq_ocp.comparison.sweep.grid import (
 )
 from lin_freq_ocp.comparison.sweep.point import INTERRUPTED, Row, failed_point, solve_point
 from lin_freq_ocp.comparison.sweep.tasks import Work, finished
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.solving.solve import require_options
 
 MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters

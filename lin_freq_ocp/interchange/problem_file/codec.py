@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, joined, located, require_keys
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from lin_freq_ocp.arrays import Array, ComplexArray, positive_integer, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, positive_integer, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.locations import OTHER_VERSION, FileTable, FileValue, located, readable, versions
 from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.interchange.problem_file.dynamics import DYNAMICS, without_zeros

@@ -20,7 +20,7 @@ from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.system.atomic import write_text
+from lin_freq_ocp.base.atomic import write_text
 
 if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome

@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 
 from threadpoolctl import threadpool_info
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
 from lin_freq_ocp.interchange.locations import FileTable, naming, require_keys, require_schema
 from lin_freq_ocp.interchange.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
@@ -28,7 +28,7 @@ from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_s
 from lin_freq_ocp.interchange.results.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.system.atomic import write_bytes
+from lin_freq_ocp.base.atomic import write_bytes
 
 PACKAGE = "lin-freq-ocp"
 SCHEMA = 1  # version of the layout; a file with another version is refused

@@ -16,15 +16,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import get_type_hints
 
-from lin_freq_ocp.arrays import brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
 from lin_freq_ocp.comparison.sweep.point import ERROR, Row
 from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.files import Log, parsed_json, read_bytes, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys
 from lin_freq_ocp.interchange.results.csv_file import header
-from lin_freq_ocp.system.atomic import write_text
+from lin_freq_ocp.base.atomic import write_text
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"

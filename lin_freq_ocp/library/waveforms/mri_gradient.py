@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lin_freq_ocp.arrays import brief, positive_number, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import QUARTER, PulseTrain

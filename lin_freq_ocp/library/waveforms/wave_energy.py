@@ -7,8 +7,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse

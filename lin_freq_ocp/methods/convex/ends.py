@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lin_freq_ocp.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program

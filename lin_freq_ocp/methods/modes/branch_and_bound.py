@@ -16,8 +16,8 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.analysis.sizes import search_scale
-from lin_freq_ocp.arrays import Indices, Mask
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.base.arrays import Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.modes.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.modes.node import Relaxed, adjoint_of, multipliers_of
 from lin_freq_ocp.methods.modes.path_node import compiled_is_loaded
@@ -33,7 +33,7 @@ from lin_freq_ocp.methods.modes.search import (
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeNode
-from lin_freq_ocp.arrays import Mask
+from lin_freq_ocp.base.arrays import Mask
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.relaxation import Duals
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.modes.search import (
     SearchLimits,
     SearchOutcome,
@@ -19,7 +19,7 @@ from lin_freq_ocp.methods.modes.search import (
     relaxed,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
 

@@ -30,8 +30,8 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.analysis.stage_normals import CONTROL, STATE, Normal, stage_normals
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness

@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation

@@ -17,7 +17,7 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.backends.base import Claim
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.modes.path_relaxation import PathMember, PathRelaxation
 from lin_freq_ocp.transcription.modes.paths import PathProgram, path_form
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.arrays import Indices, Mask
+from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed, multipliers_of
 from lin_freq_ocp.methods.modes.path_node import relaxed_path
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
 from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
 from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation

@@ -20,7 +20,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import measured_modes
 from lin_freq_ocp.analysis.stage_normals import CONTROL, STATE, Normal, stage_normals
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.sizes import search_scale, stated_sizes
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
 from lin_freq_ocp.methods.smooth.barrier import End
@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.smooth.filter import Measure
 from lin_freq_ocp.methods.smooth.interior import inverse, log_determinant
 from lin_freq_ocp.methods.smooth.model import Derivatives, SmoothModel

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of

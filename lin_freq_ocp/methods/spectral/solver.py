@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, known_entries, positive_number
+from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_number
 from lin_freq_ocp.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
@@ -31,7 +31,7 @@ from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.transcription.program import Residuals
 
 

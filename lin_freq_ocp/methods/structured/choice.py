@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
 from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide

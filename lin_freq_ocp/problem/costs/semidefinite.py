@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 RISES = (0.0, 2.0**-54, 2.0**-52, 2.0**-50, 2.0**-46)  # parts of a diagonal that rounding of a product may lack
 MOST_ROWS = 100  # up to which whole numbers take no more than seconds

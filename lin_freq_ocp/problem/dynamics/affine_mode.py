@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, brief, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, brief, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System
 from lin_freq_ocp.problem.terms.stage_rows import StageRows

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, real_array
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.geometry.polyhedra import THICKNESS, has_interior
+from lin_freq_ocp.base.arrays import Array, brief, real_array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.polyhedra import THICKNESS, has_interior
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, located_at
 from lin_freq_ocp.problem.dynamics.base import counted, unique_names
 

@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask, brief, names
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, Mask, brief, names
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
-from lin_freq_ocp.geometry.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
+from lin_freq_ocp.base.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import unique_names
 from lin_freq_ocp.problem.dynamics.formula_modes import FormulaPiece, affine_row, formula_pieces

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 # A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
 # 1e-8 or so, and the judge forgives 1e-6.

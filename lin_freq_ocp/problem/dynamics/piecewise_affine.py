@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Indices, assign, brief, positive_integer, with_columns
-from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, with_columns
+from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.formulas.text import Formulas
 from lin_freq_ocp.problem.dynamics.affine_mode import REGION, AffineMode, SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, counted, mode_facts, mode_labels, signal_labels
@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING, ModeArray
 from lin_freq_ocp.problem.dynamics.regions import CheckedRegions, SwitchingFacet, borders_of
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.text.phrases import AT_MOST
+from lin_freq_ocp.base.phrases import AT_MOST
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, assign, brief, positive_integer
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positive_integer
+from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, translated
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System, sampled_map
 from lin_freq_ocp.problem.dynamics.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.text.phrases import first_few, split_unit
+from lin_freq_ocp.base.phrases import first_few, split_unit
 
 # The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
 ZERO_NORM = 1e-9

@@ -13,9 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask, brief
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.geometry.polyhedra import (
+from lin_freq_ocp.base.arrays import Array, Mask, brief
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.polyhedra import (
     FLAT,
     SAME_FACET,
     THICKNESS,

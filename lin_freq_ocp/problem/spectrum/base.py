@@ -15,10 +15,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, assign, brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.text.phrases import split_unit
+from lin_freq_ocp.base.phrases import split_unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, positive_number, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.terms.limits import Limits, limits_on
 

@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
 from lin_freq_ocp.problem.terms.limits import Limits

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.maps import AffineMap, MatrixMap, Shapes, joined_rows
 from lin_freq_ocp.problem.terms.penalty import HARD, ConicForm, Penalty, selected_rows
 

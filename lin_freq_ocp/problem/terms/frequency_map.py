@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap, signal_rows
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.terms.penalties import across, norm_of, slope_of_norm
 from lin_freq_ocp.problem.terms.penalty import ConicForm, Penalty
 

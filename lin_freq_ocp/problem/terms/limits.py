@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap, signal_rows
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import (
+from lin_freq_ocp.base.arrays import (
     NO_BOUND,
     Array,
     Mask,
@@ -21,8 +21,8 @@ from lin_freq_ocp.arrays import (
     times_vectors,
     with_products,
 )
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.text.phrases import AT_MOST, inequalities, plural, price
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import AT_MOST, inequalities, plural, price
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.continuum import Continuum
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above

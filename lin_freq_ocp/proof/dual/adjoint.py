@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from flint import arb, arb_mat
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 
 Balls = list[arb]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 DIGITS = 96  # bits beyond those that errors grow by: of a double, with some for the size of the terms and their number
 

@@ -13,7 +13,7 @@ from itertools import permutations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.explanation.blocks import Block, relaxed, with_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -10,8 +10,8 @@ from functools import singledispatch
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.terms.ends_map import Within
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import Penalty

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.proof.lines import encoded, line

@@ -12,8 +12,8 @@ from functools import singledispatch
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap

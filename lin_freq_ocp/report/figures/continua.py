@@ -14,7 +14,7 @@ from lin_freq_ocp.report.figures.panels import FEW_BINS
 from lin_freq_ocp.report.figures.plot_data import PlotData
 from lin_freq_ocp.report.figures.style import BAND, BOUND, MUTED, new_figure, style_axes, thinned
 from lin_freq_ocp.report.figures.vibration import PANEL_HEIGHT, Ringing, legend_beside, vibration_panel
-from lin_freq_ocp.text.phrases import split_unit
+from lin_freq_ocp.base.phrases import split_unit
 
 FINENESS = 8  # points for each bin
 DECADES = 4  # below the largest value

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import fft, signal
 
-from lin_freq_ocp.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.loop.record import LoopRecord, Source
 from lin_freq_ocp.report.figures.style import (
     BOUND,
@@ -25,7 +25,7 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.text.phrases import number, plural, short_name
+from lin_freq_ocp.base.phrases import number, plural, short_name
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
 LEAST_WINDOW = 8

@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.comparison.signals import Line, Signal
 from lin_freq_ocp.report.figures.modes import shade_modes
 from lin_freq_ocp.report.figures.plot_data import PlotData, View
@@ -33,7 +33,7 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.text.phrases import number, short_name, split_unit
+from lin_freq_ocp.base.phrases import number, short_name, split_unit
 
 LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
 DECADES = 5  # decades of a spectrum below its largest value; what is smaller is drawn at the lower edge

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.comparison.sweep.point import Row
 from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.report.figures.style import (
     COMPONENTS,
     INK,
@@ -25,7 +25,7 @@ from lin_freq_ocp.report.figures.style import (
     plain,
     style_axes,
 )
-from lin_freq_ocp.text.phrases import number
+from lin_freq_ocp.base.phrases import number
 
 HEIGHT = 1.4 * ROW_HEIGHT
 WIDE = 30.0  # an axis whose values, all above zero, have a larger ratio than this is logarithmic

@@ -26,7 +26,7 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
 )
 from lin_freq_ocp.report.units import aligned
-from lin_freq_ocp.text.phrases import number, split_unit
+from lin_freq_ocp.base.phrases import number, split_unit
 
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.certificate.global_bound.angles import AngleBound
 from lin_freq_ocp.problem.dynamics.switched.pulse_train import QUARTER
 

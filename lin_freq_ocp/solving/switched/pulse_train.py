@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.nonsmooth.sequential import LocalOptimum
@@ -19,8 +19,8 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.smooth import no_multipliers, polished
 from lin_freq_ocp.solving.switched.local_angles import local_angles
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.base.clock import now
 
 GAP = 1e-6  # default of the relative gap to prove
 NEAR = 0.05  # half width of a box [rad] from which a local search starts at its centre

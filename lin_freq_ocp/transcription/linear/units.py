@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array, times_vectors
+from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription

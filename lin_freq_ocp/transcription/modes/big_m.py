@@ -18,13 +18,13 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.geometry.polyhedra import minimiser
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.polyhedra import minimiser
 from lin_freq_ocp.problem.dynamics.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.clock import now
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.transcription.modes.paths import PathModel
 from lin_freq_ocp.transcription.modes.stage_bounds import Quadratic
 

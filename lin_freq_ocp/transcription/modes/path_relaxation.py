@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, PathMultipliers
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transcription.modes.path_bounds import PathBounds, PathDuals
 from lin_freq_ocp.transcription.modes.paths import PathModel, PathProgram, path_program

@@ -25,8 +25,8 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transcription.linear.transcription import LinearTranscription

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.geometry.box_quadratic import box_minimiser
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.box_quadratic import box_minimiser
 from lin_freq_ocp.transcription.modes.rows import ModeStages
 
 

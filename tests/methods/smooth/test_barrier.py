@@ -14,7 +14,7 @@ from lin_freq_ocp.methods.smooth.barrier import Barrier, End
 from lin_freq_ocp.methods.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 
 KNOWN = [
     (library.pendulum_swing_up, {}, 42.59133929494813),

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations, 
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]

@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, A, B, T
 from helpers.stage_programs import solved_stages, stage_operator
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.model.assembly import stages_of
 from lin_freq_ocp.methods.structured.model.coupling import SparseRows
 from lin_freq_ocp.methods.structured.model.stages import Stages

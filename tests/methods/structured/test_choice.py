@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured import choice
 from lin_freq_ocp.methods.structured.choice import Sizes, choose_side, sizes_of
 from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows

@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.system import System
 from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray
+from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, verified
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, Unforced, prepare, unforced
 from lin_freq_ocp.methods.spectral.model.lti import Lti

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Stop
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, sealed
+from lin_freq_ocp.base.arrays import Array, ComplexArray, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.exchange import Outcome
 from lin_freq_ocp.methods.spectral.algorithm.structure import Data, Structure, forces

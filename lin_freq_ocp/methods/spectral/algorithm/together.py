@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.ends_model import EndsModel
 from lin_freq_ocp.methods.spectral.algorithm.structure import Structure

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import equilibration
 from lin_freq_ocp.methods.spectral.kkt.interior_point import Caps, predictor_corrector

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti

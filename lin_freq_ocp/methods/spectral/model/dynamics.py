@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray
+from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
 

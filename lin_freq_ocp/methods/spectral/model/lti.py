@@ -20,8 +20,8 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices, Mask, assign
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.dynamics import dynamics_of
 from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets

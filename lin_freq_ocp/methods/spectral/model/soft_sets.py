@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, sealed
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.rows.violations import Violations, nearly_active
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet

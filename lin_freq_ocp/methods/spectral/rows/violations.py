@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 
 STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import lapack
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 
 PIVOT = 1e-14

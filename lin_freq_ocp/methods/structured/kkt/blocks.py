@@ -14,7 +14,7 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 
 NARROW = 8

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that rounding made indefinite
 

@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.linalg as la
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step

@@ -26,7 +26,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import ClassVar, Protocol
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.banded import BandedLoops
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.side import Compliance, Side
 from lin_freq_ocp.methods.structured.kkt.system import (
     BALLS,

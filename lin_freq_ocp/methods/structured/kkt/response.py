@@ -10,7 +10,7 @@ from copy import copy
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
 from lin_freq_ocp.methods.structured.kkt.side import Step
 from lin_freq_ocp.methods.structured.model.stages import Stages

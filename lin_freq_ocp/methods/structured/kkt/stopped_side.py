@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.low_rank import FineRows, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops

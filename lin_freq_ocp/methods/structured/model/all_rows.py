@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.model.coupling import Coupling
 
 DENSE = 3e5  # entries up to which products with a matrix take less time than FFTs; measured

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.model.coupling import (
     Balls,
     Coupling,

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 
 class Rows(Protocol):

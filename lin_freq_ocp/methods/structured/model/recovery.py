@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.methods.structured.model.origin import Origin, held_multipliers
 from lin_freq_ocp.methods.structured.model.units import Units
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

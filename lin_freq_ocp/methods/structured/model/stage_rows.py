@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.model.origin import Origin
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import ConicForm

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.methods.structured.model.all_rows import AllRows
 from lin_freq_ocp.methods.structured.model.coupling import Coupling
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling
 from lin_freq_ocp.methods.structured.model.stages import Stages
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.text.phrases import first_few
+from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import first_few
 
 OUTSIDE = ("refuse", "zero")
 COVERED = 1e-9  # of the distance of bins: how far a bin may lie outside a table whose frequencies were rounded

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, assign
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, Indices, assign
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.text.phrases import plural
+from lin_freq_ocp.base.phrases import plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

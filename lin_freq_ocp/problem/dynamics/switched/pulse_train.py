@@ -19,8 +19,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, assign, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 from lin_freq_ocp.problem.terms.continua.scaled_map import ScaledMap
 from lin_freq_ocp.problem.terms.continuum import Frequencies
 

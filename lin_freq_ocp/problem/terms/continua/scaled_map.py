@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import Shapes
 

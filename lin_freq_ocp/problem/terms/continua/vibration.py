@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.problem.terms.continua.scaled_map import ScaledMap
 from lin_freq_ocp.problem.terms.continuum import Continuum
 

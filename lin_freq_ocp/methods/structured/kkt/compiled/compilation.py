@@ -18,8 +18,8 @@ import numba
 from llvmlite import binding
 from numba import types
 
-from lin_freq_ocp.system.atomic import locked
-from lin_freq_ocp.system.clock import now
+from lin_freq_ocp.base.atomic import locked
+from lin_freq_ocp.base.clock import now
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 from lin_freq_ocp.methods.structured.kkt.compiled import factors
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import INDICES, REALS, WRITTEN, Kernels, jit

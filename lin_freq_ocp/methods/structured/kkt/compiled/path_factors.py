@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
 from lin_freq_ocp.methods.structured.kkt.compiled.factors import PIVOT, cholesky, cholesky_solve
 

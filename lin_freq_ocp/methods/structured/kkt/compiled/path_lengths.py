@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
 from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot
 from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import PathData, add_adjoint

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.model.coupling import Rows, SpectrumRows
 from lin_freq_ocp.methods.structured.model.stages import Stages
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace, break_times
 
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same

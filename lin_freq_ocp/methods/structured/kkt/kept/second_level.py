@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.kept.excess import control_weights
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
 

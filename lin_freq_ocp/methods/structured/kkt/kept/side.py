@@ -12,7 +12,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
 from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
 from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace

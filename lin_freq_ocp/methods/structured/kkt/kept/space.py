@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.kept.coefficients import Coefficients, Remaining, StopBand
 from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops

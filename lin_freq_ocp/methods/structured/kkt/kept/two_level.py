@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as la
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.kept.excess import Noise, rows_of
 from lin_freq_ocp.methods.structured.kkt.kept.second_level import SecondLevel

@@ -64,7 +64,7 @@ class UnsupportedError(LinFreqOCPError):
     --------
     >>> lfo.solve(lfo.library.double_integrator(), "enumerate")
     Traceback (most recent call last):
-    lin_freq_ocp.errors.UnsupportedError: method: got 'enumerate', which is for piecewise-affine dynamics; ...
+    lin_freq_ocp.base.errors.UnsupportedError: method: got 'enumerate', which is for piecewise-affine dynamics; ...
     """
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import NumericalError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError
 
 TOLERANCE = 1e-10  # of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii below
 # A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers satisfy rows to

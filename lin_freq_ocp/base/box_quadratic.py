@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 ROUNDS = 6  # of a Newton step and a sweep; two or three are usual
 REGULAR = 1e-13  # of a diagonal entry, added to it: a Hessian may be singular

@@ -8,7 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 
 SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
 GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
