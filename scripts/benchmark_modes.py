@@ -47,7 +47,7 @@ from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.mixed import solve_miqp
 from lin_freq_ocp.methods.modes.path_node import compiled_is_there
 from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
-from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.program.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit

@@ -19,9 +19,9 @@ from lin_freq_ocp.methods.modes import branch_and_bound
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.node import Relaxed
 from lin_freq_ocp.methods.modes.search import TOLERANCES, SearchLimits, relaxed
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 Build = Callable[[], lfo.OptimalControlProblem]
 

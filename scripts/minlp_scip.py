@@ -20,8 +20,8 @@ from minlp_program import ModeFormulas, SmoothProgram, enclosures
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Solution
-from lin_freq_ocp.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
+from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
+from lin_freq_ocp.program.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE

@@ -13,7 +13,7 @@ from lin_freq_ocp.formulas.nodes import Formula, evaluated
 from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.linear.real_rows import spectrum_rows
+from lin_freq_ocp.program.real_rows import spectrum_rows
 
 TOLERANCE = 1e-9  # of IPOPT, relative
 

@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
-from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
 
 
 class HullRelaxation(ModeRelaxation):

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import positive_number
-from lin_freq_ocp.backends.blas_threads import one_blas_thread
+from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.explanation.blocks import Block, blocks, without
 from lin_freq_ocp.explanation.relaxation import least_cure

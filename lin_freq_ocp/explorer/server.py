@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import socket
 from typing import NoReturn
 
-from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.program.backends.interrupt import interrupts_noted
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.explorer.page import page
 from lin_freq_ocp.explorer.session import Session

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.program import Residuals
+from lin_freq_ocp.program.program import Residuals
 
 
 @dataclass(frozen=True, eq=False)

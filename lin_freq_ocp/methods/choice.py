@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
+from lin_freq_ocp.program.dense_rows import dense_rows
 
 DENSE_ENTRIES = 3e4  # of dense rows, from which the structured method is the faster one; both take 0.2 s there
 PLAIN_ENTRIES = 1.2e5  # the same without compiled loops

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 DEFAULT_GAP = 1e-6  # relative gap asked of a solver, as accurate as its rows

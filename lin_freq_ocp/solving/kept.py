@@ -25,7 +25,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 
 @dataclass(frozen=True, eq=False)

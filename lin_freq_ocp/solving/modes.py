@@ -28,8 +28,8 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
 LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time

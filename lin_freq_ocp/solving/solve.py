@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.backends.base import backend as solver_named
-from lin_freq_ocp.backends.base import names
+from lin_freq_ocp.program.backends.base import backend as solver_named
+from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.certificate.modes.bound import TreeBound
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge

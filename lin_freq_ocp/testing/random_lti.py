@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.loop.softening import softened
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.program.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 # Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible

@@ -16,9 +16,9 @@ import qpsolvers
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
-from lin_freq_ocp.backends import base
-from lin_freq_ocp.backends.base import Claim, Solution, backend, register
-from lin_freq_ocp.backends.qpsolvers_ import SETTINGS
+from lin_freq_ocp.program.backends import base
+from lin_freq_ocp.program.backends.base import Claim, Solution, backend, register
+from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -27,7 +27,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.program import Program
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]
 EXACT = {"clarabel", "osqp", "qpsolvers:clarabel", "qpsolvers:piqp", "qpsolvers:highs"}
@@ -293,7 +293,7 @@ def least_squares(program, tolerance, time_limit):
 
 
 def test_a_new_solver_is_one_registration(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.backends.base.REGISTER", dict(base.REGISTER))
+    monkeypatch.setattr("lin_freq_ocp.program.backends.base.REGISTER", dict(base.REGISTER))
     register("toy", lambda member: least_squares)
     problem = OptimalControlProblem(
         dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),

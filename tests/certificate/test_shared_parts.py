@@ -19,7 +19,7 @@ from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynami
 from lin_freq_ocp.solving.certify import certify
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.transcription.linear import units
+from lin_freq_ocp.program import units
 
 library = lfo.library
 

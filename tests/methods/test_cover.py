@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.modes.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.modes.search import relaxed
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
 FIELDS = {"plain": {}, "band": {"control_spectrum": lfo.stop_band(bins=[2])}}
 

@@ -17,7 +17,7 @@ from lin_freq_ocp.certificate.modes.reach import IntervalReach
 from lin_freq_ocp.methods.modes import search
 from lin_freq_ocp.methods.modes.search import relaxed
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
 SEEDS = range(4)
 

@@ -15,7 +15,7 @@ from lin_freq_ocp.analysis.mode_tree import ModeTree
 from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import enumeration, parts
 from lin_freq_ocp.methods.modes.search import relaxed
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 library = lfo.library
 

@@ -14,7 +14,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.backends.clarabel_ import solve as clarabel_solve
+from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
 from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
@@ -25,8 +25,8 @@ from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
 from lin_freq_ocp.solving import modes
 from lin_freq_ocp.base import memory
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.program.dense_rows import dense_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
 
 LOOK = 0.01
 """Seconds that a look at the clock takes here: it runs by how often a method looks at it, on every machine the same."""
@@ -169,7 +169,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.spectrum_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.program.transcription.spectrum_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):

@@ -13,9 +13,9 @@ from lin_freq_ocp.certificate.modes.bound import tree_bound
 from lin_freq_ocp.methods.modes import path_node
 from lin_freq_ocp.methods.modes.path_node import compiled_is_there
 from lin_freq_ocp.methods.modes.search import TOLERANCES, relaxed
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
 FIELDS = {

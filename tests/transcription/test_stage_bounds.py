@@ -6,8 +6,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.methods.modes.search import TOLERANCES, relaxed
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
-from lin_freq_ocp.transcription.modes.stage_bounds import Quadratic
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.stage_bounds import Quadratic
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
-from lin_freq_ocp.backends.blas_threads import one_blas_thread
+from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.comparison.many.items import ERROR, UNSOLVED, Item, Part, solve_part
 from lin_freq_ocp.comparison.many.order import tour
 from lin_freq_ocp.comparison.many.repeated import Repeated

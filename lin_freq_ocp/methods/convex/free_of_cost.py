@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, Claim, backend
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.program import Program
 
 FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
 

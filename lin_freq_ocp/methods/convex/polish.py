@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.program import Program
 
 PROXIMAL = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
 STEPS = 8  # of the proximal method of multipliers

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.analysis.response_curvature import require_convex_bins
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.methods.candidate import Candidate
@@ -16,16 +16,16 @@ from lin_freq_ocp.methods.convex.attempts import ACCURATE, SOLVED_TOLERANCE, Att
 from lin_freq_ocp.methods.convex.retries import further
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
-from lin_freq_ocp.transcription.linear.units import (
+from lin_freq_ocp.program.dense_rows import dense_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import (
     natural_scaling,
     own_scaling,
     plain_scaling,
     revised_scaling,
     stated_scaling,
 )
-from lin_freq_ocp.transcription.program import Program, Scaling
+from lin_freq_ocp.program.program import Program, Scaling
 
 GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
 REVISIONS = 2  # of the units by the answer

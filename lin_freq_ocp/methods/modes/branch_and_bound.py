@@ -34,9 +34,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence

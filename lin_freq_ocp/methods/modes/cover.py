@@ -15,8 +15,8 @@ import numpy as np
 
 from lin_freq_ocp.analysis.mode_tree import ModeNode
 from lin_freq_ocp.base.arrays import Mask
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.relaxation import Duals
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.relaxation import Duals
 
 Shift = Callable[[PathDuals], PathDuals]
 

@@ -20,8 +20,8 @@ from lin_freq_ocp.methods.modes.search import (
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 
 MOST_SEQUENCES = 10_000  # solved within minutes
 

@@ -39,8 +39,8 @@ from lin_freq_ocp.problem.dynamics.affine_mode import REGION
 from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
-from lin_freq_ocp.transcription.program import Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.program import Program, Scaling
 
 ROUNDS = 12  # fits of weights, each with the adjoint of the last
 SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged

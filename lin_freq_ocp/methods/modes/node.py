@@ -10,9 +10,9 @@ from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 
 # Relative residual and gap of a point that is good enough to say that a node must be split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5

@@ -1,6 +1,6 @@
 """The solve of a node's path relaxation: by compiled code where it is there, and else, or if that stalls, by Clarabel.
 
-Whichever solver it was, its duals are put into the bound over boxes (transcription/modes/path_bounds.py): a node is
+Whichever solver it was, its duals are put into the bound over boxes (program/hybrid/path_bounds.py): a node is
 closed by that bound only.
 """
 
@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lin_freq_ocp.analysis.mode_reach import Reach
-from lin_freq_ocp.backends.base import Claim
+from lin_freq_ocp.program.backends.base import Claim
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.modes.path_relaxation import PathMember, PathRelaxation
-from lin_freq_ocp.transcription.modes.paths import PathProgram, path_form
+from lin_freq_ocp.program.hybrid.path_relaxation import PathMember, PathRelaxation
+from lin_freq_ocp.program.hybrid.paths import PathProgram, path_form
 
 if TYPE_CHECKING:
     from lin_freq_ocp.methods.structured.kkt.compiled.path_factors import PathData
@@ -127,7 +127,7 @@ def _by_clarabel(
     relaxation: PathRelaxation, member: PathMember, tolerance: float, end: float, enough: Decision | None
 ) -> Relaxed | None:
     """Return the node if Clarabel solves it to a tolerance, or ``enough`` ends it and its bound holds."""
-    from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
+    from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 
     program, left = member.program, end - now()
     assert program is not None

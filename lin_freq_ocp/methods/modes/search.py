@@ -10,14 +10,14 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.base.arrays import Indices, Mask
-from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.methods.modes.node import Decision, Relaxed, multipliers_of
 from lin_freq_ocp.methods.modes.path_node import relaxed_path
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.modes.path_bounds import PathDuals
-from lin_freq_ocp.transcription.modes.path_relaxation import PathRelaxation
-from lin_freq_ocp.transcription.modes.relaxation import Duals, Member, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, Member, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
@@ -126,7 +126,7 @@ def _relaxed_by_shares(
     relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
 ) -> Relaxed:
     """Solve the relaxation of a reach by shares of modes, as ``relaxed``."""
-    from lin_freq_ocp.backends.clarabel_ import solve_form  # slow to import
+    from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 
     member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())
     attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]

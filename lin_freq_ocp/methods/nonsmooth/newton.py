@@ -16,7 +16,7 @@ from lin_freq_ocp.methods.nonsmooth.system import System, SystemValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear.real_rows import spectrum_multipliers
+from lin_freq_ocp.program.real_rows import spectrum_multipliers
 
 NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
 CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain

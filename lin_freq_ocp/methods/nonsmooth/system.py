@@ -28,9 +28,9 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.linear.real_rows import rows_per_component, spectrum_rows
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
-from lin_freq_ocp.transcription.linear.units import natural_scaling
+from lin_freq_ocp.program.real_rows import rows_per_component, spectrum_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import natural_scaling
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.spectral.model import kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
-from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.program.real_rows import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""

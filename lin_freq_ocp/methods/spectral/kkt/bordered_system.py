@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
 from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
-from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.program.real_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition takes longer than the sparse program

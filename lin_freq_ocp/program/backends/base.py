@@ -11,7 +11,7 @@ from types import ModuleType
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.program import Program
 
 DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1
 EXCLUDED = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables, that excludes all points
@@ -127,7 +127,7 @@ def _expected(binaries: bool) -> str:
 
 
 def _module(name: str) -> ModuleType:
-    return import_module(f"lin_freq_ocp.backends.{name}")
+    return import_module(f"lin_freq_ocp.program.backends.{name}")
 
 
 register("clarabel", lambda _: _module("clarabel_").solve, cones=True)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.transcription.modes.paths import PathModel
-from lin_freq_ocp.transcription.modes.stage_bounds import Quadratic
+from lin_freq_ocp.program.hybrid.paths import PathModel
+from lin_freq_ocp.program.hybrid.stage_bounds import Quadratic
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 import osqp
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.program import Program
 
 MAX_ITERATIONS = 200_000  # its default of 4000 stops far from the answer
 FINEST = 1e-7  # tolerance below which OSQP stalls; polishing does the rest

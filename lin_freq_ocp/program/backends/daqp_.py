@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.backends.base import EXCLUDED, NO_POINT, Claim, Solution
-from lin_freq_ocp.backends.interrupt import interrupts_noted
+from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
+from lin_freq_ocp.program.backends.interrupt import interrupts_noted
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.transcription.program import Program, SingleBounds
+from lin_freq_ocp.program.program import Program, SingleBounds
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
 # is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.

@@ -27,10 +27,10 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.linear.conic_terms import ConicTerms, conic_terms
-from lin_freq_ocp.transcription.linear.dense_rows import require_dense_memory
-from lin_freq_ocp.transcription.linear.real_rows import spectrum_multipliers, spectrum_rows
-from lin_freq_ocp.transcription.program import Block, Program
+from lin_freq_ocp.program.conic_terms import ConicTerms, conic_terms
+from lin_freq_ocp.program.dense_rows import require_dense_memory
+from lin_freq_ocp.program.real_rows import spectrum_multipliers, spectrum_rows
+from lin_freq_ocp.program.program import Block, Program
 
 
 @dataclass(frozen=True, eq=False)

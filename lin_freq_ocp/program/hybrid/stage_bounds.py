@@ -17,7 +17,7 @@ import numpy as np
 from lin_freq_ocp.analysis.mode_reach import Reach
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.box_quadratic import box_minimiser
-from lin_freq_ocp.transcription.modes.rows import ModeStages
+from lin_freq_ocp.program.hybrid.rows import ModeStages
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transcription.modes.row_template import Groups, RowTemplate, Sense
+from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
 
 FLAT = 1e-12  # eigenvalues of a stage's Hessian below this part of the largest are zero
 

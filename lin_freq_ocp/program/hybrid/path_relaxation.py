@@ -11,10 +11,10 @@ from lin_freq_ocp.analysis.mode_reach import UNBOUNDED, Reach
 from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transcription.modes.path_bounds import PathBounds, PathDuals
-from lin_freq_ocp.transcription.modes.paths import PathModel, PathProgram, path_program
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
-from lin_freq_ocp.transcription.modes.rows import symmetric_roots
+from lin_freq_ocp.program.hybrid.path_bounds import PathBounds, PathDuals
+from lin_freq_ocp.program.hybrid.paths import PathModel, PathProgram, path_program
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import symmetric_roots
 
 # With more modes, nodes with more edges per time than these are solved by shares of modes: that takes less time
 MOST_MODES, MOST_EDGES = 4, 8

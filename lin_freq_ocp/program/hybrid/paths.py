@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.transcription.program import StandardForm
+from lin_freq_ocp.program.program import StandardForm
 
 THIN = 1e-9  # rows that differ by less from zero on the whole box, in natural units, are dropped: they have no interior
 
