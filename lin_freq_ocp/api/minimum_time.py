@@ -10,9 +10,9 @@ from typing import final
 from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
-from lin_freq_ocp.comparison.minimum_time.search import Search, checked_horizons, require_source, searched, stated
-from lin_freq_ocp.comparison.sweep.grid import Source
+from lin_freq_ocp.batch.minimum_time.monotone import obstacles
+from lin_freq_ocp.batch.minimum_time.search import Search, checked_horizons, require_source, searched, stated
+from lin_freq_ocp.batch.sweep.grid import Source
 from lin_freq_ocp.base.errors import InfeasibleError
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method

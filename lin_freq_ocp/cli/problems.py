@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
+from lin_freq_ocp.batch.sweep.grid import CUTOFFS
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM

@@ -27,8 +27,8 @@ from lin_freq_ocp.cli.problems import (
     require_folder,
     require_keys_of_file,
 )
-from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS, Source
-from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
+from lin_freq_ocp.batch.sweep.grid import MOST_POINTS, Source
+from lin_freq_ocp.batch.sweep.tasks import WorkerPool, process_pool
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary

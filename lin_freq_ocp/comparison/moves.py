@@ -16,8 +16,8 @@ import numpy as np
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
-from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
-from lin_freq_ocp.comparison.minimum_time.search import Search, searched, stated
+from lin_freq_ocp.batch.minimum_time.monotone import obstacles
+from lin_freq_ocp.batch.minimum_time.search import Search, searched, stated
 from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
 from lin_freq_ocp.base.errors import ProblemError

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
-from lin_freq_ocp.comparison.many.repeated import Repeated
+from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.loop.choice import better
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step

@@ -13,7 +13,7 @@ from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.signals import controls_of
-from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
+from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.report.proof import bound_kind

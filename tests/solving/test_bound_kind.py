@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison.minimum_time.search import Search
+from lin_freq_ocp.batch.minimum_time.search import Search
 from lin_freq_ocp.explorer.session import answer_data
 from lin_freq_ocp.interchange.results.summary import result_summary
 

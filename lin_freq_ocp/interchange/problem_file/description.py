@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
+from lin_freq_ocp.batch.sweep.grid import CUTOFFS
 from lin_freq_ocp.interchange.locations import FileTable, FileValue
 from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
 from lin_freq_ocp.interchange.problem_file.toml_file import read_tables

@@ -16,8 +16,8 @@ from types import TracebackType
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, brief
-from lin_freq_ocp.comparison.many.items import ERROR, Item
-from lin_freq_ocp.comparison.many.many import ManyHead
+from lin_freq_ocp.batch.many.items import ERROR, Item
+from lin_freq_ocp.batch.many.many import ManyHead
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.files import Log, parsed_json, read_text
 from lin_freq_ocp.interchange.locations import FileTable, require_keys

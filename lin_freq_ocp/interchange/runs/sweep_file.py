@@ -17,9 +17,9 @@ from types import TracebackType
 from typing import get_type_hints
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.comparison.sweep.grid import grid_points, point_key
-from lin_freq_ocp.comparison.sweep.point import ERROR, Row
-from lin_freq_ocp.comparison.sweep.sweep import MEASURED, SweepHead, SweepOutcome
+from lin_freq_ocp.batch.sweep.grid import grid_points, point_key
+from lin_freq_ocp.batch.sweep.point import ERROR, Row
+from lin_freq_ocp.batch.sweep.sweep import MEASURED, SweepHead, SweepOutcome
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.interchange.files import Log, parsed_json, read_bytes, read_text
 from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys

@@ -9,8 +9,8 @@ from operator import itemgetter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.comparison.sweep.point import Row
-from lin_freq_ocp.comparison.sweep.sweep import SweepOutcome
+from lin_freq_ocp.batch.sweep.point import Row
+from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.report.figures.style import (
     COMPONENTS,

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
-from lin_freq_ocp.comparison.many.repeated import Repeated
+from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.base.errors import LinFreqOCPError
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
