@@ -9,7 +9,7 @@ from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
 from lin_freq_ocp.api.sweep import Sweep
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.interchange.results.solution_file import SavedSolution
+from lin_freq_ocp.files.results.solution_file import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation

@@ -22,8 +22,8 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import ProblemFile, builder, is_file, parsed_settings
-from lin_freq_ocp.interchange.locations import FileTable
-from lin_freq_ocp.interchange.results.summary import SCHEMA, result_summary
+from lin_freq_ocp.files.locations import FileTable
+from lin_freq_ocp.files.results.summary import SCHEMA, result_summary
 from lin_freq_ocp.base.starting import INTERRUPTED
 
 

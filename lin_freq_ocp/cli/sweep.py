@@ -30,8 +30,8 @@ from lin_freq_ocp.cli.problems import (
 from lin_freq_ocp.batch.sweep.grid import MOST_POINTS, Source
 from lin_freq_ocp.batch.sweep.tasks import WorkerPool, process_pool
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.locations import FileTable, FileValue
-from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
+from lin_freq_ocp.files.locations import FileTable, FileValue
+from lin_freq_ocp.files.runs.sweep_file import sweep_summary
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.starting import INTERRUPTED
 

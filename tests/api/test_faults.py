@@ -17,7 +17,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from lin_freq_ocp.base import errors
 from lin_freq_ocp.batch.sweep.tasks import process_pool
-from lin_freq_ocp.interchange.problem_file import toml_file
+from lin_freq_ocp.files.problem_file import toml_file
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.report import page
 

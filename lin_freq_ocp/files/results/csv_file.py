@@ -14,9 +14,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.files import read_text
-from lin_freq_ocp.interchange.locations import naming
-from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
+from lin_freq_ocp.files.files import read_text
+from lin_freq_ocp.files.locations import naming
+from lin_freq_ocp.files.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.base.atomic import write_text

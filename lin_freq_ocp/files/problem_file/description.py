@@ -10,10 +10,10 @@ from pathlib import Path
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.batch.sweep.grid import CUTOFFS
-from lin_freq_ocp.interchange.locations import FileTable, FileValue
-from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
-from lin_freq_ocp.interchange.problem_file.toml_file import read_tables
-from lin_freq_ocp.interchange.results.summary import finite, head
+from lin_freq_ocp.files.locations import FileTable, FileValue
+from lin_freq_ocp.files.problem_file.tables import PROBLEM
+from lin_freq_ocp.files.problem_file.toml_file import read_tables
+from lin_freq_ocp.files.results.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box

@@ -8,9 +8,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.locations import OTHER_VERSION, FileTable, FileValue, located, readable, versions
-from lin_freq_ocp.interchange.problem_file.codec import Kinds, Record, Tables, Value, checked, nonzero
-from lin_freq_ocp.interchange.problem_file.dynamics import DYNAMICS, without_zeros
+from lin_freq_ocp.files.locations import OTHER_VERSION, FileTable, FileValue, located, readable, versions
+from lin_freq_ocp.files.problem_file.codec import Kinds, Record, Tables, Value, checked, nonzero
+from lin_freq_ocp.files.problem_file.dynamics import DYNAMICS, without_zeros
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -10,8 +10,8 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula
-from lin_freq_ocp.interchange.locations import FileTable, FileValue
-from lin_freq_ocp.interchange.problem_file.codec import Record, Tables, Value, checked, nonzero
+from lin_freq_ocp.files.locations import FileTable, FileValue
+from lin_freq_ocp.files.problem_file.codec import Record, Tables, Value, checked, nonzero
 from lin_freq_ocp.problem.dynamics.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

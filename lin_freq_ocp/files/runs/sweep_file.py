@@ -21,9 +21,9 @@ from lin_freq_ocp.batch.sweep.grid import grid_points, point_key
 from lin_freq_ocp.batch.sweep.point import ERROR, Row
 from lin_freq_ocp.batch.sweep.sweep import MEASURED, SweepHead, SweepOutcome
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.files import Log, parsed_json, read_bytes, read_text
-from lin_freq_ocp.interchange.locations import FileTable, FileValue, require_keys
-from lin_freq_ocp.interchange.results.csv_file import header
+from lin_freq_ocp.files.files import Log, parsed_json, read_bytes, read_text
+from lin_freq_ocp.files.locations import FileTable, FileValue, require_keys
+from lin_freq_ocp.files.results.csv_file import header
 from lin_freq_ocp.base.atomic import write_text
 
 SCHEMA = 1  # version of the layout; a file with another version is refused

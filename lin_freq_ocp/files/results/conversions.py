@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import MissingExtraError, ProblemError
-from lin_freq_ocp.interchange.locations import located
-from lin_freq_ocp.interchange.results.signals import require_clock, trajectory_from_signals
+from lin_freq_ocp.files.locations import located
+from lin_freq_ocp.files.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 

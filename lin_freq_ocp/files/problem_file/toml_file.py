@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.files import npz_bytes, opened_npz, read_text, require_file
-from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming, require_keys
-from lin_freq_ocp.interchange.problem_file.tables import PROBLEM, problem_from_tables
+from lin_freq_ocp.files.files import npz_bytes, opened_npz, read_text, require_file
+from lin_freq_ocp.files.locations import FileTable, FileValue, naming, require_keys
+from lin_freq_ocp.files.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.dynamics.response.measured import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.atomic import write_bytes, writing
@@ -121,7 +121,7 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
 
 def template() -> str:
     """Return the text of a complete problem file, a cart with a speed limit and a low pass; comments explain it."""
-    return files("lin_freq_ocp.interchange").joinpath("template.toml").read_text(encoding="utf-8")
+    return files("lin_freq_ocp.files").joinpath("template.toml").read_text(encoding="utf-8")
 
 
 def init_problem_file(path: str | PathLike[str]) -> None:

@@ -21,11 +21,11 @@ from threadpoolctl import threadpool_info
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
-from lin_freq_ocp.interchange.locations import FileTable, naming, require_keys, require_schema
-from lin_freq_ocp.interchange.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
-from lin_freq_ocp.interchange.results.solution_file import SavedSolution, load_solution, solution_bytes
-from lin_freq_ocp.interchange.results.summary import result_summary
+from lin_freq_ocp.files.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
+from lin_freq_ocp.files.locations import FileTable, naming, require_keys, require_schema
+from lin_freq_ocp.files.problem_file.toml_file import ARRAYS_SUFFIX, problem_files, read_problem
+from lin_freq_ocp.files.results.solution_file import SavedSolution, load_solution, solution_bytes
+from lin_freq_ocp.files.results.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.base.atomic import write_bytes

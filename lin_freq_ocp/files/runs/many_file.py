@@ -19,8 +19,8 @@ from lin_freq_ocp.base.arrays import Array, brief
 from lin_freq_ocp.batch.many.items import ERROR, Item
 from lin_freq_ocp.batch.many.many import ManyHead
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.files import Log, parsed_json, read_text
-from lin_freq_ocp.interchange.locations import FileTable, require_keys
+from lin_freq_ocp.files.files import Log, parsed_json, read_text
+from lin_freq_ocp.files.locations import FileTable, require_keys
 
 KIND = "lin-freq-ocp solve_many"
 HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")

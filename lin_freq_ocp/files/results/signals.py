@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.interchange.locations import FileArray
+from lin_freq_ocp.files.locations import FileArray
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
