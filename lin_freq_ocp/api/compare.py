@@ -53,13 +53,13 @@ class Comparison(ComparisonOutcome):
 
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
-        from lin_freq_ocp.report.figures.figures import comparison_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.figures import comparison_figure  # Matplotlib is slow to import
 
         return comparison_figure(self)
 
     def save(self, folder: str | Path) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.report.page import save_report  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.report.page import save_report  # Matplotlib is slow to import
 
         return save_report(self, folder)
 

@@ -52,13 +52,13 @@ class ClosedLoop(LoopRecord):
 
     def plot(self) -> Figure:
         """Return a figure of the states, the controls, their spectra over time, and the times of the steps."""
-        from lin_freq_ocp.report.figures.loop import loop_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.loop import loop_figure  # Matplotlib is slow to import
 
         return loop_figure(self)
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.report.loop_page import save_loop_report  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.report.loop_page import save_loop_report  # Matplotlib is slow to import
 
         return save_loop_report(self, Path(folder))
 

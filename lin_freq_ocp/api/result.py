@@ -100,7 +100,7 @@ class Result(Outcome):
         A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
         window.
         """
-        from lin_freq_ocp.report.figures.figures import result_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.figures import result_figure  # Matplotlib is slow to import
 
         return result_figure(self)
 

@@ -47,7 +47,7 @@ class Sweep(SweepOutcome):
 
     def plot(self) -> Figure:
         """Return a figure of cost and infeasible points over the first parameter that is a number."""
-        from lin_freq_ocp.report.figures.sweep import sweep_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.sweep import sweep_figure  # Matplotlib is slow to import
 
         return sweep_figure(self)
 

@@ -77,8 +77,8 @@ def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from lin_freq_ocp.report.moves import moves_rows
-    from lin_freq_ocp.report.tables import comparison_table, terminal_table
+    from lin_freq_ocp.pages.report.moves import moves_rows
+    from lin_freq_ocp.pages.report.tables import comparison_table, terminal_table
 
     print_lines(str(comparison.constrained))
     print_conflict(comparison.constrained)

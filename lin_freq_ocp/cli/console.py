@@ -130,7 +130,7 @@ def fit_console() -> None:
 
 def print_table(table: Table, spare: Sequence[str] = ()) -> None:
     """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.report.narrow import fitted
+    from lin_freq_ocp.pages.report.narrow import fitted
 
     out.print(fitted(table, out.width, spare))
 
@@ -168,6 +168,6 @@ def print_conflict(result: Result) -> None:
 def print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
     """Print the conditions and the bound, if there is a certificate."""
     if certificate is not None:
-        from lin_freq_ocp.report.tables import certificate_table
+        from lin_freq_ocp.pages.report.tables import certificate_table
 
         print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))

@@ -40,7 +40,7 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     if as_json:
         print_json(summary)
         return PROVEN
-    from lin_freq_ocp.report.narrow import terms
+    from lin_freq_ocp.pages.report.narrow import terms
 
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))

@@ -14,7 +14,7 @@ from lin_freq_ocp.cli.options import first_line_of
 @click.command("list")
 def list_command() -> int:
     """List the library's problems and what each shows."""
-    from lin_freq_ocp.report.narrow import terms
+    from lin_freq_ocp.pages.report.narrow import terms
 
     out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
     return PROVEN

@@ -78,7 +78,7 @@ def sweep_command(
     if as_json:
         print_json(sweep_summary(found))
     else:
-        from lin_freq_ocp.report.tables import sweep_table
+        from lin_freq_ocp.pages.report.tables import sweep_table
 
         print_table(sweep_table(found), ("seconds", "method", "gap"))
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN

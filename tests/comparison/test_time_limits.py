@@ -11,7 +11,7 @@ from helpers.clocks import Clock
 from helpers.command_line import run
 from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compared
 from lin_freq_ocp.files.results.summary import comparison_summary
-from lin_freq_ocp.report.findings import finding
+from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.base.clock import use_clock
 

@@ -12,8 +12,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
-from lin_freq_ocp.explorer.session import Session
+from lin_freq_ocp.pages.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
+from lin_freq_ocp.pages.explorer.session import Session
 
 PATIENCE = 120  # seconds, after which something hangs
 

@@ -24,7 +24,7 @@ from lin_freq_ocp.files.files import MOST_ENTRIES
 from lin_freq_ocp.files.results.summary import to_json
 from lin_freq_ocp.files.runs import run_file
 from lin_freq_ocp.files.runs.sweep_file import BEGINNING, sweep_summary
-from lin_freq_ocp.report.tables import sweep_table
+from lin_freq_ocp.pages.report.tables import sweep_table
 
 SMOOTH = {
     **{"schema": 1, "horizon": 4, "cost": {"R": 1.0}, "initial_state": [0.0, 0.0], "control_set": {"upper": 1.0}},

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.report.figures.continua import held_figure, vibrations_figure
-from lin_freq_ocp.report.figures.figures import comparison_data
-from lin_freq_ocp.report.page import draw, render
+from lin_freq_ocp.pages.figures.continua import held_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.figures import comparison_data
+from lin_freq_ocp.pages.report.page import draw, render
 
 FREE = lfo.library.double_integrator(horizon=60, sampling_time=0.04, cutoff_hz=None, speed_bound=None)
 HELD = lfo.MagnitudeBound([[3, 1.0], [20, 0.5]], band=lfo.low_pass(cutoff_hz=3.0), every_frequency=True, hold=True)

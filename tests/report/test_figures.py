@@ -19,8 +19,9 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.report import findings, proof
-from lin_freq_ocp.report.figures.figures import (
+from lin_freq_ocp.pages.report import findings
+from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.pages.figures.figures import (
     comparison_data,
     comparison_figure,
     gap_figure,
@@ -28,8 +29,8 @@ from lin_freq_ocp.report.figures.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.report.figures.plot_data import view
-from lin_freq_ocp.report.figures.style import MOST_POINTS, STYLES, thinned
+from lin_freq_ocp.pages.figures.plot_data import view
+from lin_freq_ocp.pages.figures.style import MOST_POINTS, STYLES, thinned
 
 
 def test_every_control_has_its_panels():
@@ -173,6 +174,6 @@ def test_long_signals_keep_their_extremes():
 
 
 def test_plotting_libraries_are_imported_late():
-    code = "import sys, lin_freq_ocp; print({'matplotlib', 'jinja2', 'lin_freq_ocp.report'} & set(sys.modules))"
+    code = "import sys, lin_freq_ocp; print({'matplotlib', 'jinja2', 'lin_freq_ocp.pages.report'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "set()"

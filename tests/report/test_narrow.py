@@ -10,8 +10,8 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.report.narrow import fitted, terms
-from lin_freq_ocp.report.tables import certificate_table, comparison_table
+from lin_freq_ocp.pages.report.narrow import fitted, terms
+from lin_freq_ocp.pages.report.tables import certificate_table, comparison_table
 
 
 def printed(renderable, width):

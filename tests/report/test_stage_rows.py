@@ -12,9 +12,9 @@ from helpers.stage_rows import cart
 from lin_freq_ocp.analysis.measures import measure
 from lin_freq_ocp.files.results.summary import comparison_summary
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.report.findings import finding
-from lin_freq_ocp.report.page import draw, render
-from lin_freq_ocp.report.tables import certificate_rows, comparison_rows
+from lin_freq_ocp.pages.report.findings import finding
+from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.tables import certificate_rows, comparison_rows
 
 
 def test_violations_are_measured_and_shown():

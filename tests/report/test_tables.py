@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from helpers.compared_pages import CASES, case
-from lin_freq_ocp.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
+from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
 from lin_freq_ocp.base.phrases import NOTHING, split_unit
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.batch.minimum_time.search import Search
-from lin_freq_ocp.explorer.session import answer_data
+from lin_freq_ocp.pages.explorer.session import answer_data
 from lin_freq_ocp.files.results.summary import result_summary
 
 H = 0.1

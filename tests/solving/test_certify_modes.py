@@ -20,8 +20,8 @@ from lin_freq_ocp.files.results.summary import certificate_summary
 from lin_freq_ocp.methods.modes.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.dynamics.piecewise_affine import REGION
-from lin_freq_ocp.report.proof import verdict
-from lin_freq_ocp.report.tables import certificate_rows
+from lin_freq_ocp.pages.report.proof import verdict
+from lin_freq_ocp.pages.report.tables import certificate_rows
 
 
 def best(problem):

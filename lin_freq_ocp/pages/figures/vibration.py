@@ -13,7 +13,7 @@ from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Moves, boxes_of
 from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.style import (
     BAND,
     BOUND,
     COMPONENTS,
@@ -25,7 +25,7 @@ from lin_freq_ocp.report.figures.style import (
     new_figure,
     style_axes,
 )
-from lin_freq_ocp.report.units import aligned
+from lin_freq_ocp.pages.report.units import aligned
 from lin_freq_ocp.base.phrases import number, split_unit
 
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT

@@ -15,9 +15,9 @@ from matplotlib.typing import LineStyleType
 from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.comparison.signals import Line, Signal
-from lin_freq_ocp.report.figures.modes import shade_modes
-from lin_freq_ocp.report.figures.plot_data import PlotData, View
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.modes import shade_modes
+from lin_freq_ocp.pages.figures.plot_data import PlotData, View
+from lin_freq_ocp.pages.figures.style import (
     BAND,
     BOUND,
     COMPONENTS,

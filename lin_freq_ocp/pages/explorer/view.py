@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.report.units import frequency_scale, time_scale
+from lin_freq_ocp.pages.report.units import frequency_scale, time_scale
 
 DIGITS = 4  # significant, of values that are drawn
 MOST_SIGNALS = 24  # that are drawn over time; controls come first

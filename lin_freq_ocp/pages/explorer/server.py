@@ -20,9 +20,9 @@ from typing import NoReturn
 
 from lin_freq_ocp.program.backends.interrupt import interrupts_noted
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
-from lin_freq_ocp.explorer.page import page
-from lin_freq_ocp.explorer.session import Session
-from lin_freq_ocp.explorer.view import Data
+from lin_freq_ocp.pages.explorer.page import page
+from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.pages.explorer.view import Data
 
 Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
 LOOPBACK = "127.0.0.1"

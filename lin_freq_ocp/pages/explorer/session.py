@@ -16,15 +16,15 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequ
 from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.comparison.trajectories import replayed
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, UnsupportedError
-from lin_freq_ocp.explorer.ends import ends_at
-from lin_freq_ocp.explorer.frequencies import GROUP as FREQUENCY
-from lin_freq_ocp.explorer.limits import sets_at
-from lin_freq_ocp.explorer.slider import Values
-from lin_freq_ocp.explorer.sliders import KEPT, Rebuild, changed, checked, problem_at, sliders_of
-from lin_freq_ocp.explorer.view import Data, drawn, frame
+from lin_freq_ocp.pages.explorer.ends import ends_at
+from lin_freq_ocp.pages.explorer.frequencies import GROUP as FREQUENCY
+from lin_freq_ocp.pages.explorer.limits import sets_at
+from lin_freq_ocp.pages.explorer.slider import Values
+from lin_freq_ocp.pages.explorer.sliders import KEPT, Rebuild, changed, checked, problem_at, sliders_of
+from lin_freq_ocp.pages.explorer.view import Data, drawn, frame
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.findings import finding
-from lin_freq_ocp.report.proof import verdict
+from lin_freq_ocp.pages.report.findings import finding
+from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from lin_freq_ocp.comparison.moves import OURS, Move, Moves
-from lin_freq_ocp.report.tables import Cell, ComparisonRows, Group, Row
-from lin_freq_ocp.report.units import aligned
+from lin_freq_ocp.pages.report.tables import Cell, ComparisonRows, Group, Row
+from lin_freq_ocp.pages.report.units import aligned
 from lin_freq_ocp.base.phrases import NOTHING, listed, number
 
 

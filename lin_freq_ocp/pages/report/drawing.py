@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.report.figures.style import THEMED, THEMED_TINTS
+from lin_freq_ocp.pages.figures.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.base.atomic import write_each, writing
 
 PIXELS_PER_INCH = 150
@@ -59,7 +59,7 @@ def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
 def rendered(template: str, **values: object) -> str:
     """Return a page from its template."""
     environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.report"),
+        loader=PackageLoader("lin_freq_ocp.pages.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

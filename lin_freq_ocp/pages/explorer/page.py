@@ -9,11 +9,11 @@ from itertools import product
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lin_freq_ocp.explorer.frequencies import CUTOFF
-from lin_freq_ocp.explorer.session import Session
-from lin_freq_ocp.explorer.slider import Slider
-from lin_freq_ocp.explorer.sliders import FOLDED, GROUPS
-from lin_freq_ocp.explorer.view import Data
+from lin_freq_ocp.pages.explorer.frequencies import CUTOFF
+from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.pages.explorer.slider import Slider
+from lin_freq_ocp.pages.explorer.sliders import FOLDED, GROUPS
+from lin_freq_ocp.pages.explorer.view import Data
 from lin_freq_ocp.problem.description import problem_facts
 
 # Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
@@ -75,7 +75,7 @@ def _rendered(session: Session, solved: list[Data] | None) -> str:
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("lin_freq_ocp.explorer"),
+        loader=PackageLoader("lin_freq_ocp.pages.explorer"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

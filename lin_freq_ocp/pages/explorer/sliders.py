@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
-from lin_freq_ocp.explorer.ends import ENDS
-from lin_freq_ocp.explorer.frequencies import FREQUENCIES
-from lin_freq_ocp.explorer.limits import BOUNDS, ROWS
-from lin_freq_ocp.explorer.slider import Movable, Slider, Values
+from lin_freq_ocp.pages.explorer.ends import ENDS
+from lin_freq_ocp.pages.explorer.frequencies import FREQUENCIES
+from lin_freq_ocp.pages.explorer.limits import BOUNDS, ROWS
+from lin_freq_ocp.pages.explorer.slider import Movable, Slider, Values
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 HORIZON = "horizon"

@@ -12,7 +12,7 @@ from scipy import fft, signal
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.loop.record import LoopRecord, Source
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.style import (
     BOUND,
     COMPONENTS,
     FILTERED,

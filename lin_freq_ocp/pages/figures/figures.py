@@ -23,8 +23,8 @@ from lin_freq_ocp.comparison.filters import has_frequency_constraint
 from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
 from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.report.figures.modes import mode_legend
-from lin_freq_ocp.report.figures.panels import (
+from lin_freq_ocp.pages.figures.modes import mode_legend
+from lin_freq_ocp.pages.figures.panels import (
     control_panel,
     frequency_axis,
     phase_panel,
@@ -33,8 +33,8 @@ from lin_freq_ocp.report.figures.panels import (
     state_panel,
     states_panel,
 )
-from lin_freq_ocp.report.figures.plot_data import PlotData
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import PlotData
+from lin_freq_ocp.pages.figures.style import (
     BAND,
     BOUND,
     COMPONENTS,

@@ -19,8 +19,8 @@ from lin_freq_ocp.certificate.modes.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
-from lin_freq_ocp.report.figures.plot_data import MARGIN, PlotData, Span, spans
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import MARGIN, PlotData, Span, spans
+from lin_freq_ocp.pages.figures.style import (
     COMPONENTS,
     FILTERED,
     GRID,
@@ -41,7 +41,7 @@ from lin_freq_ocp.report.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.report.proof import ETA
+from lin_freq_ocp.pages.report.proof import ETA
 from lin_freq_ocp.base.phrases import LARGE, SMALL, number, split_unit
 
 CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note

@@ -16,8 +16,8 @@ from lin_freq_ocp.comparison.signals import controls_of
 from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.report.proof import bound_kind
-from lin_freq_ocp.report.units import aligned
+from lin_freq_ocp.pages.report.proof import bound_kind
+from lin_freq_ocp.pages.report.units import aligned
 from lin_freq_ocp.base.phrases import NOTHING, number, plural, short_name, split_unit
 
 NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one

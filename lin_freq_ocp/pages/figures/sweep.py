@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.batch.sweep.point import Row
 from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.report.figures.style import (
+from lin_freq_ocp.pages.figures.style import (
     COMPONENTS,
     INK,
     LABEL_SIZE,

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.analysis.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.explorer.slider import LARGEST_PART, LEAST_PART, NOTCHES, Movable, Slider, Values, notches
+from lin_freq_ocp.pages.explorer.slider import LARGEST_PART, LEAST_PART, NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
